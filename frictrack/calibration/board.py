@@ -241,7 +241,7 @@ def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int,
     if plane is not None and plane >= len(paths):
         raise FrictrackError(f"expected plane as the number of one of {len(paths)} pictures but got {plane}")
     for number, path in enumerate(paths):
-        yield number, path.name, read_grey(path)
+        yield number, path.name, _read_grey(path)
 
 
 def _pages(path: Path) -> int:
@@ -265,7 +265,7 @@ def _frames(path: Path, plane: int | None) -> Iterator[tuple[int, str, Grey]]:
         yield number, f"{path.name}, frame {number}", _grey8(np.asarray(recording.frame(number)))
 
 
-def read_grey(path: Path) -> Grey:
+def _read_grey(path: Path) -> Grey:
     """A picture file as 8-bit grey values."""
     if not path.exists():
         raise FrictrackError(f"expected a picture of the board {path} but there is no such file; check the path")

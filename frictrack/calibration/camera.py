@@ -165,10 +165,10 @@ def _floats(raw: Any) -> Array:
 def _points_on_plane(values: Array, points: Array) -> Array:
     """Picture points on the plane z = 0 of a board, m."""
     lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:N_INTRINSICS])
-    return on_plane(lens.rays(points), values[N_INTRINSICS:])
+    return _on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
-def on_plane(rays: Array, pose: Array) -> Array:
+def _on_plane(rays: Array, pose: Array) -> Array:
     """Where normalised directions (n, 2) meet the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
     turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
     views = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
@@ -202,7 +202,7 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
         "with the lens taken as exact"
     )
     return PlaneMap(
-        pose, covariance, lambda p, points: on_plane(lens.rays(points), p), used=used, notes=_reprojection_note(rms)
+        pose, covariance, lambda p, points: _on_plane(lens.rays(points), p), used=used, notes=_reprojection_note(rms)
     )
 
 

@@ -67,12 +67,12 @@ def fit_view(
         raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
     picture = _norm(straightened)
     start = _linear(plane_norm(places), picture(straightened))
-    distortion = None if lens is None else partial(distort, lens=lens)
+    distortion = None if lens is None else partial(_distort, lens=lens)
     values, covariance, misfit = _fit(
         start, (plane_norm, picture, distortion), (points if distortion else straightened, places), sigma
     )
     undo_distortion: Callable[[float, Array], Array] = (
-        (lambda k, p: p) if lens is None else partial(undistort, lens=lens)
+        (lambda k, p: p) if lens is None else partial(_undistort, lens=lens)
     )
 
     def place(given: Array, at: Array) -> Array:
@@ -112,13 +112,13 @@ def _fit(
     return found.x, covariance, found.fun.reshape(2, -1)
 
 
-def distort(k: float, points: Array, lens: Normalisation) -> Array:
+def _distort(k: float, points: Array, lens: Normalisation) -> Array:
     """Where a lens of radial coefficient k shows straight points (n, 2) px."""
     q = lens(points)
     return lens.restore(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
 
 
-def undistort(k: float, points: Array, lens: Normalisation) -> Array:
+def _undistort(k: float, points: Array, lens: Normalisation) -> Array:
     """The straight points of those seen (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
     straightened = lens(points)
     radius = np.linalg.norm(straightened, axis=1)

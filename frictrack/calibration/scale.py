@@ -39,7 +39,7 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
     """
     kind, written = scale_kind(scale), cast(Any, scale)
     if kind == "number":
-        value, std = parse_number(scale)
+        value, std = _parse_number(scale)
         return value, std / value
     if kind == "ruler":
         made = map_from_ruler(written)
@@ -83,7 +83,7 @@ def _describe_wrong_keys(keys: frozenset[str]) -> str:
     return f"expected a scale by {nearest_kind} with {' and '.join(sorted(needed))} but {missing} is missing"
 
 
-def parse_number(scale: Any) -> tuple[float, float]:
+def _parse_number(scale: Any) -> tuple[float, float]:
     """Metres per pixel and its standard deviation."""
     value, std = parse_quantity(scale, "m/px", "the scale")
     if not value > 0:
@@ -93,13 +93,13 @@ def parse_number(scale: Any) -> tuple[float, float]:
 
 def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
     """The map of a scale that is a number."""
-    value, std = parse_number(scale)
+    value, std = _parse_number(scale)
     return uniform([value], [[std**2]], lambda values: float(values[0]), straight)
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
     """The map of two points of known distance: its numbers are the length and the four clicks."""
-    points = picture_points(scale["points"], 2)
+    points = _picture_points(scale["points"], 2)
     length, std = parse_length(scale["length"], "the length between the two points")
     click = click_std(scale)
     distance = float(np.hypot(*(points[1] - points[0])))
@@ -116,7 +116,7 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
     return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
 
 
-def picture_points(raw: Any, min_count: int) -> Array:
+def _picture_points(raw: Any, min_count: int) -> Array:
     """Points (n, 2) px of the picture; exactly two of them, or at least `min_count`."""
     wanted = "two points [[x, y], [x, y]]" if min_count == 2 else f"at least {min_count} points [[x, y], ...]"
     try:
@@ -143,7 +143,7 @@ def click_std(scale: Mapping[str, Any]) -> float:
     return parse_length(scale.get("click", DEFAULT_CLICK), "click, the standard deviation of a click,", "px")[0]
 
 
-def plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
+def _plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
     """Places (n, 2) m of the points on the plane and their standard deviations (n, 2) m.
 
     Numbers are metres, or of the `unit` that stands beside them; texts carry their own.
@@ -163,8 +163,8 @@ def plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
 
 def check_points(scale: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Picture points (n, 2) px, their places (n, 2) m and the places' standard deviations."""
-    points = picture_points(scale["points"], 4)
-    places, std = plane_points(scale)
+    points = _picture_points(scale["points"], 4)
+    places, std = _plane_points(scale)
     click_std(scale)
     if len(points) != len(places):
         raise FrictrackError(f"expected as many places as points but got {len(places)} for {len(points)} points")

@@ -57,10 +57,10 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
             continue
         found, size = _outliers_and_step(frames[rows], coordinate[rows], sigma[rows])
         valid[rows[found.rows]] = False
-        notes += outlier_note(found, numbers[rows], name)
+        notes += _outlier_note(found, numbers[rows], name)
         if not name:
             step = size
-            notes += quantum_note(step)
+            notes += _quantum_note(step)
     if not step and len(notes) == len(displacement.notes):
         return displacement
     return replace(displacement, valid=valid, notes=tuple(notes), resolution=step)
@@ -85,12 +85,12 @@ def _noise_level(x: Array) -> float:
     return MEDIAN_TO_SIGMA * float(np.median(np.abs(np.diff(x, 3)))) / float(np.sqrt(20.0))
 
 
-def outlier_note(found: Outliers, numbers: Rows, where: str = "") -> tuple[str, ...]:
+def _outlier_note(found: Outliers, numbers: Rows, where: str = "") -> tuple[str, ...]:
     """The outliers in words: how many, how far off, in which frames."""
     if not len(found.rows):
         return ()
     size = np.abs(found.off)
-    unit, metres = unit_of(float(np.max(size)))
+    unit, metres = _unit_of(float(np.max(size)))
     low, high = f"{np.min(size) / metres:.3g}", f"{np.max(size) / metres:.3g}"
     span = f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
     count = "1 sample lies" if len(size) == 1 else f"{len(size)} samples lie"
@@ -98,7 +98,7 @@ def outlier_note(found: Outliers, numbers: Rows, where: str = "") -> tuple[str, 
     return (f"{count} {span} off {off} course{where} ({describe_frames(numbers[found.rows])}): left out",)
 
 
-def quantum_note(step: float) -> tuple[str, ...]:
+def _quantum_note(step: float) -> tuple[str, ...]:
     """The step of quantised positions in words."""
     if not step:
         return ()
@@ -112,11 +112,11 @@ def quantum_note(step: float) -> tuple[str, ...]:
 
 def describe_length(metres: float) -> str:
     """A length with a unit that suits it."""
-    unit, size = unit_of(metres)
+    unit, size = _unit_of(metres)
     return f"{metres / size:.3g} {unit}"
 
 
-def unit_of(metres: float) -> tuple[str, float]:
+def _unit_of(metres: float) -> tuple[str, float]:
     """Unit that suits a length, and its size, m."""
     units = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
     return next((u for u in units if metres >= 0.9995 * u[1]), ("nm", 1e-9))

@@ -86,7 +86,7 @@ def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
         for one in missing_frames(rest.p, rest.ticks, rest.good, rest.smallest)
     ]
     rest = replace(rest, ticks=correct_ticks(rest.ticks, lost)[0])
-    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *scattered_slips(rest))]
+    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *_scattered_slips(rest))]
     return tuple(sorted([*repeated, *others], key=lambda s: s.frame))
 
 
@@ -100,7 +100,7 @@ def _slips_of(repeat: RepeatedFrames) -> Iterator[Slip]:
         yield Slip(repeat.last + 1, repeat.ticks - len(frames) - 1, np.inf)
 
 
-def scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
+def _scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
     """Doubled and missing frames of a course, in order; none are found where the target is too slow to tell."""
     noise = _noise(path)
     found: list[Slip] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -123,10 +122,6 @@ class SensorRecord:
         first = np.clip(np.searchsorted(self.t, start + tiny, side="right") - 1, 0, len(count) - 1)
         last = np.clip(np.searchsorted(self.t, end - tiny, side="left"), 0, len(count) - 1)
         return np.asarray(inside & (count[np.maximum(last, first)] == count[first]))
-
-    def converted(self, conversion: Callable[[Array], Array]) -> SensorRecord:
-        """The same samples in another unit or sign."""
-        return SensorRecord(self.t, conversion(self.values), self.name)
 
 
 def _record_fault(t: Array, values: Array) -> str:

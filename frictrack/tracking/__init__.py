@@ -1,4 +1,17 @@
-"""Frames -> Track: the moving body in pixels, with a standard deviation and a score per frame."""
+"""Track a target through a film: its position in pixels, with a standard deviation and a score per frame.
+
+The method is image correlation with a learnt template: zero-normalised cross-correlation finds the target, and
+Gauss-Newton refines its position and small rotation by weighted least squares on the grey values.
+
+driver              the sequence of steps: `track`, `learn_target`
+detection           what to track: moving bodies, clicks, rectangles, a fixed reference
+batch_tracker       predict, read and refine batches of frames; search where that fails
+template_learning   the template and the noise of its pixels; learning_rounds repeats it with measurement
+measure, occlusion  positions in every frame, without pixels that do not fit
+pose_tracker        targets that rotate by any angle
+checks              self-checks of a track
+show                contact sheet and overlay video
+"""
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target

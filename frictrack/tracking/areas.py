@@ -1,4 +1,4 @@
-"""Areas that somebody has drawn: the target's outline, parts that are not of it, and what stands before it."""
+"""Read areas that the user has drawn: the target's outline, excluded parts of it, and obstacles before it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from frictrack.records import Mask
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.fixed_pattern import FixedPattern
 
-MIN_TARGET_PIXELS = 64  # of a target that its outline and exclusions must leave
+MIN_TARGET_PIXELS = 64  # that outline and exclusions must leave
 
 
 @dataclass(frozen=True)
 class Areas:
-    """A target with what was drawn in and before it.
+    """Target together with areas that were drawn in and before it.
 
     Parameters
     ----------
     target
-        Whatever `track` takes for a target; an outline [[x, y], ...] is a polygon of it.
+        Any target that `track` accepts; an outline [[x, y], ...] is a polygon.
     exclude
-        Polygons or rectangles in the target's own frame that move with it and are no part of it, px.
+        Polygons or rectangles, px, that move with the target but do not belong to it.
     obstacles
-        Polygons or rectangles fixed in the picture, behind which the target passes, px.
+        Polygons or rectangles, px, fixed in the picture, behind which the target passes.
 
     Raises
     ------
     FrictrackError
-        For what is no polygon, see `frictrack.polygons.polygon`.
+        For areas that are not polygons, see `frictrack.polygons.polygon`.
 
     Examples
     --------
@@ -52,11 +52,23 @@ class Areas:
 
     @property
     def outline(self) -> Polygon:
-        """Corners of the target, where it is given by them."""
+        """Corners of the target's outline; empty if the target is not a polygon."""
         return polygon(self.target) if is_polygon(self.target) else ()
 
     def check(self, shape: tuple[int, int]) -> None:
-        """Raise `FrictrackError` where a polygon leaves the picture (h, w)."""
+        """Check that every polygon lies in the picture.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Height and width of the picture, px.
+
+        Raises
+        ------
+        FrictrackError
+            Where a polygon leaves the picture.
+
+        """
         if self.outline:
             check_within(self.outline, shape, "a target")
         for what, areas in (("an area to exclude", self.exclude), ("an obstacle", self.obstacles)):
@@ -64,7 +76,24 @@ class Areas:
                 check_within(area, shape, what)
 
     def target_mask(self, rectangle: Rectangle) -> Mask | None:
-        """Pixels (h, w) of the target's rectangle that belong to it; None where all do."""
+        """Mark the pixels of the target's rectangle that belong to the target.
+
+        Parameters
+        ----------
+        rectangle : tuple of int
+            x, y, w, h in px.
+
+        Returns
+        -------
+        array of bool (h, w) or None
+            None where all pixels belong to the target.
+
+        Raises
+        ------
+        FrictrackError
+            Where fewer than `MIN_TARGET_PIXELS` pixels remain.
+
+        """
         if not (self.outline or self.exclude):
             return None
         x, y, w, h = rectangle
@@ -80,28 +109,78 @@ class Areas:
         return mask
 
     def obstacle_mask(self, shape: tuple[int, int]) -> Mask | None:
-        """Pixels (H, W) of the picture before which an obstacle stands; None without any."""
+        """Mark the pixels of the picture that obstacles cover.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Height and width of the picture, px.
+
+        Returns
+        -------
+        array of bool (H, W) or None
+            None without obstacles.
+
+        """
         if not self.obstacles:
             return None
         return np.any([inside(area, shape) for area in self.obstacles], axis=0)
 
 
 def is_polygon(target: Any) -> bool:
-    """Whether a target is given as corners [[x, y], ...]: no numbers, no path, no picture."""
+    """Whether a target is given as corners.
+
+    Parameters
+    ----------
+    target
+        Any target that `track` accepts.
+
+    Returns
+    -------
+    bool
+        True for [[x, y], ...] and arrays (n, 2); false for numbers, paths and pictures.
+
+    Examples
+    --------
+    >>> is_polygon([[0, 0], [9, 0], [9, 9]]), is_polygon([3, 4, 20, 10])
+    (True, False)
+
+    """
     if isinstance(target, np.ndarray):
         return target.ndim == 2 and target.shape[1] == 2
     return isinstance(target, list | tuple) and len(target) > 0 and all(isinstance(c, list | tuple) for c in target)
 
 
 def bounding_rectangle(outline: Polygon) -> tuple[int, int, int, int]:
-    """The rectangle (x, y, w, h) of the pixels whose centres can lie within an outline."""
+    """Compute the rectangle (x, y, w, h) px of the pixels whose centres can lie within an outline.
+
+    Examples
+    --------
+    >>> bounding_rectangle(((0.5, 0.5), (4.5, 0.5), (4.5, 2.5)))
+    (1, 1, 4, 2)
+
+    """
     at = np.array(outline)
     low, high = np.ceil(at.min(axis=0)).astype(int), np.floor(at.max(axis=0)).astype(int)
     return int(low[0]), int(low[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
 
 def with_obstacles(pattern: FixedPattern | None, obstacle_mask: Mask | None) -> FixedPattern | None:
-    """What stands still before the target, with the obstacles that were drawn."""
+    """Combine a fixed pattern with the obstacles that the user has drawn.
+
+    Parameters
+    ----------
+    pattern : FixedPattern or None
+        Pattern that the film has shown; None for none.
+    obstacle_mask : array of bool (H, W) or None
+        Pixels of the picture that obstacles cover; None for none.
+
+    Returns
+    -------
+    FixedPattern or None
+        Weight 0 where an obstacle stands.
+
+    """
     if obstacle_mask is None:
         return pattern
     free = (~obstacle_mask).astype(np.float32)

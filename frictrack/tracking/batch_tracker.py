@@ -1,9 +1,8 @@
-"""Follow the target through the film: predict, read its rectangle, refine; search where that fails.
+"""Follow a target through the film: predict batches of frames, read their cut-outs, refine; search where that fails.
 
-Frames are taken in batches: from the path so far the target's place is predicted in all of them, only the
-rectangles there are read, and the products with the template say where it really is. A prediction that is off
-by more than the template's reach is mended by reading again; one that fails is followed by a search near there
-and then in the whole picture.
+The path so far predicts the position in a batch of frames. Only the cut-outs at the predicted positions are read, and
+the products with the template give the true positions. A cut-out that is off by more than the range of the template is
+read again. A frame in which that fails is searched, first near the prediction and then everywhere.
 """
 
 from __future__ import annotations
@@ -22,66 +21,32 @@ from frictrack.tracking.correlation import Patch, Rectangle, correlate, parabola
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.fixed_pattern import FixedPattern
 from frictrack.tracking.measure import MIN_REMAINING_SHARE, refine_robust
+from frictrack.tracking.raw_track import FLAT, LEAVES, RawTrack, empty_track
 from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import Template
 
 Progress = Callable[[int, int, str], None]
 
-UNREAD = "frame cannot be read"
-FLAT = "picture without contrast"
-LEAVES = "target leaves the frame"
-NOT_CONVERGED = "sub-pixel search did not settle"
-MIN_SCORE = 0.35  # below this nothing is taken for the target, however noisy the film is
-MIN_SCORE_SHARE = 0.7  # of the film's usual score that a find must reach
-CONFIDENT_SCORE = (
-    0.8  # a score below makes the rest of the picture worth a look, or a false find would be followed for ever
-)
-MIN_DISTANT_SCORE_SHARE = 0.5  # least score of a find far from where the target should be
-CLEARLY_BETTER_SCORE = 0.1  # by this much must another place match better than the one that is near
-MAX_PREDICTION_ERROR_PX = (
-    1.5  # px off the prediction: no find in a batch, or a pattern that repeats would be followed one period off
-)
-SEARCH_RADIUS_PX = 24  # px searched round the prediction
-STATIC_SEARCH_PX = 4  # px that a shaken camera may move what stands
-BATCH_FRAMES = (8, 256)  # frames predicted at once: least, most
-MAX_RECENTRINGS = 4  # times that a batch is read at better corners
-MAX_LOST_FRAMES = 128  # frames without a find after which the target may be anywhere
-MAX_OCCLUDED_FRAMES = 16  # frames after which the path is no guide any more
-MAX_MISFIT_RATIO = 4.0  # times the usual misfit at most, of what is left of a partly hidden target
-PREDICTOR_FRAMES = 24  # frames from which the next are predicted
-
-
-@dataclass(frozen=True, eq=False)
-class RawTrack:
-    """Where the target is, frame by frame: rows of `fit` are NaN where it was not found."""
-
-    corner: NDArray[np.int64]  # (n, 2) px, upper left corner of each cut-out
-    fit: SubpixelFit
-    reason: NDArray[np.object_]  # (n,), "" where found
-
-    @property
-    def position(self) -> Array:
-        """Upper left corner of the target's rectangle (n, 2) px."""
-        return self.corner + self.fit.position
-
-    @property
-    def found(self) -> Mask:
-        """Frames in which the target was found."""
-        return np.asarray(self.reason == "")
-
-
-def empty_track(n: int) -> RawTrack:
-    """A track of `n` frames in which nothing was found yet."""
-    nan = np.full(n, np.nan)
-    pair = np.full((n, 2), np.nan)
-    score, gain, offset, misfit = (nan.copy() for _ in range(4))
-    fit = SubpixelFit(pair, nan, np.full((n, 3), np.nan), score, gain, offset, misfit, np.zeros(n, np.bool_))
-    return RawTrack(np.zeros((n, 2), np.int64), fit, np.full(n, UNREAD, dtype=object))
+MIN_SCORE = 0.35  # a lower match score is never accepted, however noisy the film is
+MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a find must reach
+CONFIDENT_SCORE = 0.8  # below it the rest of the picture is searched, or a false find would be tracked to the end
+MIN_DISTANT_SCORE_SHARE = 0.5  # of the typical score, that a find far from the prediction must reach
+CLEARLY_BETTER_SCORE = 0.1  # difference by which a distant match must exceed the near one
+# a batch find further off is rejected, or a periodic pattern would be tracked one period off
+MAX_PREDICTION_ERROR_PX = 1.5
+SEARCH_RADIUS_PX = 24  # round the prediction
+STATIC_SEARCH_PX = 4  # by which camera shake may move a static object
+BATCH_FRAMES = (8, 256)  # smallest and largest number of frames predicted at once
+MAX_RECENTRINGS = 4  # times that a batch is read again at better corners
+MAX_LOST_FRAMES = 128  # after which the target may be anywhere
+MAX_OCCLUDED_FRAMES = 16  # after which the prediction is no longer used
+MAX_MISFIT_RATIO = 4.0  # misfit over the typical one, for the visible part of a partly hidden target
+PREDICTOR_FRAMES = 24  # last finds from which the next are predicted
 
 
 @dataclass
 class _PathPredictor:
-    """The path so far, and which polynomial foretold it best, for each axis."""
+    """Predict positions from the last finds, by the polynomial that predicted best so far on each axis."""
 
     direction: int = 1  # forward or backward through the film
     frame: list[int] = field(default_factory=list)
@@ -89,7 +54,7 @@ class _PathPredictor:
     degree: list[int] = field(default_factory=lambda: [1, 1])
 
     def add(self, frame: NDArray[np.int64], at: Array) -> None:
-        """Remember finds; judge the predictors by them first."""
+        """Add finds; first choose the degree that would have predicted them best."""
         if len(frame) > 2 and len(self.frame) > 4:
             errors = [np.max(np.abs(prediction - at), axis=0) for prediction in self._polynomial_predictions(frame)]
             self.degree = np.argmin(errors, axis=0).tolist()
@@ -97,7 +62,7 @@ class _PathPredictor:
         self.position = [*self.position, *at[-PREDICTOR_FRAMES:]][-PREDICTOR_FRAMES:]
 
     def restart(self, frame: int, at: Array) -> None:
-        """Start again: the path broke off, the target is here now; the frame before may still tell the velocity."""
+        """Start a new path at this place; only a find in the frame just before is kept, for the velocity."""
         last = [(f, a) for f, a in zip(self.frame, self.position, strict=True) if f == frame - self.direction]
         self.frame, self.position = [f for f, _ in last] + [frame], [a for _, a in last] + [at]
         self.degree = [1, 1]
@@ -107,14 +72,14 @@ class _PathPredictor:
         return abs(frame - self.frame[-1])
 
     def predicted(self, frame: NDArray[np.int64]) -> Array:
-        """Where the target should be in these frames (n, 2) px."""
+        """Predicted positions (n, 2) px in these frames."""
         predictions = self._polynomial_predictions(frame)
         return np.stack(
             [predictions[min(d, len(predictions) - 1)][:, axis] for axis, d in enumerate(self.degree)], axis=1
         )
 
     def _polynomial_predictions(self, frame: NDArray[np.int64]) -> list[Array]:
-        """The same by polynomials of degree 0, 1, 2 through the path so far, as far as that carries them."""
+        """Predictions by polynomials of degree 0, 1 and 2, as far as there are enough finds."""
         past = np.array(self.frame, dtype=np.float64) - self.frame[-1]
         scale = max(abs(past[0]), 1.0)
         powers, ahead = ((t[:, None] / scale) ** np.arange(3) for t in (past, frame - self.frame[-1]))
@@ -126,7 +91,18 @@ class _PathPredictor:
 
 
 class BatchTracker:
-    """Follows one target through a film of which any rectangle can be read."""
+    """Follow one target through a film whose frames can be read in any order.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    template : Template
+        Template of the target.
+    pattern : FixedPattern, optional
+        Obstacles and fixed pattern of the picture.
+
+    """
 
     def __init__(self, film: Recording, template: Template, pattern: FixedPattern | None = None) -> None:
         self.film, self.template, self.pattern = film, template, pattern
@@ -141,11 +117,27 @@ class BatchTracker:
 
     @property
     def min_score(self) -> float:
-        """What a find must reach."""
+        """Match score that a find must reach."""
         return max(MIN_SCORE, MIN_SCORE_SHARE * self.typical_score)
 
     def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> RawTrack:
-        """All frames; `start` (2,) is the corner in frame `template`, from which the film is followed both ways."""
+        """Follow the target through all frames, both ways from the frame in which it is given.
+
+        Parameters
+        ----------
+        start : array (2,)
+            Corner of the target's rectangle in frame `template`, px.
+        template : int
+            Number of that frame.
+        progress : callable, optional
+            Called as ``progress(done, total, step)``.
+
+        Returns
+        -------
+        RawTrack
+            One row per frame.
+
+        """
         result, self.template_frame, self.start = empty_track(self.film.n_frames), template, np.asarray(start)
         self._follow_direction(np.arange(template, self.film.n_frames), start, result, progress)
         if template:
@@ -155,7 +147,7 @@ class BatchTracker:
     def _follow_direction(
         self, order: NDArray[np.int64], start: Array, result: RawTrack, progress: Progress | None = None
     ) -> None:
-        """The frames in this order, the target being at `start` in the first of them."""
+        """Follow the target through frames in this order; it is at `start` in the first of them."""
         path, n = _PathPredictor(int(order[-1] >= order[0]) * 2 - 1), len(order)
         path.restart(int(order[0]), np.asarray(start, dtype=np.float64))
         self._follow_batch(order[:1], path, result)
@@ -176,7 +168,10 @@ class BatchTracker:
             batch, i = BATCH_FRAMES[0], i + 1
 
     def _follow_batch(self, frames: NDArray[np.int64], path: _PathPredictor, result: RawTrack) -> tuple[int, bool]:
-        """How many of these frames, from the first on, hold the target; and whether the prediction was good."""
+        """Measure a batch of frames at their predicted positions.
+
+        Returns how many of the frames hold the target, counted from the first, and whether the prediction was accurate.
+        """
         predicted = path.predicted(frames)
         try:
             corner, fit = self.read(frames, predicted)
@@ -197,7 +192,7 @@ class BatchTracker:
         return count, bool(count == len(frames) and np.max(errors) < MAX_SHIFT_PX)
 
     def _find_occluded(self, i: int, path: _PathPredictor, result: RawTrack) -> bool:
-        """Whether the target is where it should be in frame `i`, though partly hidden; if so it is kept."""
+        """Look for a partly hidden target at its predicted position in frame `i`; store it if it is there."""
         if path.age(i) > MAX_OCCLUDED_FRAMES or np.isinf(self.typical_misfit):
             return False
         frames = np.array([i])
@@ -220,7 +215,23 @@ class BatchTracker:
         return True
 
     def read(self, frames: NDArray[np.int64], predicted: Array) -> tuple[NDArray[np.int64], SubpixelFit]:
-        """Corners (n, 2) and positions in these frames, from predictions (n, 2) px good to a pixel or two."""
+        """Read and refine frames at predicted positions.
+
+        Parameters
+        ----------
+        frames : array of int (n,)
+            Numbers of the frames.
+        predicted : array (n, 2)
+            Positions accurate to a pixel or two, px.
+
+        Returns
+        -------
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        fit : SubpixelFit
+            Fit on these cut-outs.
+
+        """
         corner = np.rint(predicted).astype(np.int64).clip(0, self.max_corner)
         fit = self._refined(frames, corner, np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
         previous = corner.copy()
@@ -237,6 +248,7 @@ class BatchTracker:
         return corner, fit
 
     def _refined(self, frames: NDArray[np.int64], corner: NDArray[np.int64], start: Array) -> SubpixelFit:
+        """Refine the positions on cut-outs at these corners, without the pixels that obstacles cover."""
         cuts = self.film.cut(frames, corner, self.size)
         fit = refine_positions(template_products(cuts, self.template), start, self.template)
         if self.pattern is None:
@@ -252,12 +264,27 @@ class BatchTracker:
         return fit
 
     def accepted(self, corner: NDArray[np.int64], fit: SubpixelFit) -> Mask:
-        """Finds that can be trusted: settled, well matched, and within the picture."""
+        """Decide which finds can be trusted.
+
+        Parameters
+        ----------
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        fit : SubpixelFit
+            Fit on these cut-outs.
+
+        Returns
+        -------
+        array of bool (n,)
+            True where the fit converged, matches well and lies in the picture.
+
+        """
         inside = np.all((corner + fit.position > -0.5) & (corner + fit.position < self.max_corner + 0.5), axis=1)
         within = np.all(np.abs(fit.position) < MAX_SHIFT_PX + 0.05, axis=1)
         return fit.converged & (fit.score >= self.min_score) & inside & within
 
     def _accept(self, frames: NDArray[np.int64], corner: NDArray[np.int64], fit: SubpixelFit, result: RawTrack) -> None:
+        """Store finds and update the typical score and misfit."""
         result.corner[frames] = corner
         result.fit.put(frames, fit)
         result.reason[frames] = ""
@@ -268,7 +295,7 @@ class BatchTracker:
             self.typical_misfit = misfit if np.isinf(self.typical_misfit) else 0.9 * self.typical_misfit + 0.1 * misfit
 
     def _search(self, i: int, path: _PathPredictor, result: RawTrack) -> None:
-        """Look for the target in frame `i`, near where it should be and then everywhere."""
+        """Search frame `i` for the target, near the prediction and then everywhere."""
         try:
             frame = self.film.frame(i)
         except FrictrackError:
@@ -291,14 +318,14 @@ class BatchTracker:
             result.reason[i] = LEAVES
 
     def _check_other_places(self, i: int, path: _PathPredictor, score: float) -> None:
-        """What matches so badly may be a false find: go on from another place if that is clearly better."""
+        """Continue from another place where it matches clearly better: a poor match may be a false find."""
         place, best = self._match(self.film.frame(i), None)
         is_elsewhere = np.max(np.abs(place - path.position[-1])) > MAX_PREDICTION_ERROR_PX
         if best > score + CLEARLY_BETTER_SCORE and is_elsewhere and not self._is_static(place, best):
             path.restart(i, place)
 
     def _is_static(self, place: Array, score: float) -> bool:
-        """Whether what matches at a place stood there as well while the target was elsewhere: then it is another."""
+        """Whether the same match stood at this place while the target was elsewhere: then it is another object."""
         if np.all(np.abs(place - self.start) < self.size[::-1]):
             return False
         return (
@@ -307,7 +334,7 @@ class BatchTracker:
         )
 
     def _touches_edge(self, corner: Array) -> bool:
-        """Whether a rectangle at `corner` would stick out of the picture or touch its edge."""
+        """Whether a rectangle at `corner` touches the edge of the picture or leaves it."""
         return bool(np.any(corner <= 0.5) or np.any(corner >= self.max_corner - 0.5))
 
     def _best_match(self, frame: Frame, predicted: Array | None) -> tuple[Array, float]:
@@ -325,13 +352,13 @@ class BatchTracker:
         )
 
     def _match_near(self, frame: Frame, place: Array, reach: int) -> tuple[Array, float]:
-        """The best match within so many pixels of a place."""
+        """The best match within `reach` px of a place."""
         low = np.clip(np.rint(place) - reach, 0, self.max_corner).astype(int)
         high = np.clip(np.rint(place) + reach, low, self.max_corner).astype(int) + self.size[::-1]
         return self._match(frame, (int(low[0]), int(low[1]), *(high - low).tolist()))
 
     def _match(self, frame: Frame, part: Rectangle | None) -> tuple[Array, float]:
-        """Best zero-normalised correlation of the target in (a `part` of) a frame: corner (x, y), score."""
+        """The best match in a frame or a `part` of it: corner (x, y) px and score."""
         x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
         scores = correlate(frame[y : y + h, x : x + w], self.patch, self.template.mask)
         _, best, _, (i, j) = cv2.minMaxLoc(scores)
@@ -339,6 +366,6 @@ class BatchTracker:
 
 
 def _visible_share(share: Patch, template: Template) -> Array:
-    """How much of the target's pixels (n,) is not behind an obstacle."""
+    """Share (n,) of the target's pixels that no obstacle covers."""
     counts = template.weight > 0
     return np.asarray(share[:, counts].mean(axis=1))

@@ -1,4 +1,4 @@
-"""The flow of tracking: find the target, follow it, learn what it looks like, measure every frame."""
+"""Run the steps of tracking: find the target, follow it roughly, learn its template, measure every frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.recording import Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import LEAVES, NOT_CONVERGED, UNREAD, BatchTracker, RawTrack
+from frictrack.tracking.batch_tracker import BatchTracker
 from frictrack.tracking.checks import at_rest, key_frame_notes
 from frictrack.tracking.correlation import Rectangle, nearest_corner
 from frictrack.tracking.detection import Target, resolve_target
@@ -21,6 +21,7 @@ from frictrack.tracking.measure import measure_frames
 from frictrack.tracking.occlusion import remeasure_occluded
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import track_known_rotating, track_rotating
+from frictrack.tracking.raw_track import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.rotation_test import min_frames_if_rotating
 from frictrack.tracking.super_resolution import peak_locking_correction
 from frictrack.tracking.target_model import TargetModel
@@ -29,13 +30,14 @@ from frictrack.tracking.template_learning import template_from_frame
 Progress = Callable[[int, int, str], None]
 
 MIN_CONTRAST = 3  # grey values
-CHUNK_FRAMES = 256  # frames measured at once
-MAX_OFF_CENTRE_PX = 0.55  # px from the corner of its cut-out, beyond which a target is measured on the next one
-# What places stay off slowly, rms: the noise of the picture that was learnt, and blur that changes with the speed. As
-# large as this on films of known truth, of sharp targets and blurred ones, at 0.001 to 0.005 px of noise.
-SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4  # of a frame's standard deviation, and px
-MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # px by which places are drawn to the pixels that is worth a word
-MIN_SCORE_SHARE = 0.7  # of the film's usual score that a trusted frame reaches
+CHUNK_FRAMES = 256  # measured at once
+MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
+# Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
+# that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
+# of noise.
+SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
+MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
+MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
 
 
 def track(
@@ -47,16 +49,42 @@ def track(
     name: str = "target",
     progress: Progress | None = None,
 ) -> Track:
-    """Position of the moving body in every frame, in pixels, with a standard deviation and a score.
+    """Track the target in every frame: position in pixels, standard deviation and match score.
 
-    `target` is its rectangle [x, y, w, h], its outline [[x, y], [x, y], [x, y], ...] or a click on it [x, y], px in
-    frame number `template`, or a picture of it (a path or a 2-D array); without it the body that moves is found by
-    itself. `Areas` give it together with parts to exclude and with obstacles before it. `known` is what another film of
-    the same target has taught (`learn_target`): then this film is gone through only once. Position is that of the
-    rectangle's centre (of an outline, that of the rectangle round it), the angle (rad) is positive from the picture's
-    x axis toward its y axis. A frame in which the target is not found holds NaN and the reason. Raises
-    `FrictrackError` for a target that does not fit the picture, a film without contrast, or one in which nothing has
-    texture.
+    Parameters
+    ----------
+    recording : Recording
+        Film, as `open_recording` returns it.
+    target : list, array, path or Areas, optional
+        Rectangle [x, y, w, h], outline [[x, y], [x, y], [x, y], ...] or click [x, y], px in frame `template`; or a
+        picture of the target (a path or a 2-D array). `Areas` adds parts to exclude and obstacles. By default the
+        moving
+        body is found automatically.
+    template : int
+        Number of the frame in which `target` is given.
+    known : TargetModel, optional
+        Model of the same target learnt from another film (`learn_target`). The film is then read only once.
+    name : str
+        Name of the track.
+    progress : callable, optional
+        Called as ``progress(done, total, step)``.
+
+    Returns
+    -------
+    Track
+        One row per frame. The position is that of the centre of the target's rectangle, px; the angle, rad, is positive
+        from the x axis of the picture toward its y axis. A frame in which the target is not found has NaN and a reason.
+
+    Raises
+    ------
+    FrictrackError
+        For a target outside the picture, a film without contrast, or a target found in fewer than two frames.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> track = ft.track(ft.open_recording("strike_01.avi", fps=4000))  # doctest: +SKIP
+
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
     with random_access(recording, once=_single_pass(drawn.target, template, known)) as film:
@@ -100,9 +128,25 @@ def learn_target(
     template: int = 0,
     progress: Progress | None = None,
 ) -> TargetModel:
-    """What the film teaches of its target: its picture, the noise of the pixels, what stands still before it.
+    """Learn the model of a target from a film: template, pixel noise and fixed pattern.
 
-    Arguments and errors are those of `track`, which takes the result as `known` for further films of the target.
+    Parameters
+    ----------
+    recording : Recording
+        Film of the target.
+    target, template, progress
+        As in `track`.
+
+    Returns
+    -------
+    TargetModel
+        Pass it to `track` as `known` for further films of the same target.
+
+    Raises
+    ------
+    FrictrackError
+        As `track` does.
+
     """
     with random_access(recording) as film:
         return _learn_and_track(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
@@ -111,7 +155,10 @@ def learn_target(
 def _learn_and_track(
     film: Recording, drawn: Areas, template: int, progress: Progress | None
 ) -> tuple[Rectangle, int, RawTrack, TargetModel]:
-    """Rectangle and its frame, a first rough track, and what it has taught."""
+    """Find the target, follow it roughly and learn its model.
+
+    Returns the rectangle, the number of its frame, the rough track and the model.
+    """
     if progress:
         progress(0, film.n_frames, "find the target")
     drawn.check(film.shape)
@@ -138,14 +185,14 @@ def _learn_and_track(
 def _track_known(
     film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, progress: Progress | None
 ) -> RawTrack:
-    """Track of a known target from its corner `start` (2,) in frame `template`."""
+    """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
     if known.rotates:
         return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, progress)
     return BatchTracker(film, known.template, with_obstacles(None, blocked)).follow(start, template, progress)
 
 
 def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
-    """Where a known target is in the film; its size is that of what is known."""
+    """Locate a target of known size in the film: its rectangle and the frame of that."""
     h, w = known.template.weight.shape
     rectangle, template = resolve_target(film, known.template.image if target is None else target, template)
     if rectangle[2:] != (w, h):
@@ -154,7 +201,7 @@ def _locate_known(film: Recording, target: Target, template: int, known: TargetM
 
 
 def _single_pass(target: Target, template: int, known: TargetModel | None) -> bool:
-    """Whether going through the film once, from its first frame, is enough."""
+    """Whether one pass through the film, from its first frame, is enough."""
     is_rectangle = isinstance(target, Sequence) and len(target) == 4 and template == 0
     return is_rectangle and known is not None and known.pattern is None
 
@@ -162,7 +209,7 @@ def _single_pass(target: Target, template: int, known: TargetModel | None) -> bo
 def _measure_all(
     film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel, progress: Progress | None
 ) -> RawTrack:
-    """The track with the frames `rows` measured by what the film has taught, and the reason where that fails."""
+    """Measure the frames `rows` with the learnt model; set the reason where a frame cannot be trusted."""
     size = target_model.template.weight.shape
     max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
     raw_track.fit.sigma[:] *= target_model.sigma_inflation
@@ -183,7 +230,7 @@ def _measure_all(
 
 
 def _measure_chunk(film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel) -> None:
-    """Measure some frames (m,) on cut-outs that lie nearest to where the target was found last."""
+    """Measure some frames (m,) on cut-outs centred on their last known positions."""
     size = target_model.template.weight.shape
     corner = nearest_corner(raw_track.position[rows], film.shape, size)
     guess = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
@@ -192,7 +239,7 @@ def _measure_chunk(film: Recording, raw_track: RawTrack, rows: NDArray[np.int64]
 
 
 def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) -> list[str]:
-    """Why each frame's position cannot be trusted; "" where it can."""
+    """State for each frame why its position cannot be trusted; "" where it can."""
     fit, at = result.fit[rows], result.position[rows]
     out = np.any((at < -0.5) | (at > max_corner + 0.5), axis=1)
     min_score = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
@@ -208,7 +255,7 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
 
 
 def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, name: str) -> Track:
-    """One row per frame: the position where it can be trusted, else NaN and the reason."""
+    """Convert raw positions to a `Track`: NaN and a reason where a frame cannot be trusted."""
     _, _, w, h = rectangle
     fit, at, found = measured.fit, measured.position, np.flatnonzero(measured.found)
     nan_where_lost = np.where(measured.found, 0.0, np.nan)
@@ -231,7 +278,10 @@ def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, na
 
 
 def _with_reference_sigma(track: Track, template: int) -> Track:
-    """The track in which frame `template`, which few frames were compared with, is no better known than these."""
+    """Raise the standard deviations of frame `template` to the median of all frames.
+
+    That frame made the first template, so that its own misfit is too small.
+    """
     columns = {name: getattr(track, name).copy() for name in ("sigma_px", "sigma_y_px", "sigma_angle")}
     for sigma in columns.values():
         sigma[template] = np.maximum(sigma[template], np.nanmedian(sigma))
@@ -239,7 +289,7 @@ def _with_reference_sigma(track: Track, template: int) -> Track:
 
 
 def _with_systematic_error(track: Track, target_model: TargetModel) -> Track:
-    """The track with what its places are off slowly, along its path, and a remark where the target's look changes."""
+    """Add the systematic error along the path, with a note where the target's appearance changes."""
     found = track.found
     sigma, at = track.sigma_px[found], np.stack([track.x_px, track.y_px])[:, found]
     if not found.any():
@@ -258,13 +308,14 @@ def _with_systematic_error(track: Track, target_model: TargetModel) -> Track:
 
 
 def _unread_note(measured: RawTrack) -> tuple[str, ...]:
+    """Note how many frames of the film could be read, where some could not."""
     count = int(np.count_nonzero(measured.reason == UNREAD))
     total = len(measured.reason)
     return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
 
 
 def _peak_locking_note(size: Array) -> tuple[str, ...]:
-    """What is said of places that were drawn to the pixels, by amplitudes (2,) along x and y, px."""
+    """Note the correction of peak locking, from its amplitudes (2,) along x and y, px."""
     if not np.any(size > MIN_REPORTED_PEAK_LOCKING_PX):
         return ()
     return (
@@ -274,7 +325,7 @@ def _peak_locking_note(size: Array) -> tuple[str, ...]:
 
 
 def _frame_changes(film: Recording) -> Array:
-    """Rms difference (n,) of each picture from the one before beyond a change of light, on every fourth pixel."""
+    """Rms change (n,) from each frame to the next beyond a uniform change of light, on every fourth pixel."""
     change, before = np.full(film.n_frames, np.nan), None
     for i, frame in enumerate(film.frames()):
         sparse = frame[::4, ::4].astype(np.float32)

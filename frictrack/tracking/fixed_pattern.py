@@ -1,13 +1,12 @@
-"""What stands still between the target and the film: flat-field errors, dirt, a highlight, a rod, uneven light.
+"""Estimate what stands still between target and film: flat-field errors, dirt, highlights, obstacles, uneven light.
 
-Each pixel of the sensor sees many parts of the target as it passes. What it records is a line in what it
-should record,
+Each pixel of the sensor sees many parts of the target as it passes. Its reading is a line in what it should read,
 
-    (I - b) / a = g M + o        M the target's picture there and then, a and b the frame's light,
+    (I - b) / a = g M + o        M: template there and then, a and b: gain and offset of the frame
 
-and the slope g and the level o, least squares over the frames that cover the pixel, say what stands before it:
-g = 1.01 is a pixel one percent too sensitive, o a highlight, g = 0 a rod. The line is shrunk toward g = 1, o = 0
-by what noise alone would make of it (James & Stein 1961; each pixel's own prior variance where it is far off).
+The slope g and the level o are fitted by least squares over the frames that cover the pixel: g = 1.01 is a pixel one
+percent too sensitive, o a highlight, g = 0 an obstacle. Both are shrunk toward g = 1, o = 0 by the part that noise
+makes of them (James & Stein 1961, Proc. 4th Berkeley Symp. 1:361; each pixel has its own prior where it is far off).
 """
 
 from __future__ import annotations
@@ -20,37 +19,76 @@ from numpy.typing import NDArray
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 
-MIN_FRAMES = 4  # that must cover a pixel before anything is said of it
-MIN_VARIANCE_SHARE = (
-    0.1  # of the picture's variance, that a pixel must have seen pass: else it cannot tell itself from the target
-)
-MIN_NOISE_SHARE = 0.01  # of the noise variance: what stands still below that costs half a percent of accuracy
-OUTLIER_CHI2 = 36.0  # squared standard errors from which a single pixel is odd
+MIN_FRAMES = 4  # that must cover a pixel
+MIN_VARIANCE_SHARE = 0.1  # of the picture's variance, that must have passed a pixel to separate it from the target
+MIN_NOISE_SHARE = 0.01  # of the noise variance; a weaker pattern costs half a percent of accuracy
+OUTLIER_CHI2 = 36.0  # of a single pixel
 MIN_OUTLIER_SHARE = 0.002  # of the pixels
-MAX_RESIDUAL_RATIO = 4.0  # times the noise: what a pixel shows beyond its line is then not still
-MIN_SLOPE = 0.3  # slope below which a pixel does not see the target
-FULL_WEIGHT_SHARE = 0.7  # share of its weight from which a pixel counts as whole
-MIN_SCATTER_EXCESS = 0.15  # excess over the expected scatter from which it is no accident
+MAX_RESIDUAL_RATIO = 4.0  # variance about the line over the noise; more is not a fixed pattern
+MIN_SLOPE = 0.3  # below it a pixel does not show the target
+FULL_WEIGHT_SHARE = 0.7  # squared slope from which a pixel keeps its full weight
+MIN_SCATTER_EXCESS = 0.15  # over the expected scatter
 CHI2_1_MEDIAN, CHI2_2_MEDIAN = 0.455, 1.386  # median of chi^2 with one and two degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
-    """Slope, level (DN at the film's usual light) and remaining weight of every pixel of the picture (H, W)."""
+    """Response of every pixel of the picture.
+
+    Attributes
+    ----------
+    slope : array (H, W)
+        Relative sensitivity.
+    level : array (H, W)
+        Additive light at the film's typical light, DN.
+    share : array (H, W)
+        Share of its weight that the pixel keeps; 0 behind an obstacle.
+
+    """
 
     slope: Patch
     level: Patch
     share: Patch
 
     def corrected(self, cuts: Patch, corner: NDArray[np.int64], gain: Array, offset: Array) -> tuple[Patch, Patch]:
-        """Cut-outs (n, h, w) as they would be without what stands still, and the share of each pixel's weight."""
+        """Correct cut-outs for the fixed pattern.
+
+        Parameters
+        ----------
+        cuts : array (n, h, w)
+            Grey values.
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        gain, offset : array (n,)
+            Light of the frames.
+
+        Returns
+        -------
+        cuts, share : array (n, h, w)
+            Grey values without the pattern, and the share of its weight that each pixel keeps.
+
+        """
         size = cuts.shape[1:]
         slope, level = (_cut(m, corner, size) for m in (self.slope, self.level))
         a, b = (v[:, None, None].astype(np.float32) for v in (gain, offset))
         return b + (cuts - b - a * level) / slope, self.pixel_shares(corner, size)
 
     def pixel_shares(self, corner: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
-        """Share of each pixel's weight in cut-outs (n, h, w) at these corners."""
+        """Cut the share of the weights out at given corners.
+
+        Parameters
+        ----------
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        size : tuple of int
+            Height and width, px.
+
+        Returns
+        -------
+        array (n, h, w)
+            Share of its weight that each pixel keeps.
+
+        """
         return _cut(self.share, corner, size)
 
 
@@ -60,15 +98,23 @@ def _cut(picture: Patch, corner: NDArray[np.int64], size: tuple[int, ...]) -> Pa
 
 
 class PatternSums:
-    """Sums over frames, pixel by pixel of the picture: n, M, d, M^2, d M, d^2."""
+    """Sums over frames for every pixel of the picture: n, M, d, M^2, d M, d^2."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._total = np.zeros((6, *shape), np.float32)
 
     def add(self, corner: NDArray[np.int64], model: Patch, difference: Patch, inside: Array) -> None:
-        """Frames whose target should look like `model` (n, h, w) and differs from it by `difference`, at even light.
+        """Add frames.
 
-        `inside` (h, w) is 1 for pixels that show the target, 0 for others.
+        Parameters
+        ----------
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        model, difference : array (n, h, w)
+            What the frames should show and how they differ from it, at the same light, DN.
+        inside : array (h, w)
+            1 for pixels that show the target, 0 for others.
+
         """
         h, w = model.shape[1:]
         parts = np.empty((6, h, w), np.float32)
@@ -87,7 +133,21 @@ class PatternSums:
 
 
 def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
-    """What stands still, from the sums; None where nothing does. `noise` is the variance of a pixel, DN^2."""
+    """Fit the fixed pattern to sums over frames.
+
+    Parameters
+    ----------
+    sums : PatternSums
+        Sums over all frames.
+    noise : float
+        Variance of a pixel, DN^2.
+
+    Returns
+    -------
+    FixedPattern or None
+        None where nothing significant stands still.
+
+    """
     n, m, d, mm, dm, dd = sums.totals
     covered, n = n >= MIN_FRAMES, np.maximum(n, 1)
     if not covered.any():
@@ -116,7 +176,7 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
 
 
 def _is_significant(level: Array, tilt: Array, error: Array, n: Array) -> bool:
-    """Whether what stands still matters: all over the picture, or in some pixels badly. All (pixels,)."""
+    """Whether the pattern matters: all over the picture, or in some pixels strongly. All arrays are (pixels,)."""
     chi2 = (level**2 + tilt) / error
     excess = float(np.median(chi2)) / CHI2_2_MEDIAN - 1
     everywhere = excess > max(MIN_SCATTER_EXCESS, MIN_NOISE_SHARE * float(np.median(n)))
@@ -124,7 +184,7 @@ def _is_significant(level: Array, tilt: Array, error: Array, n: Array) -> bool:
 
 
 def _shrink(values: Array, error: Array, covered: Mask) -> Array:
-    """Each value toward 0 by its chance of being noise; the prior variance is the usual one, or its own if larger."""
+    """Shrink each value toward 0 by its probability of being noise; the prior variance is typical or its own."""
     typical = max(float(np.median((values**2)[covered])) / CHI2_1_MEDIAN - float(np.median(error[covered])), 0.0)
     prior = np.maximum(typical, values**2 - 4 * error)
     return np.where(covered, values * prior / np.maximum(prior + error, 1e-300), 0.0)

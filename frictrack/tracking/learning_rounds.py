@@ -1,4 +1,4 @@
-"""The rounds in which the film teaches its own template, noise and whatever stands still in the way."""
+"""Learn template, noise and fixed pattern from a film, in rounds of learning and measuring."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.areas import with_obstacles
-from frictrack.tracking.batch_tracker import RawTrack
 from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.fixed_pattern import FixedPattern, PatternSums, fit_fixed_pattern
 from frictrack.tracking.measure import measure_frames, model_images
 from frictrack.tracking.position_errors import sigma_inflation, systematic_covariance
+from frictrack.tracking.raw_track import RawTrack
 from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
 from frictrack.tracking.super_resolution import SmoothPath, improves_positions, smooth_path
 from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template import Template
 from frictrack.tracking.template_learning import WIDE_RIM_PX, learn_template, without_border
 
-MAX_LEARNING_FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
-MAX_CUTOUT_BYTES = 32_000_000  # of cut-outs held at once
-MIN_FRAMES = 12  # fewer make a template whose own noise is larger than that of a single frame's
-MIN_USABLE_FRAMES = 3  # frames that a template can be learnt from
-ROUNDS, MAX_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
-BACKGROUND_FRAMES = 15
-MAX_MISFIT_RATIO = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
-MIN_FOUND_SHARE = 0.95  # of the frames, in which a picture with short waves must be found as well
-N_STRETCHES = 8  # stretches of the path; a picture learnt from every second one is tested on the others
-MAX_BORDER_SLOPE_ERROR = 0.2  # of the picture's slopes, that a border's may be off by
-RESIDUAL_FRAMES = 64  # whose residual pictures are looked at
+MAX_LEARNING_FRAMES = 500  # the noise of the template then costs a thousandth
+MAX_CUTOUT_BYTES = 32_000_000  # held at once
+MIN_FRAMES = 12  # fewer make a template with more noise than a single frame
+MIN_USABLE_FRAMES = 3  # that a template can be learnt from
+ROUNDS, MAX_ROUNDS = 3, 5  # without and with a fixed pattern
+BACKGROUND_FRAMES = 15  # of which the background is the median
+MAX_MISFIT_RATIO = 25.0  # to the typical misfit; such a frame shows something else
+MIN_FOUND_SHARE = 0.95  # of the frames, in which a template with short waves must be found as well
+N_STRETCHES = 8  # of the path; a template learnt from every second one is tested on the others
+MAX_BORDER_SLOPE_ERROR = 0.2  # relative error of the slopes at the border
+RESIDUAL_FRAMES = 64  # whose residuals are examined
 
 
 @dataclass(frozen=True, eq=False)
 class _CutOuts:
-    """What the rounds look at: cut-outs (n, h, w) of some frames, their corners (n, 2), and the still scene behind."""
+    """Cut-outs (n, h, w) of some frames, their corners (n, 2), and the static background of the film."""
 
     film: Recording
     rows: NDArray[np.int64]
@@ -47,13 +47,13 @@ class _CutOuts:
 
     @classmethod
     def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, int]) -> _CutOuts:
-        """Cut-outs of these frames whose corners lie nearest to `position` (n, 2) px."""
+        """Read the cut-outs of these frames whose corners are nearest to `at` (n, 2) px."""
         corner = nearest_corner(at, film.shape, size)
         return cls(film, rows, film.cut(rows, corner, size), corner, _median_background(film))
 
     @property
     def scene(self) -> Patch | None:
-        """The still background behind each cut-out (n, h, w); None where it is not known."""
+        """Static background behind each cut-out (n, h, w); None where it is not known."""
         if self.background is None:
             return None
         h, w = self.cuts.shape[1:]
@@ -62,7 +62,7 @@ class _CutOuts:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """A template, where it was found in the cut-outs, and the share (n, h, w) of its pixels that fit."""
+    """Result of one round: template, fit on the cut-outs, and the share (n, h, w) of its pixels that fit."""
 
     template: Template
     fit: SubpixelFit
@@ -70,16 +70,31 @@ class _Round:
 
     @property
     def usable(self) -> Mask:
-        """Frames that teach."""
+        """Frames (n,) from which the template can be learnt."""
         return _usable_frames(self.fit, self.template)
 
 
 def learn_target_model(
     film: Recording, raw_track: RawTrack, template: Template, blocked: Mask | None = None
 ) -> TargetModel:
-    """Template, view and noise from frames spread over the path of a first, rougher track.
+    """Learn the model of a target from frames spread over the path of a first, rough track.
 
-    `blocked` (H, W) are pixels of the picture before which an obstacle is known to stand.
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    raw_track : RawTrack
+        Rough track of the target.
+    template : Template
+        Template with which it was made.
+    blocked : array of bool (H, W), optional
+        Pixels of the picture that obstacles cover.
+
+    Returns
+    -------
+    TargetModel
+        With fewer than `MIN_FRAMES` frames, the first template without its border.
+
     """
     rows, pattern = _spread_frames(raw_track, template.weight.size), with_obstacles(None, blocked)
     if len(rows) < MIN_FRAMES:
@@ -106,7 +121,7 @@ def learn_target_model(
 
 
 def _recentre(cut_outs: _CutOuts, found: _Round) -> tuple[_CutOuts, _Round]:
-    """The same with cut-outs taken anew where the target has come to lie more than half a pixel off their corner."""
+    """Read cut-outs again where the target lies more than half a pixel off their corner."""
     fit, size = found.fit, cut_outs.cuts.shape[1:]
     near = fit.converged & np.all(np.abs(fit.position) < MAX_SHIFT_PX + 1, axis=1)
     corner = nearest_corner(cut_outs.corner + np.where(near[:, None], fit.position, 0.0), cut_outs.film.shape, size)
@@ -123,13 +138,13 @@ def _recentre(cut_outs: _CutOuts, found: _Round) -> tuple[_CutOuts, _Round]:
 
 
 def _run_round(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> _Round:
-    """Learn the template where the last round found it, and find it again."""
+    """Learn the template from the positions of the last round, and measure the positions again."""
     template = _learn(cut_outs, found, path, pattern)
     return _Round(template, *measure_frames(cut_outs.cuts, cut_outs.corner, found.fit, TargetModel(template, pattern)))
 
 
 def _learn(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> Template:
-    """The template that fits the frames best where the last round found it."""
+    """Learn the template that fits the frames best at the positions of the last round."""
     placed = path.with_path_positions(found.fit, cut_outs.corner, found.template)
     usable = found.usable & np.all(np.abs(placed.unrotated()) <= MAX_SHIFT_PX, axis=1)
     if np.count_nonzero(usable) < MIN_USABLE_FRAMES:
@@ -141,7 +156,7 @@ def _learn(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPa
 
 
 def _try_super_resolution(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> tuple[_Round, SmoothPath]:
-    """The same with waves shorter than two pixels, where these make the places surer."""
+    """Add waves shorter than two pixels to the template, where these make the positions more precise."""
     if not path.axes.any():
         return found, path
     path = path.updated(cut_outs.corner + found.fit.position)
@@ -156,14 +171,14 @@ def _try_super_resolution(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -
 
 
 def _mostly_found(refitted: SubpixelFit, before: SubpixelFit) -> bool:
+    """Whether nearly all frames are still found."""
     return bool(np.count_nonzero(refitted.converged) >= max(MIN_FOUND_SHARE * np.count_nonzero(before.converged), 1))
 
 
 def _cross_validates(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> bool:
     """Whether short waves learnt from every second stretch of the path improve the fit to the other stretches.
 
-    Light that changes along the path, or a codec, makes such waves too, but other ones in each stretch: with them the
-    target is not found in the next stretch, or fits worse.
+    Light that changes along the path, or a video codec, makes such waves too, but different ones in each stretch.
     """
     odd = (np.arange(len(cut_outs.cuts)) * N_STRETCHES // len(cut_outs.cuts)) % 2 == 1
     half = replace(cut_outs, cuts=cut_outs.cuts[~odd], corner=cut_outs.corner[~odd], rows=cut_outs.rows[~odd])
@@ -181,7 +196,7 @@ def _cross_validates(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> boo
 
 
 def _final_model(cut_outs: _CutOuts, found: _Round, pattern: FixedPattern | None) -> TargetModel:
-    """What the rounds have come to, and by how much the noise's deviations are too small."""
+    """Assemble the model of the last round, with the inflation of its standard deviations."""
     fit, template, share = found.fit, found.template, found.share
     if not _border_slopes_known(cut_outs, found):
         template = without_border(template, WIDE_RIM_PX)
@@ -199,10 +214,10 @@ def _final_model(cut_outs: _CutOuts, found: _Round, pattern: FixedPattern | None
 
 
 def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
-    """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
+    """Whether the target has moved far enough, along one axis, for the slopes at its border to be learnt.
 
-    Inside, a single frame shows the slopes; at the border only shifts teach them, with the deviation of a line's
-    slope through the frames. That must be a small part of the picture's own slopes.
+    Inside, a single frame shows the slopes. At the border only shifts determine them, to the standard deviation of the
+    slope of a line through the frames, which must be a small part of the slopes of the picture.
     """
     fit = found.fit[found.usable]
     at = cut_outs.corner[found.usable] + fit.position
@@ -214,19 +229,19 @@ def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
 
 
 def _first_smooth_path(raw_track: RawTrack, rows: NDArray[np.int64]) -> SmoothPath:
-    """The first track in these frames, smooth."""
+    """Smooth path of the first track in these frames."""
     frames = np.flatnonzero(raw_track.found)
     return smooth_path(frames, raw_track.position[frames], rows)
 
 
 def _usable_frames(fit: SubpixelFit, template: Template) -> Mask:
-    """Frames that show the target and not something else."""
+    """Frames that show the target and nothing else."""
     typical_misfit = max(float(np.median(fit.misfit)), template.min_misfit)
     return fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
 
 
 def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
-    """Frames spread over the path travelled (a long rest must not decide what the target looks like)."""
+    """Choose frames spread over the path travelled, so that a long rest does not dominate the template."""
     found = np.flatnonzero(raw_track.found)
     count = int(np.clip(MAX_CUTOUT_BYTES // (4 * size), 16, MAX_LEARNING_FRAMES))
     if len(found) <= count:
@@ -241,12 +256,12 @@ def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
 
 
 def _remove_pattern(cuts: Patch, corner: NDArray[np.int64], fit: SubpixelFit, pattern: FixedPattern | None) -> Patch:
-    """Cut-outs without what stands still."""
+    """Correct cut-outs for the fixed pattern."""
     return cuts if pattern is None else pattern.corrected(cuts, corner, fit.gain, fit.offset)[0]
 
 
 def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> FixedPattern | None:
-    """What stands still in the picture, from the frames' residuals."""
+    """Estimate the fixed pattern of the picture from the residuals of the frames."""
     sums, usable, template = PatternSums(film.shape), found.usable, found.template
     cuts, corner, fit = cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable]
     gain = fit.gain.astype(np.float32)[:, None]
@@ -262,7 +277,7 @@ def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> Fix
 
 
 def _median_background(film: Recording) -> Array | None:
-    """The still background (H, W), the median of frames spread over the film; None of too few frames."""
+    """Median (H, W) of frames spread over the film; None for fewer than three frames."""
     index = np.unique(np.linspace(0, film.n_frames - 1, BACKGROUND_FRAMES).astype(int))
     frames = film.pick(index.tolist())
     return None if len(frames) < 3 else np.median(np.stack(frames), axis=0).astype(np.float32)

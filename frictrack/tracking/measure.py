@@ -1,7 +1,8 @@
-"""The last look at every frame: with the learnt picture, without what stands in the way.
+"""Measure positions with the learnt model, and leave out pixels that do not fit it.
 
-A frame whose residual picture holds more than noise is measured again with the pixels that do not fit left out
-(Tukey's idea: what lies far off counts nothing), be it behind a rod, under a flash or half out of the light.
+A frame whose residuals exceed the noise is fitted again with outlying pixels weighted down (iteratively reweighted
+least squares: Holland & Welsch 1977, Commun. Stat. A 6:813). So a rod, a flash or a shadow over part of the target
+does not move the result.
 """
 
 from __future__ import annotations
@@ -20,24 +21,42 @@ from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, templ
 from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template import Template
 
-MISFIT_RATIO = 1.5  # times the usual mean squared residual: the frame shows more than the target
-MAX_REWEIGHTINGS = 4  # rounds of leaving out what does not fit
-MIN_REMAINING_SHARE = 0.25  # of the pixels that must still count
-FULL_WEIGHT_SIGMAS, ZERO_WEIGHT_SIGMAS = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
-PREDICTION_NOISE_RATIO = 2.0  # times the usual noise: what a prediction may be off by
-BORDER_PX = 2, 6  # px of border left out in any case, and at most
-BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit that ask for more
-BORDERLESS_SHARE = 0.5  # of the least that must still count, without borders
-MIN_OUTLIER_SHARE = 0.02  # of the pixels: fewer that do not fit are noise, and have no border
-NEIGHBOUR_SHARES = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
+MISFIT_RATIO = 1.5  # to the typical misfit; above it the frame shows more than the target
+MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals
+MIN_REMAINING_SHARE = 0.25  # of the pixels
+# residuals up to which a pixel has full weight, and from which it has none
+FULL_WEIGHT_SIGMAS, ZERO_WEIGHT_SIGMAS = 2.5, 4.5
+PREDICTION_NOISE_RATIO = 2.0  # residual scale of a predicted position over the noise
+BORDER_PX = 2, 6  # px of border always excluded, and at most
+BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit, above which more border is excluded
+BORDERLESS_SHARE = 0.5  # of the remaining share, without borders
+MIN_OUTLIER_SHARE = 0.02  # of the pixels; fewer outliers are noise and have no border
+NEIGHBOUR_SHARES = 0.5, 0.8  # share of fitting neighbours below which a pixel has no weight, and below which less
 
 
 def measure_frames(
     cuts: Patch, corner: NDArray[np.int64], guess: SubpixelFit, target_model: TargetModel
 ) -> tuple[SubpixelFit, Patch | None]:
-    """Positions in cut-outs (n, h, w) taken at `corner` (n, 2), from the `guess` of an earlier round.
+    """Measure the position in cut-outs with a learnt model.
 
-    Also the share (n, h, w) of its weight that each pixel has kept; None where all have kept all.
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    corner : array of int (n, 2)
+        Corners (x, y) of the cut-outs, px.
+    guess : SubpixelFit
+        Fit of an earlier round on the same cut-outs.
+    target_model : TargetModel
+        Learnt model of the target.
+
+    Returns
+    -------
+    fit : SubpixelFit
+        Positions with their standard deviations.
+    share : array (n, h, w) or None
+        Share of its weight that each pixel kept; None where all kept all.
+
     """
     share, template = None, target_model.template
     if target_model.pattern is not None:
@@ -66,12 +85,30 @@ def refine_robust(
     initial_share: Patch | None = None,
     typical_misfit: float = np.nan,
 ) -> tuple[SubpixelFit, Patch]:
-    """Fit frames (n, h, w) with pixels weighted by how well they fit a `guess`, then each better fit; the weights.
+    """Fit cut-outs with pixels weighted by how well they agree with a guess, then with each better fit.
 
-    `initial_share` (n, h, w) is the share of their weight that pixels have in the first place. With the
-    `typical_misfit` of a frame that holds nothing but target and noise the guess is trusted, and may speak against
-    most of the picture; without, it is one that the whole picture has made. Where hardly anything is left, the frame
-    is not settled.
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    guess : SubpixelFit
+        Initial fit.
+    template : Template
+        Template of the target.
+    initial_share : array (n, h, w), optional
+        Share of their weight that pixels have at first.
+    typical_misfit : float
+        Misfit of a frame that shows only target and noise. If it is given, the guess is trusted even against most of
+        the
+        pixels; by default (NaN) the scale of the residuals comes from the frame itself.
+
+    Returns
+    -------
+    fit : SubpixelFit
+        `converged` is false where too few pixels remain.
+    share : array (n, h, w)
+        Share of its weight that each pixel kept.
+
     """
     counts = (template.weight > 0).astype(np.float32)
     initial_share = np.broadcast_to(counts, cuts.shape) if initial_share is None else initial_share * counts
@@ -100,10 +137,11 @@ def refine_robust(
 def _erode_outliers(
     cuts: Patch, fit: SubpixelFit, template: Template, share: Patch, initial_share: Patch, typical_misfit: float
 ) -> tuple[SubpixelFit, Patch]:
-    """Leave out what lies round what was left out, and more of it as long as the rest misfits by more than chance.
+    """Exclude the border of outlying regions, and more of it while the rest misfits by more than chance.
 
-    The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
-    draws the place along.
+    The blurred edge of an occluding object differs from the target by less than the noise of one pixel, but the sum of
+    all
+    its pixels shifts the position.
     """
     eroded = share.copy()
     occluded = np.mean(eroded < 0.5 * initial_share, axis=(1, 2)) > MIN_OUTLIER_SHARE
@@ -122,7 +160,7 @@ def _erode_outliers(
 
 
 def _residual_scale(residuals: Patch, share: Patch) -> Array:
-    """Standard deviation (n,) of the residual pictures where they count, from the median."""
+    """Standard deviation (n,) of the residuals where pixels count, from their median."""
     scale = [
         1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0
         for p, s in zip(residuals, share, strict=True)
@@ -131,17 +169,66 @@ def _residual_scale(residuals: Patch, share: Patch) -> Array:
 
 
 def unexplained_share(score: Any, misfit: Any, typical_misfit: float) -> Any:
-    """Share of a picture's variance that neither the target nor the usual noise explains; numbers or arrays."""
+    """Compute the share of a picture's variance that neither the target nor the typical noise explains.
+
+    Parameters
+    ----------
+    score, misfit : float or array
+        Match score and misfit of the frames.
+    typical_misfit : float
+        Misfit of a frame that shows only target and noise.
+
+    Returns
+    -------
+    float or array
+        Between 0 and 1.
+
+    Examples
+    --------
+    >>> round(float(unexplained_share(0.8, 4.0, 1.0)), 6)
+    0.27
+
+    """
     return (1 - score**2) * (1 - typical_misfit / np.maximum(misfit, typical_misfit))
 
 
 def residual_images(cuts: Patch, fit: SubpixelFit, template: Template) -> Array:
-    """What the target does not explain of the cut-outs (n, h, w), in standard deviations of the template's noise."""
+    """Compute what the target does not explain of cut-outs.
+
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    fit : SubpixelFit
+        Fit on these cut-outs.
+    template : Template
+        Template of the target.
+
+    Returns
+    -------
+    array (n, h, w)
+        Residuals in standard deviations of the template's pixel noise.
+
+    """
     return (template.weighted(cuts) - model_images(fit, template) * template.root_weight).reshape(cuts.shape)
 
 
 def model_images(fit: SubpixelFit, template: Template) -> Array:
-    """What the cut-outs should show (n, h w), DN above the template's level."""
+    """Compute what cut-outs should show.
+
+    Parameters
+    ----------
+    fit : SubpixelFit
+        Positions, rotation, gain and offset in n frames.
+    template : Template
+        Template of the target.
+
+    Returns
+    -------
+    array (n, h w)
+        Grey values above the level of the template, DN.
+
+    """
     columns = template.design(fit.unrotated())
     ones = np.ones_like(fit.gain)
     parts = np.stack([fit.gain, fit.offset - template.level, 0 * ones, 0 * ones, fit.gain * fit.angle], axis=1)
@@ -150,7 +237,21 @@ def model_images(fit: SubpixelFit, template: Template) -> Array:
 
 
 def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
-    """Weights (n, h, w), 1 to 0, of pixels by their residual and those of their neighbours, in standard deviations."""
+    """Weight pixels by their own residual and by those of their neighbours.
+
+    Parameters
+    ----------
+    standardised : array (n, h, w)
+        Residuals in standard deviations.
+    initial_share : array (n, h, w)
+        Share of their weight that pixels have at first.
+
+    Returns
+    -------
+    array (n, h, w)
+        1 for pixels that fit, 0 for outliers, linear in between.
+
+    """
     weights = np.empty_like(standardised)
     for k, picture in enumerate(standardised):
         local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third

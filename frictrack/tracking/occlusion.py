@@ -1,7 +1,7 @@
-"""Frames in which part of the target is hidden: measured again from where their neighbours have it, or left empty.
+"""Measure frames in which part of the target is hidden again, starting from the positions in neighbouring frames.
 
-A match of the whole picture is drawn toward whatever hides the target, and from there everything looks odd. From a
-prediction by frames that show the target well, what hides it stands out and is left out (`measure_frames`).
+A match of the whole template is biased toward an object that hides the target, and from the biased position all pixels
+misfit. From a position predicted by frames that show the target well, the object itself stands out and is excluded.
 """
 
 from __future__ import annotations
@@ -13,23 +13,33 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, RawTrack
+from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.measure import refine_robust, unexplained_share
+from frictrack.tracking.raw_track import RawTrack
 from frictrack.tracking.target_model import TargetModel
 
-MAX_PREDICTION_GAP = 3  # frames to the nearest good one, over which a prediction is trusted
-MAX_NEIGHBOURS, MAX_NEIGHBOUR_DISTANCE = 16, 64  # good frames that predict a place, and how far away they may be
-MAX_ROUNDS = 64  # of predicting from frames that the round before has measured
-MAX_UNEXPLAINED_SHARE = (
-    0.03  # of the picture's variance, left unexplained beyond the noise: something else than the target
-)
-MAX_PREDICTION_SIGMAS = 4.0  # standard deviations of a place, that its prediction may be off by
+MAX_PREDICTION_GAP = 3  # frames to the nearest good one
+MAX_NEIGHBOURS, MAX_NEIGHBOUR_DISTANCE = 16, 64  # good frames that predict a position, and their distance in frames
+MAX_ROUNDS = 64  # of predicting from the frames of the round before
+MAX_UNEXPLAINED_SHARE = 0.03  # of the picture's variance beyond the noise; more shows another object
+MAX_PREDICTION_SIGMAS = 4.0  # standard deviations between position and prediction
 OCCLUDED = "too much of the target is hidden"
 
 
 def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> None:
-    """Measure frames that hold more than the target again, and say which of them cannot be trusted."""
+    """Measure frames with a large misfit again, and mark those that cannot be trusted.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    raw_track : RawTrack
+        Track of the target; it is updated in place.
+    target_model : TargetModel
+        Learnt model of the target.
+
+    """
     limit = MAX_MISFIT_RATIO * max(target_model.typical_misfit, target_model.template.min_misfit)
     suspect = raw_track.found & ~((raw_track.fit.misfit < limit) & raw_track.fit.converged)
     if not suspect.any() or np.isnan(limit):
@@ -49,10 +59,11 @@ def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: Targe
 
 
 def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
-    """Add frames to the `good` ones that leave hardly more unexplained, `share` (n,), than the good ones before.
+    """Accept frames whose unexplained `share` (n,) hardly exceeds that of neighbouring good frames.
 
-    Light and background change gradually along a path, what hides a target comes at once. The place must be where the
-    neighbours have it, within its own deviation.
+    Light and background change gradually along the path, while an occluding object appears at once. The position must
+    also
+    agree with the prediction from the neighbours, within its own standard deviation.
     """
     visited = good | ~raw_track.found
     for _ in range(len(good)):
@@ -72,7 +83,7 @@ def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
 
 
 def _distance(good: Mask) -> NDArray[np.int64]:
-    """Frames from every frame to the nearest good one (n,); n where there is none."""
+    """Distance (n,) in frames from every frame to the nearest good one; n where there is none."""
     n = np.arange(len(good))
     rows = np.flatnonzero(good)
     if len(rows) == 0:
@@ -84,7 +95,7 @@ def _distance(good: Mask) -> NDArray[np.int64]:
 def _remeasure(
     film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], good: NDArray[np.int64], target_model: TargetModel
 ) -> Mask:
-    """Measure some frames (m,) from predictions by the `good` ones; whether that came out right."""
+    """Measure frames (m,) from predictions by the good ones; return which of them succeeded."""
     template = target_model.template
     size = template.weight.shape
     max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
@@ -108,7 +119,7 @@ def _remeasure(
 def _predict_from_neighbours(
     at: Array, rows: NDArray[np.int64], good: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Where parabolas through the nearest `good` frames have the target in some frames (m, 2); the nearest of these."""
+    """Predict positions (m, 2) px by parabolas through the nearest good frames; return the nearest of these, too."""
     places, nearest = np.empty((len(rows), 2)), np.empty(len(rows), np.int64)
     for k, row in enumerate(rows):
         centre = int(np.searchsorted(good, row))

@@ -1,8 +1,8 @@
-"""Place and angle of a target that turns by any angle: weighted least squares on frames that are never interpolated.
+"""Fit position and angle of a target that rotates by any angle, by weighted least squares on uninterpolated frames.
 
-A frame is I(u) = b + a T(R(-theta) (u - c)) + noise, with T the target's picture about its centre. T, a sum of cosines,
-is tabulated on a finer grid, from which cubic splines read it and its slopes at the pixels of the frame: only the
-picture is turned, so that the frame's noise stays white and the estimate at the Cramer-Rao bound.
+A frame is I(u) = b + a T(R(-theta) (u - c)) + noise, with T the template about its centre. T, a sum of cosines, is
+tabulated on a finer grid, from which cubic splines read values and slopes at the pixels of the frame. Only the template
+is rotated, so that the noise of the frame stays white and the estimate reaches the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -20,24 +20,41 @@ from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.measure import MISFIT_RATIO, inlier_weights, unexplained_share
 from frictrack.tracking.template import Template
 
-SAMPLES_PER_PX = 3  # points of the table per px: cubic splines through them are off by less than 1e-4 of the contrast
-MAX_STEPS = 12
-STEP_TOLERANCE_PX = 1e-3  # px, the last step
-CYCLE_TOLERANCE_PX = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
-MAX_REWEIGHTINGS = 4  # rounds of leaving out what does not fit
-MIN_REMAINING_SHARE = 0.25  # of the pixels that must still count
-MIN_TEXTURE_RATIO = 0.1  # of the mean squared slope: less is no texture
-MIN_GAIN = 1e-3
-MARGIN_PX = 6.0  # px round the target that are looked at
-MAX_PLAIN_FIT_UNEXPLAINED = (
-    0.005  # of the picture's variance, left unexplained: less is the error of a picture that was turned
-)
+SAMPLES_PER_PX = 3  # of the table: cubic splines through it err by less than 1e-4 of the contrast
+MAX_STEPS = 12  # of Gauss-Newton
+STEP_TOLERANCE_PX = 1e-3  # last step
+CYCLE_TOLERANCE_PX = 5e-3  # last step where the iteration cycles, as pixels at the border enter and leave
+MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals
+MIN_REMAINING_SHARE = 0.25  # of the texture
+MIN_TEXTURE_RATIO = 0.1  # to the mean squared slope
+MIN_GAIN = 1e-3  # a target with less is not visible
+MARGIN_PX = 6.0  # round the target
+MAX_PLAIN_FIT_UNEXPLAINED = 0.005  # share of the picture's variance; less is the error of the rotated template
 N_UNKNOWNS = 5  # gain, offset, x, y, angle
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a target is in one frame: its centre (2,) px and its angle, rad from x toward y; and what that is worth."""
+    """Position and angle of a target in one frame.
+
+    Attributes
+    ----------
+    centre : array (2,)
+        Centre (x, y) of the target, px.
+    angle : float
+        From the x axis toward the y axis, rad.
+    gain, offset : float
+        Light of the frame: grey value = gain * template + offset (DN).
+    sigma : tuple of float
+        Standard deviations of x, y (px) and the angle (rad).
+    score : float
+        Weighted zero-normalised cross-correlation.
+    misfit : float
+        Mean weighted squared residual; 1 where only noise remains.
+    converged : bool
+        Whether Gauss-Newton converged.
+
+    """
 
     centre: Array
     angle: float
@@ -51,29 +68,50 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class RotatableTemplate:
-    """The target's picture, to be read at any place."""
+    """Template that can be read at any position.
+
+    Attributes
+    ----------
+    template : Template
+        Template of the target.
+    blocked : array of bool (H, W) or None
+        Pixels of the frames that obstacles cover.
+
+    """
 
     template: Template
     blocked: Mask | None = None  # pixels (H, W) of the frames before which an obstacle stands
 
     @property
     def middle(self) -> Array:
-        """Centre (x, y) of the picture, px from its upper left pixel."""
+        """Centre (x, y) of the template, px from its upper left pixel."""
         h, w = self.template.weight.shape
         return np.array([(w - 1) / 2, (h - 1) / 2])
 
     def with_template(self, template: Template) -> RotatableTemplate:
-        """The same with another template."""
+        """Replace the template and keep the obstacles.
+
+        Parameters
+        ----------
+        template : Template
+            New template.
+
+        Returns
+        -------
+        RotatableTemplate
+            With its own tables.
+
+        """
         return replace(self, template=template)
 
     @property
     def radius(self) -> float:
-        """Half of its diagonal, px."""
+        """Half of the diagonal, px."""
         return float(np.hypot(*self.middle))
 
     @cached_property
     def _tables(self) -> list[Array]:
-        """Spline coefficients of the picture and of its slopes along x and y."""
+        """Spline coefficients of the template and of its slopes along x and y."""
         (y, dy), (x, dx) = (
             _sampled(n, count) for n, count in zip(self.template.weight.shape, self._n_coefficients, strict=True)
         )
@@ -85,12 +123,36 @@ class RotatableTemplate:
         return self.template.coefficients.shape[0], self.template.coefficients.shape[1]
 
     def read(self, at: Array) -> Array:
-        """Picture and slopes along x and y (3, n), DN above the template's level, at places (2, n) px."""
+        """Read values and slopes of the template.
+
+        Parameters
+        ----------
+        at : array (2, n)
+            Positions (x, y) from the upper left pixel, px.
+
+        Returns
+        -------
+        array (3, n)
+            Value above the template's level (DN), and its slopes along x and y (DN/px).
+
+        """
         places = (at[::-1] + REFLECTION_PX) * SAMPLES_PER_PX
         return np.stack([map_coordinates(t, places, order=3, prefilter=False, mode="nearest") for t in self._tables])
 
     def weight(self, at: Array) -> Array:
-        """Weight (n,) of the picture's nearest pixels, 0 outside it."""
+        """Weight of the nearest pixels of the template.
+
+        Parameters
+        ----------
+        at : array (2, n)
+            Positions (x, y) from the upper left pixel, px.
+
+        Returns
+        -------
+        array (n,)
+            1/DN^2; 0 outside the template.
+
+        """
         h, w = self.template.weight.shape
         x, y = np.rint(at).astype(np.int64)
         inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
@@ -98,7 +160,7 @@ class RotatableTemplate:
 
 
 def _sampled(n: int, count: int) -> tuple[Array, Array]:
-    """Cosines of one axis and their slopes (m, count) at the points of the finer grid, which begins at -EDGE."""
+    """Cosines of one axis and their slopes (m, count) on the finer grid, which begins at -REFLECTION_PX."""
     length = n - 1 + 2 * REFLECTION_PX
     q: Array = np.pi * np.arange(count, dtype=np.float64) / length
     phase: Array = q * (np.arange(int(length * SAMPLES_PER_PX) + 1)[:, None] / SAMPLES_PER_PX)
@@ -107,7 +169,7 @@ def _sampled(n: int, count: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """The part of a frame that may show the target: its pixels (h, w) and their places (2, h w)."""
+    """Part of a frame that may show the target: its pixels (h, w) and their positions (2, h w)."""
 
     pixels: Patch
     places: Array
@@ -115,7 +177,7 @@ class _Window:
 
     @classmethod
     def around(cls, frame: Patch, centre: Array, reach: float, blocked: Mask | None) -> _Window:
-        """What lies within `reach` px of a centre."""
+        """The part of a frame within `reach` px of a centre."""
         low = np.floor(centre - reach).astype(int).clip(0)
         high = np.minimum(np.ceil(centre + reach).astype(int) + 1, frame.shape[::-1])
         x, y = (np.arange(a, max(b, a)) for a, b in zip(low, high, strict=True))
@@ -125,7 +187,29 @@ class _Window:
 
 
 def to_target_frame(places: Array, centre: Array, angle: float) -> Array:
-    """Places (2, n) as seen from a target at `centre` turned by `angle`: relative to its centre."""
+    """Transform positions to the coordinates of a rotated target.
+
+    Parameters
+    ----------
+    places : array (2, n)
+        Positions (x, y), px.
+    centre : array (2,)
+        Centre of the target, px.
+    angle : float
+        Rotation of the target, rad.
+
+    Returns
+    -------
+    array (2, n)
+        Positions relative to the centre, along the axes of the target, px.
+
+    Examples
+    --------
+    >>> x, y = to_target_frame(np.array([[5.0], [7.0]]), np.array([5.0, 5.0]), np.pi / 2)
+    >>> round(float(x[0]), 6)
+    2.0
+
+    """
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(np.array([[c, s], [-s, c]]) @ (places - centre[:, None]))
 
@@ -133,10 +217,29 @@ def to_target_frame(places: Array, centre: Array, angle: float) -> Array:
 def refine_pose(
     frame: Patch, start: Pose, rotatable: RotatableTemplate, typical_misfit: float = np.nan, *, trusted: bool = False
 ) -> Pose:
-    """Centre and angle of the target in a frame (H, W) from a start within about two pixels everywhere on it.
+    """Fit position and angle of the target in a frame.
 
-    Pixels that do not fit are left out where the residuals' scatter, or the `typical_misfit` of a frame that holds
-    nothing but target and noise, shows that there are some. A start that is `trusted` may speak against most pixels.
+    Pixels that do not fit are excluded where the scatter of the residuals, or the typical misfit, shows that there are
+    some.
+
+    Parameters
+    ----------
+    frame : array (H, W)
+        Grey values.
+    start : Pose
+        Initial pose, accurate to about two pixels everywhere on the target.
+    rotatable : RotatableTemplate
+        Template of the target.
+    typical_misfit : float
+        Misfit of a frame that shows only target and noise; NaN where it is not known.
+    trusted : bool
+        Whether the initial pose outweighs most of the pixels.
+
+    Returns
+    -------
+    Pose
+        `converged` is false where the fit failed.
+
     """
     window = _Window.around(frame, start.centre, rotatable.radius + MARGIN_PX, rotatable.blocked)
     if window.pixels.size < N_UNKNOWNS:
@@ -157,7 +260,7 @@ def refine_pose(
 
 
 def _noise_misfit(window: _Window, pose: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> float:
-    """Misfit of pixels that show nothing but target and noise, as the better half of them have it."""
+    """Misfit of pixels that show only target and noise, from the better half of them."""
     standardised, slopes = _standardised_residuals(window, pose, rotatable)
     textured = _textured(slopes)
     level = max(_residual_scale(standardised[textured]) ** 2 if textured.any() else 0.0, rotatable.template.min_misfit)
@@ -165,19 +268,19 @@ def _noise_misfit(window: _Window, pose: Pose, rotatable: RotatableTemplate, typ
 
 
 def _widen_sigma(pose: Pose, other: Pose) -> Pose:
-    """A pose whose deviations hold how far another one, from some of the pixels, is away."""
+    """Add the difference from another pose, fitted to some pixels, to the standard deviations."""
     x, y = other.centre - pose.centre
     sigma = np.hypot(pose.sigma, (x, y, other.angle - pose.angle))
     return replace(pose, sigma=(float(sigma[0]), float(sigma[1]), float(sigma[2])))
 
 
 def _residual_scale(standardised: Array) -> float:
-    """Standard deviation of residuals, from their median: what hides less than half of the target does not count."""
+    """Standard deviation of residuals, from their median."""
     return 1.4826 * float(np.median(np.abs(standardised)))
 
 
 def _fit_pose(window: _Window, start: Pose, rotatable: RotatableTemplate, share: Array | None) -> Pose:
-    """Gauss-Newton; `share` (h w,) is the share of its weight that each pixel keeps."""
+    """Iterate Gauss-Newton; `share` (h w,) is the share of its weight that each pixel keeps."""
     pose, step = start, np.inf
     for _ in range(MAX_STEPS):
         pose, step = _step(window, pose, rotatable, share)
@@ -189,7 +292,7 @@ def _fit_pose(window: _Window, start: Pose, rotatable: RotatableTemplate, share:
 
 
 def _step(window: _Window, pose: Pose, rotatable: RotatableTemplate, share: Array | None) -> tuple[Pose, float]:
-    """The next pose, and how far any of the target's points moves, px."""
+    """Compute the next pose, and how far any point of the target moves, px."""
     columns, weight = _columns(window, pose, rotatable)
     if share is not None:
         weight = weight * share
@@ -220,7 +323,7 @@ def _step(window: _Window, pose: Pose, rotatable: RotatableTemplate, share: Arra
 
 
 def _columns(window: _Window, pose: Pose, rotatable: RotatableTemplate) -> tuple[Array, Array]:
-    """Gain, offset, x, y and angle: what they change in the pixels (5, n), over the gain; and the weights (n,)."""
+    """Derivatives of the pixels (5, n) by gain, offset, x, y and angle, over the gain; and weights (n,)."""
     target_points = to_target_frame(window.places, pose.centre, pose.angle)
     at = target_points + rotatable.middle[:, None]
     weight = rotatable.weight(at)
@@ -245,9 +348,9 @@ def _score(normal: Array, right: Array, power: float) -> float:
 
 
 def _refine_robust(window: _Window, start: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> Pose:
-    """The pose from pixels that fit the start, then each better pose.
+    """Fit the pose to the pixels that agree with the start, then with each better pose.
 
-    What is left must hold enough of the slopes that tell the pose: a plain background fits anywhere.
+    The remaining pixels must hold enough of the texture that determines the pose: a plain background fits anywhere.
     """
     pose, share = start, np.ones(window.pixels.size)
     for k in range(MAX_REWEIGHTINGS):
@@ -267,10 +370,7 @@ def _refine_robust(window: _Window, start: Pose, rotatable: RotatableTemplate, t
 
 
 def _standardised_residuals(window: _Window, pose: Pose, rotatable: RotatableTemplate) -> tuple[Array, Array]:
-    """What the target does not explain (n,), in standard deviations of the template's noise; and its squared slopes.
-
-    The slopes are 0 outside the target, and only there.
-    """
+    """Residuals (n,) in standard deviations of the template noise; squared slopes, 0 outside the target."""
     columns, weight = _columns(window, pose, rotatable)
     residual = window.pixels.ravel() - pose.offset - pose.gain * columns[0]
     slopes = np.where(weight > 0, np.maximum(weight * (columns[2] ** 2 + columns[3] ** 2), 1e-300), 0.0)
@@ -278,7 +378,7 @@ def _standardised_residuals(window: _Window, pose: Pose, rotatable: RotatableTem
 
 
 def _textured(slopes: Array) -> Mask:
-    """Pixels (n,) that would not fit at a wrong pose: a plain background fits anywhere."""
+    """Pixels (n,) that would not fit at a wrong pose."""
     return np.asarray(slopes > MIN_TEXTURE_RATIO * np.mean(slopes))
 
 
@@ -291,9 +391,24 @@ def _inlier_share(window: _Window, standardised: Array, inside: Mask) -> Array:
 
 
 def derotate(frame: Patch, pose: Pose, rotatable: RotatableTemplate) -> NDArray[np.float32]:
-    """The frame as the target's picture (h, w) would show it without its turn; to learn from, not to measure.
+    """Rotate a frame back to the template's orientation, to learn from it.
 
-    Only what the picture known so far does not explain is interpolated: it is small, and so is the error of that.
+    Only the residual of the known template is interpolated: it is small, and so is its interpolation error.
+
+    Parameters
+    ----------
+    frame : array (H, W)
+        Grey values.
+    pose : Pose
+        Pose of the target in the frame.
+    rotatable : RotatableTemplate
+        Template of the target.
+
+    Returns
+    -------
+    array (h, w)
+        Grey values at the pixels of the template, DN.
+
     """
     window = _Window.around(frame, pose.centre, rotatable.radius + MARGIN_PX, rotatable.blocked)
     at = to_target_frame(window.places, pose.centre, pose.angle) + rotatable.middle[:, None]

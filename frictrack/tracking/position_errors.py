@@ -1,9 +1,9 @@
-"""How far the standard deviation is to be trusted: what the residual picture holds beyond white noise.
+"""Estimate position errors beyond those of white pixel noise: correlated residuals, and a changing appearance.
 
-The position is a sum over pixels of slope times residual. If neighbours' residuals go together (a codec's blocks,
-light that moves over the target, a lens), that sum scatters more than independent noise would. Its variance is
-taken from sums over square blocks, each block one draw: the clustered sandwich estimator (White 1980, Econometrica
-48:817; Liang & Zeger 1986), averaged over frames.
+A position is a sum over pixels of slope times residual. Where the residuals of neighbours are correlated (blocks of a
+codec, light that moves over the target, a lens), this sum scatters more than with independent noise. Its variance comes
+from sums over square blocks, each block one draw: the clustered sandwich estimator (White 1980, Econometrica 48:817;
+Liang & Zeger 1986, Biometrika 73:13), averaged over frames.
 """
 
 from __future__ import annotations
@@ -20,18 +20,33 @@ from frictrack.tracking.template import Template
 Rows = NDArray[np.intp]
 
 BLOCK_SIDES_PX = (4, 8, 16)  # px
-MIN_BLOCKS = 8  # whose scatter tells anything
-N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each, whose mean residual pictures are looked at
-PARTS_PER_SIDE = 3  # parts of a side: light changes over the whole target, not from one small block to the next
-MAX_MISFIT_RATIO = 2.0  # times the usual misfit, from which something else than the target is in a frame
-MIN_KEPT_SHARE = 0.95  # of the usual share of its weight, that a frame which shows the whole target keeps
-MIN_SIGNIFICANCE = 4.0  # standard errors above one from which it is no accident
+MIN_BLOCKS = 8  # whose scatter is an estimate
+N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
+PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
+MAX_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
+MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
+MIN_SIGNIFICANCE = 4.0  # standard errors above one
 
 
 def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:
-    """Factors (3,) by which the deviations of x, y and the angle exceed those of white noise; 1 where none is seen.
+    """Compute how far the standard deviations exceed those of white noise.
 
-    `share` (n, h, w) is the share of its weight that each pixel has kept.
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    fit : SubpixelFit
+        Fit on the cut-outs.
+    template : Template
+        Learnt template.
+    share : array (n, h, w), optional
+        Share of its weight that each pixel kept.
+
+    Returns
+    -------
+    array (3,)
+        Factors for x, y and the angle; 1 where no excess is significant.
+
     """
     slopes = template.design(fit.unrotated())[:, 2:5] @ template.basis_images  # (n, 3, h w)
     residuals = residual_images(cuts, fit, template) if share is None else residual_images(cuts, fit, template) * share
@@ -51,25 +66,31 @@ def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Pa
 
 
 def systematic_covariance(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:
-    """Covariance (2, 2), px^2, of what places are off slowly because the target's look changes along its path.
+    """Estimate slow position errors that arise because the appearance of the target changes along its path.
 
-    Light that falls from elsewhere, a highlight that wanders over the body or a background that shows at its edge
-    leaves the same residual picture in neighbouring frames. Frame by frame the place is the best one all the same, but
-    parts of the target would have it elsewhere: their scatter is the deviation, as in `sigma_inflation`, of the mean
-    residual picture of a stretch of the path instead of a single frame's. What frames do not share is noise, and
-    taken off: with C of one frame and C_m of the mean of n, the slow part is (n C_m - C) / (n - 1).
+    Light from another direction, a highlight that moves over the body, or background at its edge leaves the same
+    residual
+    in neighbouring frames. Every part of the target then implies a different position. The scatter over the parts is
+    the
+    error, as in `sigma_inflation`, but for the mean residual of a stretch of the path. Noise, which the frames of a
+    stretch
+    do not share, is subtracted: with C of one frame and C_m of the mean of n, the slow part is (n C_m - C) / (n - 1).
 
     Parameters
     ----------
-    cuts, fit, share
-        Cut-outs (n, h, w) in the order of time, the places in them and the share of each pixel's weight.
-    template
-        The learnt picture.
+    cuts : array (n, h, w)
+        Grey values in the order of time.
+    fit : SubpixelFit
+        Fit on the cut-outs.
+    template : Template
+        Learnt template.
+    share : array (n, h, w), optional
+        Share of its weight that each pixel kept.
 
     Returns
     -------
-    Array
-        Zero where no more is seen than noise leaves.
+    array (2, 2)
+        Covariance of x and y, px^2; zero where it is not significant.
 
     """
     stretches = [rows for rows in np.array_split(_unoccluded_frames(fit, share), N_STRETCHES) if len(rows) > 1]
@@ -87,7 +108,7 @@ def systematic_covariance(cuts: Patch, fit: SubpixelFit, template: Template, sha
 
 
 def _unoccluded_frames(fit: SubpixelFit, share: Patch | None) -> Rows:
-    """Frames that show the whole target: what hides part of it leaves a picture of its own, and changes no target."""
+    """Frames that show the whole target: an occluding object leaves residuals of its own."""
     unoccluded = fit.misfit < MAX_MISFIT_RATIO * np.median(fit.misfit)
     if share is not None:
         kept = share.mean(axis=(1, 2))
@@ -96,7 +117,7 @@ def _unoccluded_frames(fit: SubpixelFit, share: Patch | None) -> Rows:
 
 
 def _pixel_pulls(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None) -> Array:
-    """By how much each pixel alone moves the places, px along x and y: (n, 2, h, w)."""
+    """Shift of the position along x and y that each pixel causes, (n, 2, h, w) px."""
     design = template.design(fit.unrotated()) @ template.basis_images  # (n, 5, h w)
     root_weight = (
         template.root_weight if share is None else template.root_weight * np.sqrt(share.reshape(len(cuts), -1))
@@ -110,7 +131,7 @@ def _pixel_pulls(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch
 
 
 def _block_covariance(pulls: Array, of_mean: bool) -> Array:
-    """Covariance (2, 2) of places, each ninth of the target one draw: of the mean of frames, or the mean of theirs."""
+    """Covariance (2, 2) of the position, each ninth of the target one draw: per frame, or of the mean of frames."""
     pulls = pulls.mean(axis=0, keepdims=True) if of_mean else pulls
     rows, cols = (np.arange(PARTS_PER_SIDE) * side // PARTS_PER_SIDE for side in pulls.shape[2:])
     sums = np.add.reduceat(np.add.reduceat(pulls, rows, axis=2), cols, axis=3).reshape(len(pulls), 2, -1)

@@ -1,7 +1,7 @@
-"""The same point of the same body in another film: without it, places along the course would not agree.
+"""Register the targets of two films, so that positions along the course refer to the same point of the same body.
 
-Every film finds its target by itself, and the rectangle may sit a pixel further left. The averaged pictures of
-the two targets tell by how much.
+Every film finds its target by itself, and the rectangle may differ by a pixel. The averaged pictures of the two targets
+show by how much.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from scipy.ndimage import shift
 from frictrack.records import Array, Track
 from frictrack.tracking.correlation import correlate
 
-MAX_OFFSET_SHARE = 0.25  # of the target's sides: the furthest that two rectangles may differ
-MIN_SAME_BODY_SCORE = 0.8  # correlation below which the two bodies are taken for different ones
-MIN_CORRECTION_PX = 0.02  # px, a difference not worth a correction
-MIN_CORE_PX = 12  # px, shortest side of what is compared
-MAX_STEPS = 8
+MAX_OFFSET_SHARE = 0.25  # of the target's sides
+MIN_SAME_BODY_SCORE = 0.8  # correlation of two pictures of the same body
+MIN_CORRECTION_PX = 0.02  # a smaller offset is not corrected
+MIN_CORE_PX = 12  # shortest side of the compared part
+MAX_STEPS = 8  # of Gauss-Newton
 
 
 @dataclass(frozen=True)
 class TargetOffset:
-    """From the centre of one target's picture to the point that is the centre of the other's, px, with its error."""
+    """Offset from the centre of one target's picture to the centre of the other's, with its error, px."""
 
     dx: float
     dy: float
@@ -34,9 +34,18 @@ class TargetOffset:
 
 
 def aligned(track: Track, reference: Track) -> Track:
-    """The track moved to the point of the body that `reference` follows, with a note of what was done.
+    """Move a track to the point of the body that a reference track follows.
 
-    Unchanged, with a note, where the two pictures do not show the same body.
+    Parameters
+    ----------
+    track, reference : Track
+        Tracks with the pictures of their targets.
+
+    Returns
+    -------
+    Track
+        With a note of what was done; unchanged, with a note, where the pictures do not show the same body.
+
     """
     found = target_offset(track.picture, reference.picture)
     if found is None:
@@ -55,10 +64,22 @@ def aligned(track: Track, reference: Track) -> Track:
 
 
 def target_offset(picture: Array | None, reference: Array | None) -> TargetOffset | None:
-    """How two pictures of the same body lie to each other; None where they do not show the same.
+    """Measure the offset between two pictures of the same body.
 
-    The middle of the one is looked for in the other by correlation, then by Gauss-Newton on grey values with free
-    gain and level; what they differ by afterwards gives the standard deviation.
+    The middle of one picture is located in the other by cross-correlation, then refined by Gauss-Newton on the grey
+    values
+    with free gain and offset.
+
+    Parameters
+    ----------
+    picture, reference : array (h, w) or None
+        Averaged pictures of the targets, DN.
+
+    Returns
+    -------
+    TargetOffset or None
+        None where they do not show the same body or are too small.
+
     """
     if picture is None or reference is None:
         return None
@@ -78,7 +99,7 @@ def target_offset(picture: Array | None, reference: Array | None) -> TargetOffse
 
 
 def _refine_corner(core: NDArray[np.float32], reference_image: NDArray[np.float32], at: Array) -> tuple[Array, Array]:
-    """Corner (x, y) of the core in the whole, px, and its standard deviation."""
+    """Corner (x, y) px of the core in the reference image, and its standard deviation."""
     shape = (core.shape[0], core.shape[1])
     gy, gx = np.gradient(core)
     design = np.stack([gx, gy, core - core.mean(), np.ones(shape)], axis=2).reshape(-1, 4).astype(np.float64)

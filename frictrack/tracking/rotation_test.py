@@ -1,4 +1,4 @@
-"""Decide whether a target turns too far for small rotations, before it is followed as one that turns."""
+"""Decide whether a target rotates too far for small angles, before it is tracked as rotating."""
 
 from __future__ import annotations
 
@@ -8,28 +8,48 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array
-from frictrack.tracking.batch_tracker import FLAT, LEAVES, MIN_SCORE_SHARE, UNREAD, RawTrack
+from frictrack.tracking.batch_tracker import MIN_SCORE_SHARE
 from frictrack.tracking.pose import Pose, RotatableTemplate
-from frictrack.tracking.pose_tracker import search_pose
+from frictrack.tracking.pose_search import search_pose
+from frictrack.tracking.raw_track import FLAT, LEAVES, UNREAD, RawTrack
 
-SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # times the frames of a target that does not turn
-MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames, in which small rotations are no longer linear
-MAX_CORNER_MOTION_PX = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
-N_SAMPLED_FRAMES = 8  # lost frames in which a turned target is looked for before all are gone through
-CLEARLY_BETTER_SCORE = (
-    0.15  # by this much must a turned picture match better than the upright one, for the target to have turned ...
-)
-MAX_UNEXPLAINED_RATIO = 0.25  # ... or leave this share of the variance that the upright one does not explain
+SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
+MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
+MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
+N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
+CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
+MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
 
 
 def min_frames_if_rotating(
     film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, start: Array, first: int
 ) -> float | None:
-    """In how many frames a turning target must be seen to be followed as one; None where it does not turn.
+    """Compute in how many frames a rotating target must be found to be tracked as rotating.
 
-    It turns farther than small rotations tell: seen in the angles, or in the frames lost first. What is seen only after
-    it was lost must bring back as many frames as were seen: a mass that slides and then falls off the course has
-    turned, too, and its slide is what matters.
+    Large angles show in the fit, or a rotated template matches where the target was lost first. In the second case
+    tracking
+    must recover as many frames as were found. A mass that slides and then falls off the course has also rotated, but
+    only
+    its slide matters.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    raw_track : RawTrack
+        Track for small angles.
+    rotatable : RotatableTemplate
+        Template of the target.
+    start : array (2,)
+        Corner of the target's rectangle in frame `first`, px.
+    first : int
+        Number of that frame.
+
+    Returns
+    -------
+    float or None
+        None where the target does not rotate.
+
     """
     angle = raw_track.fit.angle[raw_track.found]
     found = float(np.sum(raw_track.found))
@@ -44,10 +64,11 @@ def min_frames_if_rotating(
 
 
 def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, min_frames: float) -> bool:
-    """Whether enough of the lost frames may show a turned target for it to be seen in `min_frames` frames of the film.
+    """Whether enough of the lost frames may show a rotated target to reach `min_frames` finds.
 
-    It is looked for in a few of them, spread over the film. One frame by itself tells less than all, one after the
-    other: half of the share that is needed is enough.
+    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence, therefore
+    half
+    of the required share is enough.
     """
     lost_frames, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
     share = (min_frames - len(found)) / max(len(lost_frames), 1)
@@ -67,12 +88,12 @@ def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTempl
 
 
 def _nearest(raw_track: RawTrack, found: NDArray[np.int64], i: int) -> Array:
-    """Corner (2,) of the target in the nearest of the frames in which it was found, px."""
+    """Corner (2,) px of the target in the nearest frame in which it was found."""
     return np.asarray(raw_track.position[found[np.argmin(np.abs(found - i))]])
 
 
 def _is_found(film: Recording, i: int, near: Pose, rotatable: RotatableTemplate, typical_score: float) -> bool:
-    """Whether a turned picture matches frame `i` anywhere, as well as the target is usually matched."""
+    """Whether a rotated template matches frame `i` anywhere, as well as the target typically does."""
     try:
         frame = film.frame(i)
     except FrictrackError:
@@ -84,13 +105,13 @@ def _is_found(film: Recording, i: int, near: Pose, rotatable: RotatableTemplate,
 def _rotated_where_lost(
     film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, start: Array, first: int
 ) -> bool:
-    """Whether a turned picture matches clearly better where the target was lost first."""
+    """Whether a rotated template matches clearly better where the target was lost first."""
     lost_frames = [i for i in _first_lost_frames(raw_track, first) if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
     return any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost_frames)
 
 
 def _first_lost_frames(raw_track: RawTrack, first: int) -> list[int]:
-    """The frames at which the target was lost for the first time, on the way forward and backward."""
+    """Frames in which the target was lost first, forward and backward."""
     found = raw_track.found
     after, before = np.flatnonzero(~found[first:]) + first, np.flatnonzero(~found[:first])
     return [*after[:1].tolist(), *before[-1:].tolist()]
@@ -99,7 +120,7 @@ def _first_lost_frames(raw_track: RawTrack, first: int) -> list[int]:
 def _has_rotated(
     film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, i: int, first: int, start: Array
 ) -> bool:
-    """Whether a turned picture matches frame `i` clearly better than the upright one."""
+    """Whether a rotated template matches frame `i` clearly better than the upright one."""
     near = i - 1 if i > first else i + 1
     at = raw_track.position[near] if raw_track.found[near] else np.asarray(start, dtype=np.float64)
     frame = film.frame(i)

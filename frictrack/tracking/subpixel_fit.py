@@ -1,13 +1,14 @@
-"""Sub-pixel position: Gauss-Newton on a few products of each frame with fixed pictures.
+"""Fit position, small rotation, gain and offset of the template to frames: Gauss-Newton on a few products per frame.
 
-With the target's picture T known, a frame is
+With the template T known, a frame is
 
     I(u) = b + a [T(u - p) + theta R(u - p)] + noise        R: change per rad of rotation
 
-and maximum likelihood for white noise is weighted least squares in a, b, p, theta. T and R at any shift are
-sums of the template's fixed pictures (see `cosine_basis`), so a frame enters by its products with those and by its own
-power alone: no frame is ever interpolated, which keeps its noise white and the estimate at the Cramer-Rao
-bound (Pham et al. 2005, EURASIP J. Appl. Signal Process. 2005:2199).
+Maximum likelihood for white noise is weighted least squares in a, b, p and theta. T and R at any shift are sums of
+fixed pictures (`cosine_basis`), so that a frame enters only by its products with these pictures and by its power. The
+template is shifted and not the frame (Baker & Matthews 2004, Int. J. Comput. Vis. 56:221, discuss both choices): frames
+are never interpolated, their noise stays white, and the estimate reaches the Cramer-Rao bound (Pham et al. 2005,
+EURASIP J. Appl. Signal Process. 2005:2199).
 """
 
 from __future__ import annotations
@@ -22,15 +23,34 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.template import Template
 
-MAX_STEPS = 12  # at most: five where the picture fits, more where something hides a part of it
-STEP_TOLERANCE_PX = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
-N_UNKNOWNS = 5
-MIN_GAIN = 1e-3
+MAX_STEPS = 12  # five are enough where the template fits, more where part of it is hidden
+STEP_TOLERANCE_PX = 2e-3  # the next step of Gauss-Newton would be a few percent of it
+N_UNKNOWNS = 5  # gain, offset, x, y, angle
+MIN_GAIN = 1e-3  # a target with less is not visible
 
 
 @dataclass(frozen=True, eq=False)
 class SubpixelFit:
-    """Where the target is on its cut-outs: `position` (n, 2) px from their corners, and the rest (n,)."""
+    """Result of the sub-pixel fit in n frames.
+
+    Attributes
+    ----------
+    position : array (n, 2)
+        Shift along x and y from the corner of the cut-out, px.
+    angle : array (n,)
+        Rotation from the x axis toward the y axis, rad.
+    sigma : array (n, 3)
+        Standard deviations of x, y (px) and the angle (rad): template noise times the root of the misfit.
+    score : array (n,)
+        Weighted zero-normalised cross-correlation.
+    gain, offset : array (n,)
+        Light of the frame: grey value = gain * template + offset (DN).
+    misfit : array (n,)
+        Mean weighted squared residual; 1 where only noise remains.
+    converged : array of bool (n,)
+        Whether Gauss-Newton converged to a positive gain.
+
+    """
 
     position: Array
     angle: Array  # rad, x toward y
@@ -45,24 +65,55 @@ class SubpixelFit:
         return SubpixelFit(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def moved(self, by: NDArray[Any]) -> SubpixelFit:
-        """The same places, on cut-outs whose corners lie `by` (n, 2) px further up and left."""
+        """Express the positions on cut-outs whose corners lie further up and left.
+
+        Parameters
+        ----------
+        by : array (n, 2)
+            How far the corners move, px.
+
+        Returns
+        -------
+        SubpixelFit
+            The same places in the picture.
+
+        """
         return replace(self, position=self.position + by)
 
     def unrotated(self) -> Array:
-        """Where the target lay on its cut-out before it turned about the cut-out's middle (n, 2) px."""
+        """Positions (n, 2) px that the target would have without rotation about the centre of the cut-out."""
         return self.position - _rotation_offset(self.angle, self.position)
 
     def put(self, rows: np.ndarray | slice, part: SubpixelFit) -> None:
-        """Write `part` into these rows."""
+        """Replace some rows.
+
+        Parameters
+        ----------
+        rows : array or slice
+            Rows to replace.
+        part : SubpixelFit
+            New values of these rows.
+
+        """
         for f in fields(self):
             getattr(self, f.name)[rows] = getattr(part, f.name)
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateProducts:
-    """What is left of the frames: products with the pictures (n, k), power (n,), and products among the pictures.
+    """Sufficient statistics of frames: products with the basis images.
 
-    `gram` is (k, k), or (n, k, k) where the frames do not share their weights; `n_pixels` likewise.
+    Attributes
+    ----------
+    moments : array (n, k)
+        Weighted products of the frames with the basis images.
+    power : array (n,)
+        Weighted sums of squares of the frames.
+    gram : array (k, k) or (n, k, k)
+        Weighted products of the basis images; per frame where the frames have weights of their own.
+    n_pixels : int or array (n,)
+        Number of pixels that count.
+
     """
 
     moments: Array
@@ -71,16 +122,41 @@ class TemplateProducts:
     n_pixels: Array | int
 
     def subset(self, rows: Mask) -> TemplateProducts:
-        """Those of some frames."""
+        """Select some frames.
+
+        Parameters
+        ----------
+        rows : array of bool (n,)
+            Frames to keep.
+
+        Returns
+        -------
+        TemplateProducts
+            Products of these frames.
+
+        """
         gram = self.gram if self.gram.ndim == 2 else self.gram[rows]
         count = self.n_pixels if np.ndim(self.n_pixels) == 0 else np.asarray(self.n_pixels)[rows]
         return TemplateProducts(self.moments[rows], self.power[rows], gram, count)
 
 
 def template_products(cuts: Patch, template: Template, share: Patch | None = None) -> TemplateProducts:
-    """Multiply frames' cut-outs (n, h, w) by the template's pictures.
+    """Multiply cut-outs by the basis images of a template.
 
-    `share` (n, h, w), 0 to 1, is how much of its weight each pixel keeps in each frame.
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    template : Template
+        Template of the same size.
+    share : array (n, h, w), optional
+        Share of its weight that each pixel keeps in each frame, 0 to 1; 1 by default.
+
+    Returns
+    -------
+    TemplateProducts
+        All that the sub-pixel fit needs of the frames.
+
     """
     pixels = template.weighted(cuts)
     if share is None:
@@ -102,7 +178,23 @@ def template_products(cuts: Patch, template: Template, share: Patch | None = Non
 
 
 def refine_positions(data: TemplateProducts, start: Array, template: Template) -> SubpixelFit:
-    """Position of the target in each frame, from `start` (n, 2) px; outside the expansion's reach not settled."""
+    """Fit position, rotation, gain and offset in every frame by Gauss-Newton.
+
+    Parameters
+    ----------
+    data : TemplateProducts
+        Products of n frames with the template.
+    start : array (n, 2)
+        Initial positions, px.
+    template : Template
+        The same template.
+
+    Returns
+    -------
+    SubpixelFit
+        `converged` is false where the position leaves the range of the expansion.
+
+    """
     max_search_px = template.shift_expansion.max_search_px
     at = np.clip(np.array(start, dtype=np.float64), -max_search_px, max_search_px)
     n = len(at)
@@ -126,24 +218,29 @@ def refine_positions(data: TemplateProducts, start: Array, template: Template) -
 
 
 def _solve(data: TemplateProducts, at: Array, template: Template) -> tuple[Array, Array, Array]:
-    """Coefficients (n, 5) of gain, offset, p_x, p_y, turn; their right-hand side; the normal matrix (n, 5, 5)."""
+    """Solve the linear problem at given shifts.
+
+    Returns the coefficients (n, 5) of gain, offset, x, y and rotation, their right-hand side, and the normal matrix
+    (n, 5, 5).
+    """
     columns = template.design(at)
     normal = columns @ data.gram @ columns.transpose(0, 2, 1)
     right = np.einsum("nik,nk->ni", columns, data.moments)
     return np.linalg.solve(normal + _RIDGE, right[..., None])[..., 0], right, normal
 
 
-_RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, and says so by its score
+_RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, which its score shows
 
 
 def _safe_gain(coefficients: Array) -> Array:
-    """The gain (n,), kept away from zero; a target with less than that is not there."""
+    """Gain (n,), at least `MIN_GAIN`: a target with less is not visible."""
     return np.maximum(coefficients[:, 0], MIN_GAIN)
 
 
 def _summarise(
     at: Array, converged: Mask, data: TemplateProducts, result: tuple[Array, Array, Array], template: Template
 ) -> SubpixelFit:
+    """Convert the solution to positions, standard deviations, scores and misfits."""
     coefficients, right, normal = result
     gain = _safe_gain(coefficients)
     residual_power = np.maximum(data.power - np.einsum("ni,ni->n", coefficients, right), 0.0)
@@ -163,12 +260,12 @@ def _summarise(
 
 
 def _rotation_offset(angle: Array, at: Array) -> Array:
-    """The turn is about the middle of the cut-out: how far the target's own middle moves by it."""
+    """How far the rotation about the centre of the cut-out moves the centre of a target at `at`, (n, 2) px."""
     return angle[:, None] * np.stack([-at[:, 1], at[:, 0]], axis=1)
 
 
 def _correlation(data: TemplateProducts, right: Array, normal: Array) -> Array:
-    """Weighted zero-normalised cross-correlation (n,) of the frames with the template at its place."""
+    """Weighted zero-normalised cross-correlation (n,) of the frames with the shifted template."""
     weight = np.maximum(normal[:, 1, 1], 1e-12)
     both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
     frame = data.power - right[:, 1] ** 2 / weight

@@ -1,8 +1,9 @@
-"""Targets sharper than the sensor resolves: a picture with waves shorter than two pixels, learnt along a smooth path.
+"""Learn the template of a target that is sharper than the sensor resolves, with waves shorter than two pixels.
 
-One frame cannot tell such waves from longer ones; many frames at many shifts can (Stark & Oskoui 1989, J. Opt. Soc.
-Am. A 6:1715). But pictures alone would let the places within a pixel be renamed, the template along with them: so it
-is learnt where a smooth path has the target (Anderson & King 2000, PASP 112:1360, average over shifts likewise).
+One frame cannot distinguish such waves from longer ones; many frames at many shifts can (Stark & Oskoui 1989, J. Opt.
+Soc. Am. A 6:1715). The frames alone leave positions and template ambiguous: an error that repeats from pixel to pixel
+(peak locking) can be moved from one to the other. The template is therefore learnt at the positions of a smooth path
+(compare Anderson & King 2000, PASP 112:1360, who average over shifts).
 """
 
 from __future__ import annotations
@@ -18,55 +19,114 @@ from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.subpixel_fit import SubpixelFit
 from frictrack.tracking.template import Template
 
-STRETCH_PX = 8.0  # px, over which errors that repeat from pixel to pixel average out
-MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (
-    12,
-    160,
-)  # frames to either side, and from first to last, of a stretch that a parabola follows
-MIN_FRAMES = 100  # frames, from which short waves can be learnt
-MAX_ROUGHNESS_RATIO = 2.0  # times the usual misfit of a parabola: there the path is not smooth
-DIFFERENCE_ORDER, MIN_NOISE_PX = (
-    5,
-    5e-4,
-)  # of the differences that tell the noise of places, and px of it that any film has
-MAX_SAMPLED_FRAMES = 2000  # frames whose places tell how far all are drawn to the pixels
-MAX_CONDITION = 3.0  # condition of the pixel's waves up to which every shift was seen
+STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
+# frames to either side, and from first to last, of a stretch that a parabola follows
+MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
+MIN_FRAMES = 100  # from which short waves can be learnt
+MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
+# of the differences that show the noise of positions, and the least noise in px
+DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
+MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
+MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
 MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
-MAX_SIGMA_RATIO = 0.95  # times the standard deviation that comes out with them, for them to be kept
-MIN_MEDIAN_MOVE_SIGMAS = 0.4  # standard deviations by which half of the places move, for the same
+MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
+MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """Where the target was in some frames (n, 2), px: not a number where no parabola follows it over `STRETCH_PX`."""
+    """Smooth path of the target in some frames.
+
+    Attributes
+    ----------
+    frames : array of int (n,)
+        Numbers of the frames.
+    position : array (n, 2)
+        Positions, px; NaN where no parabola follows the path over `STRETCH_PX`.
+
+    """
 
     frames: NDArray[np.int64]
     position: Array
 
     @property
     def axes(self) -> Mask:
-        """Axes (x, y) along which the path is smooth and shows every shift."""
+        """Axes (x, y) along which the path is smooth in most frames."""
         known = np.isfinite(self.position)
         return np.asarray((known.mean(axis=0) > MIN_SMOOTH_SHARE) & (known.sum(axis=0) >= MIN_FRAMES))
 
     def updated(self, at: Array) -> SmoothPath:
-        """The same from better places (n, 2), px, where these stand close enough to each other."""
+        """Compute the smooth path again from better positions.
+
+        Parameters
+        ----------
+        at : array (n, 2)
+            Positions in the same frames, px.
+
+        Returns
+        -------
+        SmoothPath
+            Old values stay where the new ones are NaN.
+
+        """
         better = smooth_path(self.frames, at, self.frames).position
         return replace(self, position=np.where(np.isfinite(better), better, self.position))
 
     def with_path_positions(self, fit: SubpixelFit, corner: NDArray[np.int64], template: Template) -> SubpixelFit:
-        """The places at which a template is learnt: the smooth path's along the axes of its short waves."""
+        """Replace measured positions by those of the path, along the axes on which the template has short waves.
+
+        Parameters
+        ----------
+        fit : SubpixelFit
+            Fit on cut-outs of the same frames.
+        corner : array of int (n, 2)
+            Corners of the cut-outs, px.
+        template : Template
+            Template with its band limits.
+
+        Returns
+        -------
+        SubpixelFit
+            Positions at which the template is learnt.
+
+        """
         short = np.array(template.bands[::-1]) > BAND_LIMIT
         return replace(fit, position=np.where(short & np.isfinite(self.position), self.position - corner, fit.position))
 
     def widened(self, template: Template) -> Template:
-        """The template with room for short waves along the path's axes."""
+        """Extend the band of a template to short waves along the axes of the path.
+
+        Parameters
+        ----------
+        template : Template
+            Template of the target.
+
+        Returns
+        -------
+        Template
+            The same picture.
+
+        """
         x, y = (SUPER_RESOLUTION_BAND if axis else BAND_LIMIT for axis in self.axes)
         return template.widened((y, x))
 
 
 def improves_positions(super_resolved: SubpixelFit, fit: SubpixelFit, axes: Mask) -> bool:
-    """Whether places found with short waves are surer, or stand elsewhere by more than noise would move them."""
+    """Decide whether short waves make the positions more precise, or move them by more than noise would.
+
+    Parameters
+    ----------
+    super_resolved, fit : SubpixelFit
+        Fits with and without short waves.
+    axes : array of bool (2,)
+        Axes (x, y) that have short waves.
+
+    Returns
+    -------
+    bool
+        True where the template with short waves should be kept.
+
+    """
     sigma_new, sigma_old = (float(np.median(np.hypot(*f.sigma[:, :2].T))) for f in (super_resolved, fit))
     moved = (super_resolved.position - fit.position)[:, axes] / fit.sigma[:, :2][:, axes]
     return (
@@ -76,9 +136,22 @@ def improves_positions(super_resolved: SubpixelFit, fit: SubpixelFit, axes: Mask
 
 
 def smooth_path(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64]) -> SmoothPath:
-    """Parabolas through stretches of places (n, 2), px, in these frames, where one fits as well as elsewhere.
+    """Fit parabolas to stretches of a path, where one fits as well as elsewhere.
 
-    The path is given in the `wanted` ones of the frames.
+    Parameters
+    ----------
+    frames : array of int (n,)
+        Numbers of the frames.
+    at : array (n, 2)
+        Positions in these frames, px.
+    wanted : array of int (m,)
+        Frames in which the path is computed.
+
+    Returns
+    -------
+    SmoothPath
+        Path in the wanted frames.
+
     """
     rows = np.searchsorted(frames, wanted)
     each = [_smooth_axis(frames, at[:, axis], rows) for axis in range(2)]
@@ -86,7 +159,7 @@ def smooth_path(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64])
 
 
 def _smooth_axis(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> Array:
-    """Parabolas through places (n,) in some rows (m,); not a number where more than noise and pixels is about them."""
+    """Smooth positions (n,) in some rows (m,); NaN where more than noise and pixel harmonics remains."""
     series = np.column_stack([at, _pixel_harmonics(at)])
     path = _parabolas(frames, at, series, rows)
     deviations = series[rows] - path
@@ -96,10 +169,26 @@ def _smooth_axis(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) 
 
 
 def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
-    """By how much places (n, 2), px, are off towards the pixels, and the amplitude of that along x and y, px.
+    """Estimate the errors of positions that repeat from pixel to pixel (peak locking).
 
-    What repeats from pixel to pixel along a smooth path is no motion; it is taken as far as it stands out of the noise
-    (James & Stein 1961). Zero along an axis without one.
+    Deviations from a smooth path that are periodic in the pixel are no motion. They are fitted by two harmonics and
+    shrunk
+    by the part that noise makes of them (James & Stein 1961, Proc. 4th Berkeley Symp. 1:361).
+
+    Parameters
+    ----------
+    frames : array of int (n,)
+        Numbers of the frames.
+    at : array (n, 2)
+        Positions in these frames, px.
+
+    Returns
+    -------
+    error : array (n, 2)
+        To be subtracted from the positions, px; zero along an axis on which it is not determined.
+    amplitude : array (2,)
+        Amplitude of the first harmonic along x and y, px.
+
     """
     rows = np.arange(0, len(frames), -(-len(frames) // MAX_SAMPLED_FRAMES))
     locking_error, amplitude = np.zeros_like(at), np.zeros(2)
@@ -118,14 +207,14 @@ def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array
 
 
 def _without_harmonics(deviations: Array) -> Array:
-    """What its waves, the further columns, leave of what is rough, the first (n,)."""
+    """Deviations (n,) without the part that the harmonics, in the further columns, explain."""
     return np.asarray(
         deviations[:, 0] - deviations[:, 1:] @ np.linalg.lstsq(deviations[:, 1:], deviations[:, 0], rcond=None)[0]
     )
 
 
 def _is_noise_only(residuals: Array, at: Array) -> bool:
-    """Whether hardly more than the noise of places (n,) is left about a path: no shake of target or camera."""
+    """Whether hardly more than the noise of the positions (n,) remains about a path: no shake of target or camera."""
     noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (
         0.6745 * np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
     )
@@ -133,7 +222,7 @@ def _is_noise_only(residuals: Array, at: Array) -> bool:
 
 
 def _shrunk_fit(harmonics: Array, deviations: Array) -> Array:
-    """Least squares of what is rough (n,) on waves (n, k), shrunk by the chance that it is all noise."""
+    """Coefficients (k,) of deviations (n,) on harmonics (n, k), shrunk by the probability that all is noise."""
     coefficients = np.linalg.lstsq(harmonics, deviations, rcond=None)[0]
     is_determined = harmonics @ coefficients
     strength = (
@@ -145,9 +234,9 @@ def _shrunk_fit(harmonics: Array, deviations: Array) -> Array:
 
 
 def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArray[np.int64]) -> Array:
-    """Series (n, k) in some rows (m, k), by parabolas in time through `STRETCH_PX` px of the places `position` (n,).
+    """Smooth series (n, k) in some rows (m, k) by parabolas in time through `STRETCH_PX` of the positions `at` (n,).
 
-    Not a number where the stretch is not there, or where the first series follows no parabola: a blow or a start.
+    NaN where the stretch is incomplete, or where the first series follows no parabola: at an impact or a start.
     """
     out, residuals = np.full((len(rows), series.shape[1]), np.nan), np.full(len(rows), np.inf)
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at)))])
@@ -168,6 +257,6 @@ def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArra
 
 
 def _pixel_harmonics(at: Array) -> Array:
-    """Two harmonics of the pixel, (n, 4)."""
+    """Sine and cosine of one and two cycles per pixel, (n, 4)."""
     turns = [2 * np.pi * k * at for k in (1, 2)]
     return np.column_stack([f(u) for u in turns for f in (np.sin, np.cos)])

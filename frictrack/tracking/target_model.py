@@ -1,4 +1,4 @@
-"""The model of a target that a film has taught: template, fixed pattern, noise and systematic error."""
+"""The model of a target learnt from a film: template, fixed pattern, noise and systematic error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,24 @@ from frictrack.tracking.template import Template
 
 @dataclass(frozen=True, eq=False)
 class TargetModel:
-    """What the film has taught: the template, what stands still before it, and the usual misfit."""
+    """What a film has taught about its target.
+
+    Attributes
+    ----------
+    template : Template
+        Band-limited picture of the target and the weights of its pixels.
+    pattern : FixedPattern or None
+        Flat-field errors, dirt and obstacles that stand still in the picture.
+    typical_misfit : float
+        Median misfit of a frame; NaN before it is known.
+    sigma_inflation : array (3,)
+        Factors on the standard deviations of x, y and the angle for correlated residuals (`position_errors`).
+    systematic_covariance : array (2, 2)
+        Covariance of slow position errors from a changing appearance, px^2.
+    rotates : bool
+        Whether the target rotates by more than small angles.
+
+    """
 
     template: Template
     pattern: FixedPattern | None = None

@@ -1,4 +1,4 @@
-"""What the target looks like: a band-limited picture, the noise of its pixels, and what both imply."""
+"""The template of a target: a band-limited picture, the weights of its pixels, and the products that both imply."""
 
 from __future__ import annotations
 
@@ -16,10 +16,25 @@ MIN_MISFIT_SHARE = 5e-4  # of the picture's variance
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """The target's picture as cosines (see `cosine_basis`) and the weight (h, w) of its pixels, 1 / DN^2.
+    """Picture of the target as a sum of cosines (`cosine_basis`), with a weight for every pixel.
 
-    The weight is one over the variance of a pixel about the picture: light that scatters (shot noise) counts
-    by its noise, and background that shows inside the rectangle, which changes as the target moves, hardly counts.
+    The weight of a pixel is one over its variance about the picture. Noisier pixels count less, and background inside
+    the
+    rectangle hardly counts, because it changes as the target moves.
+
+    Attributes
+    ----------
+    coefficients : array
+        Cosine coefficients of the picture, DN.
+    weight : array (h, w)
+        Inverse variance of every pixel, 1/DN^2; 0 where it is not used.
+    level : float
+        Grey value subtracted from every picture before multiplication, to keep single precision, DN.
+    bands : tuple of float
+        Highest spatial frequencies along y and x, cycles/px.
+    mask : array of bool (h, w) or None
+        Pixels of the rectangle that belong to the target; None for all.
+
     """
 
     coefficients: Array
@@ -30,11 +45,23 @@ class Template:
 
     @property
     def shift_expansion(self) -> ShiftExpansion:
-        """The expansion of the sub-pixel shifts of this shape."""
+        """The expansion of sub-pixel shifts for this shape and band limit."""
         return shift_expansion((self.weight.shape[0], self.weight.shape[1]), self.bands)
 
     def widened(self, bands: tuple[float, float]) -> Template:
-        """The same picture with room for shorter waves."""
+        """Extend the band of the template to shorter waves; the new coefficients are zero.
+
+        Parameters
+        ----------
+        bands : tuple of float
+            Highest spatial frequencies along y and x, cycles/px.
+
+        Returns
+        -------
+        Template
+            The same picture.
+
+        """
         h, w = shift_expansion((self.weight.shape[0], self.weight.shape[1]), bands).n_coefficients
         coefficients = np.zeros((h, w))
         coefficients[: self.coefficients.shape[0], : self.coefficients.shape[1]] = self.coefficients
@@ -42,7 +69,7 @@ class Template:
 
     @cached_property
     def basis_images(self) -> Array:
-        """Pictures (k, h w) whose sums describe the target at any shift and turn, and one of ones."""
+        """Pictures (k, h w) whose sums are the target at any shift and small rotation, and last a picture of ones."""
         ones = np.ones((1, *self.weight.shape))
         images = (
             self.shift_expansion.basis_images(self.coefficients),
@@ -58,22 +85,22 @@ class Template:
 
     @cached_property
     def filters(self) -> Patch:
-        """What a frame is multiplied by (h w, k), single precision; the frame is weighted by `root_weight` first."""
+        """Weighted pictures (h w, k) that a frame is multiplied by, single precision; the frame is weighted first."""
         return np.ascontiguousarray((self.basis_images * np.sqrt(self.weight.ravel())).T, dtype=np.float32)
 
     @cached_property
     def gram(self) -> Array:
-        """Weighted products of the pictures among each other (k, k)."""
+        """Weighted products of the pictures with each other (k, k)."""
         return np.asarray((self.basis_images * self.weight.ravel()) @ self.basis_images.T, dtype=np.float64)
 
     @property
     def n_pixels(self) -> int:
-        """Pixels that count."""
+        """Number of pixels with a weight above zero."""
         return int(np.count_nonzero(self.weight))
 
     @cached_property
     def min_misfit(self) -> float:
-        """Misfit below which a film is as good as without noise: differences are then the template's own."""
+        """Misfit below which a film counts as free of noise: the template's own error dominates there."""
         counts = self.weight > 0
         if not counts.any():
             return 0.0
@@ -81,13 +108,25 @@ class Template:
 
     @property
     def image(self) -> Array:
-        """The picture (h, w) at rest, DN."""
+        """Picture (h, w) without shift, DN."""
         at_rest = self.shift_expansion.design(np.zeros((1, 2)))[0]
         k = at_rest.shape[1]
         return (at_rest @ self.basis_images[:k]).reshape(self.weight.shape) + self.level
 
     def design(self, shift: Array) -> Array:
-        """Weights of the pictures in the columns gain, offset, p_x, p_y, turn: (n, 5, k), for shifts (n, 2)."""
+        """Compute the weights of the basis images in the columns of the least-squares problem.
+
+        Parameters
+        ----------
+        shift : array (n, 2)
+            Shifts along x and y, px.
+
+        Returns
+        -------
+        array (n, 5, k)
+            Weights for gain, offset, shift along x, shift along y and rotation.
+
+        """
         picture, d_dx, d_dy, rotation = self.shift_expansion.design(shift)
         n, k = picture.shape
         design = np.zeros((n, 5, len(self.basis_images)))
@@ -97,7 +136,19 @@ class Template:
         return design
 
     def weighted(self, cuts: Patch) -> Patch:
-        """Frames' cut-outs (n, h, w) -> (n, h w), level off and noise made even, single precision."""
+        """Weight cut-outs: subtract the level and multiply by the root of the weights.
+
+        Parameters
+        ----------
+        cuts : array (n, h, w)
+            Grey values.
+
+        Returns
+        -------
+        array (n, h w)
+            In standard deviations of the pixel noise, single precision.
+
+        """
         pixels = cuts.reshape(len(cuts), -1).astype(np.float32)
         pixels -= np.float32(self.level)
         pixels *= self.root_weight

@@ -1,8 +1,8 @@
-"""Learn the target's picture from the film itself, with the noise of every pixel.
+"""Learn the template of a target from the film, with the noise of every pixel.
 
-One noisy frame as a template costs accuracy (Clement et al. 2018, arXiv:1809.05583), so the picture is fitted to
-frames from the whole path. Given their shifts it is linear least squares, and the frames enter it by a few sums
-alone: with h_i the expansion of frame i's shift (see `cosine_basis`), sum h_i h_i' and sum h_i I_i stand for them all.
+One noisy frame as the template costs accuracy (Clement et al. 2018, arXiv:1809.05583). The template is therefore fitted
+to frames from the whole path. For known shifts this is linear least squares, and the frames enter it by sums alone:
+with h_i the expansion of the shift of frame i (`cosine_basis`), sum h_i h_i' and sum h_i I_i represent all frames.
 """
 
 from __future__ import annotations
@@ -19,28 +19,40 @@ from frictrack.tracking.cosine_basis import BAND_LIMIT, ShiftExpansion, shift_ex
 from frictrack.tracking.subpixel_fit import SubpixelFit
 from frictrack.tracking.template import Template
 
-MAX_CG_STEPS = 15
-# Px of the border that do not count: of a single frame, and where all frames show the same (there slopes are off by
-# 0.4 % two pixels from the border of a target of 24 x 40 px, by 0.1 % four pixels from it).
+MAX_CG_STEPS = 15  # of conjugate gradients
+# Border without weight, px: of a single frame, and where all frames show the same part of the target. There slopes
+# are off by 0.4 % two pixels from the border of a target of 24 x 40 px, by 0.1 % four pixels from it.
 RIM_PX, WIDE_RIM_PX = (2,), (2, 4)
-PRIOR_GROUP_SIZE = 16  # neighbouring waves along either axis that share what is expected of them
-MAX_PRIOR_PRECISION = 10.0  # over what the frames show of a wave: more would only slow the conjugate gradients
-CG_TOLERANCE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
-RIDGE_FRAMES = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
-MIN_MOVING_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
-MIN_VARIANCE_RATIO = (
-    4.0  # times better, for so many pixels: of a target that hardly moves, noise makes a fifth twice better
-)
-MEDIAN_FRAMES = 60  # frames
-MIN_VISIBLE_SHARE = 0.5  # share of the frames in which a pixel of the target must show it
-LEAK_PX = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
-MIN_INSIDE_CONTRAST = 0.5  # share of the contrast that must lie inside; else the outline is used as well
-MAX_NOISE_RATIO = 1.5  # times the noise: such a pixel is not just noisy, it shows something that comes and goes
-ROUNDING_VARIANCE = 1 / 12  # variance of rounding to whole grey values, which a film without noise still has
+PRIOR_GROUP_SIZE = 16  # neighbouring waves along either axis that share a prior
+MAX_PRIOR_PRECISION = 10.0  # over the precision of the data; more would only slow the conjugate gradients
+CG_TOLERANCE = 1e-9  # of the initial squared gradient; less is below the noise
+RIDGE_FRAMES = 2.5e-4  # weight of a flat picture in frames: keeps what lies outside the rectangle finite
+MIN_MOVING_SHARE = 0.2  # of the rectangle, before pixels are masked
+MIN_VARIANCE_RATIO = 4.0  # of static scene to target, for that share: noise makes a fifth twice better
+MEDIAN_FRAMES = 60  # of which medians are taken
+MIN_VISIBLE_SHARE = 0.5  # of the frames in which a pixel of the target must be visible
+LEAK_PX = 2  # from the background, over which lens and sub-pixel shifts mix it in
+MIN_INSIDE_CONTRAST = 0.5  # share of the contrast inside; with less the outline is used as well
+MAX_NOISE_RATIO = 1.5  # variance of a pixel over the photon transfer line; above it the scene changes there
+ROUNDING_VARIANCE = 1 / 12  # of rounding to whole grey values, which a film without noise still has
 
 
 def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
-    """The template that one cut-out (h, w) makes, of which some pixels (h, w) belong to the target, or all."""
+    """Make a first template from one cut-out.
+
+    Parameters
+    ----------
+    cut : array (h, w)
+        Grey values.
+    mask : array of bool (h, w), optional
+        Pixels that belong to the target; all by default.
+
+    Returns
+    -------
+    Template
+        All pixels have the same weight.
+
+    """
     pixels_shown = cut if mask is None else cut[mask]
     weight = np.ones(cut.shape) / max(float(np.var(pixels_shown)), 1.0)
     weight = weight if mask is None else weight * mask
@@ -59,9 +71,20 @@ def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
 
 
 def without_border(template: Template, rims: Sequence[int] = RIM_PX) -> Template:
-    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen.
+    """Set the weight of the template's border to zero: the first frame has not seen what appears there.
 
-    The border is the widest of `rims` (px) that leaves three quarters of a side, else one pixel.
+    Parameters
+    ----------
+    template : Template
+        Template of the target.
+    rims : sequence of int
+        Possible widths, px. The widest that leaves three quarters of a side is used, else one pixel.
+
+    Returns
+    -------
+    Template
+        The same picture with other weights.
+
     """
     shape = template.weight.shape
     rim = [max((r for r in rims if 8 * r <= side), default=1) for side in shape]
@@ -74,10 +97,26 @@ def without_border(template: Template, rims: Sequence[int] = RIM_PX) -> Template
 def learn_template(
     cuts: Patch, fit: SubpixelFit, template: Template, scene: Patch | None = None, share: Patch | None = None
 ) -> Template:
-    """The template that fits the cut-outs (n, h, w) best where `fit` found the target in them.
+    """Fit a template to cut-outs in which the target has been located.
 
-    `scene` (n, h, w) is the still background behind each cut-out, where it is known; `share` (n, h, w) how much of
-    each pixel shows the target, the rest is taken to be as expected.
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    fit : SubpixelFit
+        Positions of the target on the cut-outs, with gain and offset.
+    template : Template
+        Template of the last round: band limit, mask and starting values.
+    scene : array (n, h, w), optional
+        Static background behind each cut-out, where it is known.
+    share : array (n, h, w), optional
+        How much of each pixel shows the target; the remainder is taken to be as expected.
+
+    Returns
+    -------
+    Template
+        Picture at the typical light of the frames, with the inverse variance of every pixel as weight.
+
     """
     fit = replace(fit, gain=fit.gain / np.median(fit.gain))  # the picture is that of the usual light
     pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - fit.offset.astype(np.float32)[:, None]
@@ -99,7 +138,7 @@ def learn_template(
 
 
 def _pixel_variance(residual: Patch, share: Patch | None, n_parameters: float) -> Array:
-    """Variance (h, w) of each pixel about the picture, DN^2; infinite where it seldom shows the target."""
+    """Variance (h, w) of each pixel about the template, DN^2; infinite where it rarely shows the target."""
     n, size = len(residual), residual[0].size
     lost_frames = min(n_parameters / size, 0.5 * n)  # frames' worth of noise that the picture has taken up
     if share is None:
@@ -112,7 +151,7 @@ def _pixel_variance(residual: Patch, share: Patch | None, n_parameters: float) -
 
 
 def _columns(template: Template, fit: SubpixelFit) -> tuple[Array, Patch]:
-    """Gain times the expansion of every frame's shift (n, k), and what its turn changes (n, h w)."""
+    """Gain times the expansion of every frame's shift (n, k), and the change by its rotation (n, h w)."""
     picture, _, _, rotation = template.shift_expansion.design(fit.unrotated())
     k = picture.shape[1]
     rotation_weights = (rotation * (fit.gain * fit.angle)[:, None]).astype(np.float32)
@@ -120,9 +159,9 @@ def _columns(template: Template, fit: SubpixelFit) -> tuple[Array, Patch]:
 
 
 def _fit_coefficients(template: Template, columns: Array, pixels: Patch) -> tuple[Array, float]:
-    """The picture's waves in frames' pixels (n, h w) with columns (n, k), and how many numbers the frames have given.
+    """Fit coefficients to pixels (n, h w) with columns (n, k); also return the effective number of parameters.
 
-    Short waves are doubted: they have steep slopes, and their noise, which every frame shares, would be the place's.
+    Waves shorter than two pixels get a prior: they have steep slopes, and their noise is common to all frames.
     """
     n, weight = len(columns), template.weight
     min_precision = _min_prior_precision(weight, n)
@@ -137,19 +176,20 @@ def _fit_coefficients(template: Template, columns: Array, pixels: Patch) -> tupl
 
 
 def _min_prior_precision(weight: Array, n: int) -> float:
+    """Smallest precision of the prior, 1/DN^2."""
     return RIDGE_FRAMES * n * float(weight.mean())
 
 
 def _data_precision(weight: Array, n: int) -> float:
-    """How surely n frames show a wave: one over the variance of its coefficient, 1 / DN^2."""
+    """Inverse variance of a coefficient that n frames determine, 1/DN^2."""
     return n * float(weight.sum()) / 4  # the squares of two cosines
 
 
 def _prior_precision(coefficients: Array, weight: Array, n: int) -> Array:
-    """One over the expected square of every wave's coefficient, 1 / DN^2, from coefficients without doubt.
+    """Inverse expected square of every coefficient, 1/DN^2, from coefficients fitted without a prior.
 
-    Waves of about the same length share theirs: what they hold on average, less what noise alone would make of it
-    (Wiener 1949; the expectation from the data themselves, Efron & Morris 1973, J. Am. Stat. Assoc. 68:117).
+    Neighbouring waves share it: their mean square less the part that noise makes (Wiener filter with an empirical Bayes
+    prior, Efron & Morris 1973, J. Am. Stat. Assoc. 68:117).
     """
     down, across = (_group_mean_matrix(count) for count in coefficients.shape)
     power, pixels_shown = down @ coefficients**2 @ across, _data_precision(weight, n)
@@ -161,7 +201,7 @@ def _prior_precision(coefficients: Array, weight: Array, n: int) -> Array:
 
 
 def _group_mean_matrix(count: int) -> Array:
-    """What takes the mean over each `PRIOR_GROUP_SIZE` neighbours (count, count)."""
+    """Matrix (count, count) that averages over each `PRIOR_GROUP_SIZE` neighbours."""
     group = np.arange(count) // PRIOR_GROUP_SIZE
     same = group[:, None] == group
     return same / same.sum(axis=0)
@@ -170,12 +210,11 @@ def _group_mean_matrix(count: int) -> Array:
 def _solve_coefficients(
     grid: ShiftExpansion, columns: Array, pixels: Patch, weight: Array, start: Array, prior_precision: Array | float
 ) -> Array:
-    """Coefficients of the picture by weighted least squares of pixels (n, h w) = columns (n, k) B.
+    """Solve the weighted least squares of pixels (n, h w) = columns (n, k) B for the coefficients.
 
-    `prior_precision`, 1 / DN^2, holds each of them to zero.
-
-    Conjugate gradients on a small problem: as many pseudo-frames as there are shifts to tell apart stand for the
-    frames, columns' columns = L L'.
+    `prior_precision`, 1/DN^2, shrinks each of them toward zero. Conjugate gradients work on as many pseudo-frames as
+    there
+    are shifts to distinguish; they represent all frames, since columns' columns = L L'.
     """
     values, vectors = np.linalg.eigh(columns.T @ columns)
     keep = values > 1e-7 * values[-1]
@@ -207,9 +246,9 @@ def _solve_coefficients(
 
 
 def _moving_pixels(cuts: Patch, scene: Patch, residual: Patch, image: Array) -> Mask | None:
-    """Pixels that move with the target: better explained by it than by the still scene; None where too few do.
+    """Pixels that move with the target: it explains them better than the static scene; None where too few do.
 
-    Medians over some of the frames, since a rod before the target is no background.
+    Medians over some of the frames are compared, because an object before the target is not background.
     """
     subset = slice(None, None, -(-len(cuts) // MEDIAN_FRAMES))
     variance = np.median(residual[subset] ** 2, axis=0)
@@ -221,7 +260,7 @@ def _moving_pixels(cuts: Patch, scene: Patch, residual: Patch, image: Array) -> 
 
 
 def _trim_edge(moving: Array, picture: Array) -> Mask:
-    """What moves, less the edge across which background leaks in; with it where the edge is all there is."""
+    """Moving pixels without the edge into which background leaks; with it where the edge holds most of the contrast."""
     moving = np.asarray(cv2.medianBlur(moving, 3))
     framed = cv2.copyMakeBorder(moving, LEAK_PX, LEAK_PX, LEAK_PX, LEAK_PX, cv2.BORDER_REPLICATE)
     eroded = cv2.erode(framed, np.ones((2 * LEAK_PX + 1, 2 * LEAK_PX + 1), np.uint8))
@@ -232,9 +271,10 @@ def _trim_edge(moving: Array, picture: Array) -> Mask:
 
 
 def _pixel_weights(variance: Array, image: Array, moving: Mask | None) -> Array:
-    """One over the variance of each pixel (h, w): the photon-transfer line, or its own where it scatters more.
+    """Inverse variance of each pixel (h, w): that of the photon transfer line, or its own where it scatters more.
 
-    Shot noise grows with the light: variance = read noise + light / (electrons per DN), Janesick 2007, Photon Transfer.
+    Shot noise grows with the light: variance = read noise + light / (electrons per DN) (Janesick 2007, Photon
+    Transfer).
     """
     line = _photon_transfer_line(variance, image)
     noisy = variance > MAX_NOISE_RATIO * line
@@ -243,7 +283,7 @@ def _pixel_weights(variance: Array, image: Array, moving: Mask | None) -> Array:
 
 
 def _photon_transfer_line(variance: Array, image: Array) -> Array:
-    """The line through variance against light, that of the pixels which follow one; nowhere below half its median."""
+    """Variance on the line against light through the pixels that follow one, at least half their median."""
     good = np.isfinite(variance)
     line = np.full(variance.shape, np.median(variance[good]) if good.any() else 1.0)
     for _ in range(3):

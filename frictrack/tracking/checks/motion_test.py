@@ -7,8 +7,8 @@ from scipy.stats import chi2, norm
 
 from frictrack.records import Array, Mask, Track
 
-ALPHA = 1e-3  # probability that places of a target at rest are taken for motion
-SMOOTH_FRAMES = 16  # from which on the steps of a smooth path differ from those of noise
+ALPHA = 1e-3  # significance level of motion
+SMOOTH_FRAMES = 16  # from this number on, the steps of a smooth path can be distinguished from those of noise
 
 
 def at_rest(track: Track) -> tuple[str, ...]:

@@ -12,14 +12,14 @@ from scipy.stats import chi2
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
-SMOOTHING_FRAMES = 15  # frames of the local cubic about which residuals are taken
-MIN_TRAVEL_PX = 2.0  # px: over less, a motion and what repeats from pixel to pixel cannot be told apart
-N_HARMONICS = 2
-ALPHA_PEAK_LOCKING = 1e-3  # probability of a peak-locking curve of this size from noise alone
-MIN_AMPLITUDE_SIGMAS = 0.2  # of the standard deviation of a frame, above which its amplitude is told
-LOW_SCORE_MARGIN = 0.1  # by which a score must lie below the usual one to be low
-PERIODS_FRAMES = range(5, 301)
-MIN_REPEATS = 6
+SMOOTHING_FRAMES = 15  # window of the local cubic about which residuals are taken
+MIN_TRAVEL_PX = 2.0  # over less, motion and periodic errors cannot be separated
+N_HARMONICS = 2  # of one cycle per pixel
+ALPHA_PEAK_LOCKING = 1e-3  # significance level of peak locking
+MIN_AMPLITUDE_SIGMAS = 0.2  # standard deviations of a frame, from which the amplitude is reported
+LOW_SCORE_MARGIN = 0.1  # below the typical score, from which a score is low
+PERIODS_FRAMES = range(5, 301)  # periods of key frames that are searched
+MIN_REPEATS = 6  # of a period in the film
 MIN_SIGNIFICANCE = 6.0  # standard errors above every other phase; the search covers some 10^4 phases
 
 

@@ -11,8 +11,8 @@ from frictrack.samples import SampledPath, Slip, correct_ticks, describe_frames,
 
 __all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
 
-MIN_JUMP_PX = 0.1  # px; tracking faults may be as large
-MIN_SIGMA_PX = 1e-4  # px: no track is more exact
+MIN_JUMP_PX = 0.1  # errors of the tracker may be as large
+MIN_SIGMA_PX = 1e-4  # no track is more accurate
 
 
 def slips(track: Track) -> tuple[Slip, ...]:

@@ -20,12 +20,12 @@ from frictrack.tracking.detection.sampled_scene import (
     read_subpixel,
 )
 
-MAX_UNEXPLAINED = 0.1  # share left unexplained in a frame that still shows the body well
-MAX_NOISE_RATIO = 6  # times the body's own noise variance above which a pixel is not the body's
-MARGIN_PX = 2  # px round a plain body, so that its whole edge is in, blurred as it is
-MIN_CONTRAST_RATIO = 4  # times that variance by which a pixel must differ from the background
-MIN_MEDIAN_FRAMES = 5  # frames of which a median tells nothing
-MIN_INSIDE_CONTRAST = 0.4  # least share of the contrast that must lie inside the body, away from its edge
+MAX_UNEXPLAINED = 0.1  # share of the variance, in a frame that shows the body well
+MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it does not belong to the body
+MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
+MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
+MIN_MEDIAN_FRAMES = 5  # with fewer frames the mean replaces the median
+MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body, away from its edge
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,25 +21,18 @@ from frictrack.tracking.detection.rotating_body import rotating_body
 from frictrack.tracking.detection.sampled_scene import Blob, Picture, SampledScene, sample_scene, without_body
 from frictrack.tracking.detection.small_motion import most_moving_patch
 
-MIN_TRAVEL_PX = 1.5  # px
-MIN_SCORE = 0.6
-DISTANCE_PENALTY = 0.3  # score that a match on the other side of the picture must be better by
-MAX_SHADING_SHARE = 0.15  # share of the contrast that a plane leaves of a slope of light
-MIN_FINDS = 8  # finds of which some must be on the way
+MIN_TRAVEL_PX = 1.5  # of a moving body
+MIN_SCORE = 0.6  # of a find
+DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the picture must be better
+MAX_SHADING_SHARE = 0.15  # share of the contrast that a plane leaves; less is only a gradient of light
+MIN_FINDS = 8  # from which some must lie on the way, or the finds jump between similar objects
 N_CANDIDATE_FRAMES = 6  # sampled frames from which candidates are taken
-MAX_BODIES = 8
-CUT_OFF_MERIT = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
-# A second body is worth a question when it is as large and travels as far as this share of the first ...
-MIN_RIVAL_SIDE_PX, MIN_RIVAL_AREA, MIN_RIVAL_TRAVEL, MIN_RIVAL_SCORE, MIN_RIVAL_FRAMES = (
-    16,
-    0.25,
-    0.5,
-    0.7,
-    0.6,
-)  # the side in px
-MIN_RELATIVE_TRAVEL = (
-    0.3  # ... and moves against it by this share of the way; shadow, reflection and rod in contact do not
-)
+MAX_BODIES = 8  # that are followed through the sampled frames
+CUT_OFF_MERIT = 0.2  # factor for a body that the picture's edge always cuts off, such as an arm or a rod
+# A second body makes the target ambiguous when it is this large (px, share of the area), travels this share of the
+# first one's way, and matches this well in this share of the frames ...
+MIN_RIVAL_SIDE_PX, MIN_RIVAL_AREA, MIN_RIVAL_TRAVEL, MIN_RIVAL_SCORE, MIN_RIVAL_FRAMES = (16, 0.25, 0.5, 0.7, 0.6)
+MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows, reflections and attached rods do not
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +200,7 @@ def _textured_axes(patch: Picture) -> Array:
 def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
     """How much a body is worth tracking: seen often and well, large, far travelled; 0 for what does not move."""
     seen = np.isfinite(corner[:, 0])
-    distance = travel_distance(corner[seen] @ axes_known)
+    distance = _travel_distance(corner[seen] @ axes_known)
     if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
@@ -215,7 +208,7 @@ def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axe
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 
-def travel_distance(corner: Array) -> float:
+def _travel_distance(corner: Array) -> float:
     """Distance covered by the finds (k, 2), px; a stray match in ten does not count, nor a single one."""
     if len(corner) < 2:
         return 0.0

@@ -12,14 +12,14 @@ from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.sampled_scene import Picture, SampledScene, light_ratio, read_subpixel, sample_scene
 from frictrack.tracking.detection.small_motion import moving_cells
 
-N_FRAMES = 9
+N_FRAMES = 9  # of which the static picture is the median
 PATCH_SIZES_PX = (  # h, w px; where the body sweeps past, only narrow strips are left
     *((64, 128), (48, 96), (32, 96), (32, 48), (24, 24)),
     *((24, 192), (16, 256), (12, 256), (16, 128), (16, 64), (12, 48)),
 )
-MAX_SIGMA_PX = 0.05  # px, standard deviation above which a reference is of no use
-MAX_SIGMA_RATIO = 2.0  # times the best standard deviation that a patch below the path, on the course, may have
-MAX_SHAKE_ERROR_PX = 0.2  # px by which the shake may be wrong
+MAX_SIGMA_PX = 0.05  # standard deviation above which a reference is useless
+MAX_SIGMA_RATIO = 2.0  # to the best patch, for a patch below the path, on the course
+MAX_SHAKE_ERROR_PX = 0.2  # of the estimated shake
 MIN_CHANGE_SIGMAS = 5.0  # standard deviations beyond which a pixel has changed
 
 

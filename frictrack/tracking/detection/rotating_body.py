@@ -14,14 +14,12 @@ from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.body_outline import inner_rectangle
 from frictrack.tracking.detection.sampled_scene import MIN_SIDE_PX, SampledScene
 
-MAX_AREA_DEVIATION = 0.25  # by which the patch may differ from its usual area: shadows, and what it passes
-MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show it so
-MIN_TRAVEL = 0.5  # times the root of its area that its middle must travel
-MAX_STEP_SHARE = 0.4  # of the whole way: a longer step between two samples is a jump to something else
-MAX_KNOWN_AREA_SHARE = (
-    0.25  # of the patch: a smaller body that looks the same from frame to frame is part of what it uncovers
-)
-MIN_AREA_SHARE = 0.6  # of the largest rectangle inside it, that the first frame's must have to be taken
+MAX_AREA_DEVIATION = 0.25  # relative to the typical area: shadows, and objects that it passes
+MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show the region
+MIN_TRAVEL = 0.5  # of the region's centre, over the root of its area
+MAX_STEP_SHARE = 0.4  # of the whole travel; a longer step between two samples is a jump to another object
+MAX_KNOWN_AREA_SHARE = 0.25  # of the region; a smaller body with a constant appearance is background that it uncovers
+MIN_AREA_SHARE = 0.6  # of the largest inner rectangle, for that of the first frame to be used
 
 
 def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:

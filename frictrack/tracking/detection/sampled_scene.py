@@ -20,17 +20,17 @@ from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle
 
-MAX_SAMPLES = 32
-MAX_REGISTERED_FRAMES = 15  # of them, where fewer will do
-MIN_GHOST_SHARE = 0.4  # share of the frames in which a body covers the same place, above which it is in the background
-MIN_BUSY_INTERVALS = 10  # intervals between samples in which something must happen
-MAX_SAMPLE_BYTES = 40_000_000
-REDUCED_PIXELS = 40_000  # px of a reduced picture
-MIN_AREA_REDUCED = 40  # px, reduced
-MIN_SIDE_PX = 8  # px
-GRID_CELLS = (4, 8)  # one point that is followed from each, to tell whether the whole picture shakes
-MIN_AGREEING_SHARE = 0.4  # share of the points that must move together
-MIN_SHAKE_REDUCED = 0.15  # px, reduced
+MAX_SAMPLES = 32  # frames of a film that are looked at
+MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
+MIN_GHOST_SHARE = 0.4  # of the frames; a body that covers a place for longer becomes part of the background
+MIN_BUSY_INTERVALS = 10  # between samples in which something must change
+MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
+REDUCED_PIXELS = 40_000  # of a reduced picture
+MIN_AREA_REDUCED = 40  # px of a reduced picture
+MIN_SIDE_PX = 8  # of a target
+GRID_CELLS = (4, 8)  # rows and columns; one point is followed in each cell to detect camera shake
+MIN_AGREEING_SHARE = 0.4  # of the points, that must move together
+MIN_SHAKE_REDUCED = 0.15  # px of a reduced picture
 MAX_SHAKE_SHARE = 0.05  # of the picture's longer side
 
 Picture = NDArray[np.float32]

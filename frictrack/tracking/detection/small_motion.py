@@ -23,27 +23,25 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.sampled_scene import SampledScene
 
-MIN_CELL_PX, MAX_CELLS = 4, 16_000  # px, smallest side of a cell; and how many of them the picture has at most
-SMOOTHING_PX = 0.7  # px, by which the mean picture is blurred before its slopes are taken
-WINDOW_SIDES = 4, 6, 8, 12, 16, 24, 32  # cells, of the windows that are tried
-WINDOW_SHAPES = (1, 1), (1, 2), (2, 1)  # their height to width
-UNIFORMITY_SIDE = 6  # cells, side of the windows that are asked whether all moves alike
-ALPHA = 1e-4  # probability that noise alone moves any of the windows
-MIN_EVIDENCE = 6.0  # log-likelihood ratio times two that tells motion from rest, strong evidence (Kass & Raftery 1995)
-MIN_POWER_SHARE = 0.25  # of the largest power, that a first window must have
-MIN_FOLLOWING_SHARE = (
-    0.9  # of what that ratio is for what moves altogether: at most one part in twenty of a target may rest
-)
-MAX_ROUNDS = 4  # of taking in what moves with a window
-MAX_SIGMA_RATIO = 1.5  # times its deviation: a window that is so much less sure of the motion teaches nothing more
-MAX_NOISE_RATIO = 2.0  # times the noise that goes with the light: more is something that changes
-MAX_MOTION_PX = 1.0  # px, rms: beyond, the linear model says nothing
-MIN_SIDE_CELLS = 2  # cells, of a target
-MAX_STATIC_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only motion against the others counts
-MIN_TEXTURE_RATIO = 1.5  # times the gradients that noise makes in the mean picture: less is no texture
-MAX_SHAKE_PX = 0.3  # px, of the whole picture: beyond, the linear model says little of what moves against the rest
-DEFAULT_SIDE_PX = 48  # px, of a patch that is chosen for its texture alone
-MAX_SIGMA_PX = 0.05  # px in one frame, on the worse axis: beyond, a patch cannot be tracked
+MIN_CELL_PX, MAX_CELLS = 4, 16_000  # smallest side of a cell, and largest number of cells in the picture
+SMOOTHING_PX = 0.7  # blur of the mean picture before its gradient is taken
+WINDOW_SIDES = 4, 6, 8, 12, 16, 24, 32  # cells
+WINDOW_SHAPES = (1, 1), (1, 2), (2, 1)  # height to width
+UNIFORMITY_SIDE = 6  # cells, side of the windows that test whether everything moves alike
+ALPHA = 1e-4  # significance level of motion in any window
+MIN_EVIDENCE = 6.0  # twice the log-likelihood ratio of motion to rest: strong evidence (Kass & Raftery 1995)
+MIN_POWER_SHARE = 0.25  # of the largest power, that a seed window must have
+MIN_FOLLOWING_SHARE = 0.9  # of the ratio expected of a moving cell: at most one part in twenty of a target may rest
+MAX_ROUNDS = 4  # of adjusting a window to what moves with it
+MAX_SIGMA_RATIO = 1.5  # to the last window; a window that is less precise is rejected
+MAX_NOISE_RATIO = 2.0  # to the noise expected at that light; more shows that the scene changes
+MAX_MOTION_PX = 1.0  # rms; beyond it the linear model is invalid
+MIN_SIDE_CELLS = 2  # of a target
+MAX_STATIC_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only relative motion counts
+MIN_TEXTURE_RATIO = 1.5  # to the gradients that noise makes in the mean picture
+MAX_SHAKE_PX = 0.3  # of the whole picture; beyond it the linear model is too inaccurate
+DEFAULT_SIDE_PX = 48  # of a patch that is chosen only for its texture
+MAX_SIGMA_PX = 0.05  # in one frame, on the worse axis; beyond it a patch cannot be tracked
 N_PARAMETERS = 4  # of a window in a frame: two of motion, two of light
 
 
@@ -165,7 +163,7 @@ def _per_cell(sums: Array) -> Array:
     return np.asarray(np.diff(np.diff(sums, axis=0), axis=1))
 
 
-def cell_sums(scene: SampledScene) -> CellSums:
+def _cell_sums(scene: SampledScene) -> CellSums:
     """The sums of a scene's sampled frames, in the light of the background."""
     mean = np.zeros(scene.frames[0].shape)
     for frame in _normalised_frames(scene):
@@ -212,14 +210,14 @@ def _boxes(shape: tuple[int, int], sides: Sequence[int] = WINDOW_SIDES) -> NDArr
 
 def most_moving_patch(scene: SampledScene) -> Rectangle | None:
     """The rectangle (x, y, w, h) px whose motion stands out most; where none does, the best textured; None without."""
-    sums = cell_sums(scene)
+    sums = _cell_sums(scene)
     boxes = _boxes(sums.shape)
     if len(boxes) == 0 or len(scene.frames) < 2:
         return None
     windows = sums.windows(boxes)
     if not windows.moving().any():
         return _best_textured(sums, boxes, windows)
-    common = common_motion(windows, sums)
+    common = _common_motion(windows, sums)
     moving = windows.moving() & windows.moving(common)
     if not moving.any():  # all that is seen moves alike
         moving, common = windows.moving(), None
@@ -236,7 +234,7 @@ def _seed_window(windows: WindowMotions, among: Mask, common: Array | None) -> i
     return int(np.argmax(np.where(power > MIN_POWER_SHARE * power.max(), size, -np.inf)))
 
 
-def common_motion(windows: WindowMotions, sums: CellSums) -> Array | None:
+def _common_motion(windows: WindowMotions, sums: CellSums) -> Array | None:
     """Motion (k, 2) of all that is seen, where hardly anything rests: the camera shakes. Otherwise None."""
     moving = windows.moving()
     if not moving.any():
@@ -257,12 +255,12 @@ def moving_cells(scene: SampledScene) -> Mask:
     out = np.zeros(scene.frames[0].shape, np.bool_)
     if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE_PX or len(scene.frames) < 2:
         return out
-    sums = cell_sums(scene)
+    sums = _cell_sums(scene)
     boxes = _boxes(sums.shape, WINDOW_SIDES[:5])
     if len(boxes) == 0:
         return out
     windows = sums.windows(boxes)
-    if common_motion(windows, sums) is not None:
+    if _common_motion(windows, sums) is not None:
         return out
     for x, y, w, h in boxes[windows.moving()] * sums.cell:
         part = out[y : y + h, x : x + w]

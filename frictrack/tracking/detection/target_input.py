@@ -21,12 +21,12 @@ from frictrack.tracking.detection.sampled_scene import SampledScene, sample_scen
 
 Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path | None
 
-MIN_SIDE_PX = 8  # px, shortest side of a target
-CLICK_MARGIN = 0.2  # of its size that a click may lie outside a body's rectangle
-MIN_REGION_PX, MAX_REGION_PX = 17, 65  # px, side of the region that is grown round a click on something at rest
-MIN_STRIP_TEXTURE = 0.3  # share of the region's gradient energy that a strip must have to be taken in
-FIRST_SEARCH_FRAMES, FULL_SEARCH_FRAMES = 16, 500  # frames in which a template picture is looked for
-GOOD_SCORE, MIN_SCORE = 0.85, 0.6  # score at which the search ends, and below which it failed
+MIN_SIDE_PX = 8  # of a target
+CLICK_MARGIN = 0.2  # of a body's size, by which a click may miss its rectangle
+MIN_REGION_PX, MAX_REGION_PX = 17, 65  # side of the region that is grown round a click on a static object
+MIN_STRIP_TEXTURE = 0.3  # of the region's gradient energy, for a strip to be added
+FIRST_SEARCH_FRAMES, FULL_SEARCH_FRAMES = 16, 500  # frames in which a template picture is searched
+GOOD_SCORE, MIN_SCORE = 0.85, 0.6  # score that ends the search, and score below which it fails
 
 
 def resolve_target(recording: Recording, target: Target = None, template: int = 0) -> tuple[Rectangle, int]:

@@ -16,15 +16,15 @@ from frictrack.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
 
-MAX_FRAMES = 400  # written at most, so that the file stays small
-PLAYBACK_FPS = 30.0  # 1/s, at which they are shown
+MAX_FRAMES = 400  # written, so that the file stays small
+PLAYBACK_FPS = 30.0  # 1/s
 CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
-MIN_WIDTH_PX = 640  # px, least; smaller pictures are enlarged
-TEXT_BAR_PX = 22  # px of text below the picture, for each track
+MIN_WIDTH_PX = 640  # smaller pictures are enlarged
+TEXT_BAR_PX = 22  # below the picture, for each track
 # Blue, green, red: orange for the target, then blue, green and pink.
 COLOURS = ((28, 159, 255), (255, 196, 46), (90, 220, 120), (200, 120, 255))
-EXCLUDED_COLOUR = (60, 60, 230)  # of what counts nothing: red
-SUBPIXEL_BITS = 4  # binary digits of a pixel in which OpenCV draws
+EXCLUDED_COLOUR = (60, 60, 230)  # red
+SUBPIXEL_BITS = 4  # fractional bits of OpenCV's drawing coordinates
 
 Canvas = NDArray[np.uint8]
 

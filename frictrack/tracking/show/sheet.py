@@ -16,7 +16,7 @@ from frictrack.recording import Frame, Recording
 from frictrack.records import Track
 from frictrack.tracking.show.overlay import box, corners, drawn_areas
 
-LINE_FONT_SCALE = 1700.0  # points over characters: a line of so many fits the width
+LINE_FONT_SCALE = 1700.0  # points times characters: such a line fits the width
 N_FRAMES = 5  # and one panel for the target itself
 TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
 OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
