@@ -1,4 +1,4 @@
-"""frictrack: from a film of a sliding mass to a friction law, and to the physical effect that it lacks.
+"""Identify friction laws from films of a sliding mass, and find the physical effect that a law lacks.
 
     import frictrack as ft
     track = ft.track(ft.open_recording("strike_01.avi", fps=4000))
@@ -7,7 +7,7 @@
     fit = ft.fit("tustin", [run])
     print(ft.diagnose(fit).verdict)
 
-Names are imported when they are first used, so that `frictrack --help` is quick.
+Names are imported when they are first used, so that `frictrack --help` starts quickly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-_HOME = {
+_MODULE_OF = {
     "open_recording": "recording",
     "track": "tracking",
     "learn_target": "tracking",
@@ -47,19 +47,19 @@ _HOME = {
 }
 _MODULES = ("models", "effects", "search", "simulate")
 
-__all__ = [*_HOME, *_MODULES]  # noqa: PLE0604 - they are strings
+__all__ = [*_MODULE_OF, *_MODULES]  # noqa: PLE0604 - they are strings
 
 
 class _Package(ModuleType):
     """The package itself; a function keeps its name although the module it lives in has the same one."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOME and isinstance(value, ModuleType)):
+        if not (name in _MODULE_OF and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> Any:
-        if name in _HOME:
-            value = getattr(import_module(f"frictrack.{_HOME[name]}"), name)
+        if name in _MODULE_OF:
+            value = getattr(import_module(f"frictrack.{_MODULE_OF[name]}"), name)
             setattr(self, name, value)
             return value
         if name in _MODULES:

@@ -1,4 +1,4 @@
-"""`python -m frictrack` is the command line."""
+"""Run the command line by `python -m frictrack`."""
 
 from frictrack.cli import main
 

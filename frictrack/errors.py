@@ -1,17 +1,29 @@
-"""The one exception that a user is meant to read."""
+"""Define the exception that users are meant to read."""
 
 from __future__ import annotations
 
-MAX_MESSAGE_LENGTH = 8000  # characters of a message
+MAX_MESSAGE_LENGTH = 8000  # characters
 
 
 class FrictrackError(ValueError):
-    """Bad input or an answer that cannot be given: what was expected, what came, what to do.
+    """Wrong input, or an answer that cannot be given: what was expected, what came, what to do.
 
-    The message is one clear sentence (several faults are joined by ``"; "``). The command line prints
-    it and exits 1, or exits 2 when ``usage`` is true (the command or the study file was written wrongly).
-    What a file says may stand in it: signs that a terminal would obey are spelled out, its middle is left out where
-    it is very long.
+    The message is one sentence; several faults are joined by ``"; "``. Characters that a terminal would execute are
+    escaped, because texts from files may occur in a message. The middle of a very long message is cut out.
+
+    Parameters
+    ----------
+    message
+        The sentence.
+    usage
+        Whether the command or the study file is wrong. The command line then exits with 2, otherwise with 1.
+
+    Examples
+    --------
+    >>> raise FrictrackError("expected a mass but got none; give mass = 0.35")
+    Traceback (most recent call last):
+    frictrack.errors.FrictrackError: expected a mass but got none; give mass = 0.35
+
     """
 
     def __init__(self, message: str, *, usage: bool = False) -> None:
@@ -20,6 +32,7 @@ class FrictrackError(ValueError):
 
 
 def _printable(message: str) -> str:
+    """Return a message on one line, without control characters, of limited length."""
     if len(message) > MAX_MESSAGE_LENGTH:
         message = f"{message[: MAX_MESSAGE_LENGTH // 2]} ... {message[-MAX_MESSAGE_LENGTH // 4 :]}"
     if message.isprintable():
@@ -28,6 +41,20 @@ def _printable(message: str) -> str:
 
 
 def raise_faults(faults: list[str], what: str) -> None:
-    """Raise one `FrictrackError` that lists every fault found in `what`; do nothing when there is none."""
+    """Raise one `FrictrackError` with every fault; do nothing if there are none.
+
+    Parameters
+    ----------
+    faults
+        The faults, one sentence each.
+    what
+        What was checked, for the beginning of the message.
+
+    Raises
+    ------
+    FrictrackError
+        If there are faults.
+
+    """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))

@@ -1,4 +1,4 @@
-"""The results as plain tables: one CSV file per table, or one Excel workbook with a sheet each."""
+"""Export results as plain tables: CSV files, or one Excel workbook."""
 
 from __future__ import annotations
 
@@ -19,10 +19,25 @@ if TYPE_CHECKING:
 
 
 def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
-    """Write every run's curves and error budget, the parameters and the errors of all models into the results folder.
+    """Write the curves and error budget of every run, and the parameters and errors of all models.
 
-    Returns the files. Raises `FrictrackError` where Excel is asked for and openpyxl is not installed, or the
-    folder cannot be written.
+    Parameters
+    ----------
+    results
+        Results of a study; the tables are written into its folder of results.
+    to
+        "csv" for one file per table, "xlsx" for one workbook.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    FrictrackError
+        If openpyxl is needed but not installed, or the folder cannot be written.
+
     """
     own = {motion.run: motion for motion in results.current.motion} if results.current else {}
     tables = {_table_name(run.name): _curves_table(run, own.get(run.name)) for run in results.runs}
@@ -52,14 +67,14 @@ def _write_workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
 
 
 def _table_name(name: str) -> str:
-    """A run's name that is not one of our own tables."""
+    """Return the name of a run's table, different from those of the other tables."""
     return f"run {name}" if name in ("parameters", "errors", "budget") else name
 
 
 def _curves_table(run: RunResults, own: ModelledMotion | None) -> pd.DataFrame:
-    """Displacement, motion and friction of one run, and the current model's own motion beside them.
+    """Return displacement, motion and friction of one run, with the motion by the current model.
 
-    A row per frame, the unit in every header; frames that were not fitted have no motion of the model.
+    One row per frame, units in the headers; frames that were not fitted have no motion by the model.
     """
     import pandas as pd  # noqa: PLC0415
 
@@ -78,11 +93,13 @@ def _curves_table(run: RunResults, own: ModelledMotion | None) -> pd.DataFrame:
 
 
 def _column_name(name: str, field: Field[Any]) -> str:
+    """Return the header of a column, with its unit."""
     unit = re.sub(r"[/^]", "", field.metadata["unit"])
     return f"{name}_{unit}" if unit else name
 
 
 def _parameters_table(results: Results) -> pd.DataFrame:
+    """Return the parameters of all models."""
     import pandas as pd  # noqa: PLC0415
 
     rows = [
@@ -94,13 +111,14 @@ def _parameters_table(results: Results) -> pd.DataFrame:
 
 
 def _errors_table(results: Results) -> pd.DataFrame:
+    """Return the errors of all models."""
     import pandas as pd  # noqa: PLC0415
 
     return pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])
 
 
 def _budget_table(results: Results) -> pd.DataFrame:
-    """Every source of error of every run's friction force; an empty size or effect is not known."""
+    """Return every source of error of every run's friction force; an empty cell is unknown."""
     import pandas as pd  # noqa: PLC0415
 
     return pd.DataFrame([{"run": run.name, **row} for run in results.runs for row in run.budget.get("rows", ())])

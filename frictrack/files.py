@@ -1,4 +1,4 @@
-"""Files that are replaced whole or not at all, and folders into which one writes at a time."""
+"""Replace files as a whole, and lock folders of results so that one process writes at a time."""
 
 from __future__ import annotations
 
@@ -15,25 +15,46 @@ from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
 
-MAX_NAME_LENGTH = 100  # characters; a word and a suffix stand behind it
+MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
 _HOST = re.sub(r"\W", "", platform.node()) or "here"
-DAY_S = 86400.0  # s
-LOCK_TIMEOUT_S = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
+DAY_S = 86400.0
+LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fraction of a second
 
 
 def is_file_name(name: str) -> bool:
-    """Whether files can be called so on every system; a path out of the folder cannot."""
+    """Return whether a name can be a file name on every operating system, and cannot lead out of the folder.
+
+    Parameters
+    ----------
+    name
+        The name, without suffix.
+
+    Examples
+    --------
+    >>> is_file_name("run 3"), is_file_name("../run"), is_file_name("nul")
+    (True, False, False)
+
+    """
     fits = len(name.encode(errors="replace")) <= 2 * MAX_NAME_LENGTH and len(name) <= MAX_NAME_LENGTH
     return fits and _NAME.fullmatch(name) is not None and not _RESERVED.fullmatch(name)
 
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Nobody else writes into this folder of results meanwhile; readers never wait. May be entered again inside.
+    """Lock a folder of results for a short change; the block may be nested. Readers never wait.
 
-    Raises `FrictrackError` when the folder cannot be written, or another frictrack does not let go of it.
+    Parameters
+    ----------
+    folder
+        The folder; it is created if it does not exist.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written, or another process does not release it within `LOCK_TIMEOUT_S`.
+
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -51,12 +72,18 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
-    """Nobody else works on this folder of results meanwhile; says that it `waits` for as long as another one does.
+    """Lock a folder of results for a long computation; the block may be nested. Readers and short changes do not wait.
 
-    Readers and short changes do not wait. May be entered again inside.
+    Parameters
+    ----------
+    folder
+        The folder.
+    waits
+        Called once if another process has the lock.
+
     """
     lock = FileLock(folder / ".work", is_singleton=True)
-    with suppress(OSError):  # where nobody may write, who tries to will say so
+    with suppress(OSError):  # a folder that cannot be written is reported when something is written
         folder.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire(timeout=0)
@@ -70,7 +97,7 @@ def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
 
 
 def is_busy(folder: Path) -> bool:
-    """Whether somebody is writing into this folder of results just now, or works on what he will write."""
+    """Return whether another process is writing into a folder of results, or computing for it."""
     return any(_is_held(folder / name) for name in (".lock", ".work"))
 
 
@@ -83,19 +110,28 @@ def _is_held(path: Path) -> bool:
     except Timeout:
         return True
     except OSError:
-        return False  # one that nobody may write
+        return False  # a lock file without write permission
     lock.release()
     return False
 
 
 def make_subfolder(folder: Path, name: str) -> Path:
-    """The folder of that name inside a folder of results, made where there is none.
+    """Create a folder inside a folder of results; return its path.
 
-    Raises `FrictrackError` where it cannot be made, or a link to elsewhere stands in its place.
+    Parameters
+    ----------
+    folder, name
+        The folder of results, and the name of the new folder, which may exist.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be created, or there is a link of that name.
+
     """
     path = folder / name
     if path.is_symlink():
-        raise FrictrackError(f"expected a folder {path} but it is a link to elsewhere; remove the link")
+        raise FrictrackError(f"expected a folder {path} but it is a link to another place; remove the link")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as e:
@@ -105,9 +141,25 @@ def make_subfolder(folder: Path, name: str) -> Path:
 
 @contextmanager
 def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
-    """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.
+    """Yield a temporary file that replaces `path` if the block succeeds; a power cut leaves the old or the new file.
 
-    Raises `FrictrackError` when it cannot be written, and leaves what was there.
+    Parameters
+    ----------
+    path
+        The file to be replaced or created.
+    mode
+        Its permissions.
+
+    Yields
+    ------
+    Path
+        The temporary file.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be written; the old file is left unchanged.
+
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,14 +174,14 @@ def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
         yield part
         _commit(part, path, mode)
     except OSError as e:
-        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
+        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; the old file is unchanged") from e
     finally:
         with suppress(FileNotFoundError):
             part.unlink()
 
 
 def _remove_leftovers(path: Path, mine: Path) -> None:
-    """Remove what writers of `path` that were killed have left: those of this host, and of others after a day."""
+    """Remove temporary files of writers of `path` that were killed: those of this host, and of others after a day."""
     left = re.compile(rf"\.{re.escape(path.stem)}_(\w+)-(\d+)_[^.]+\.part{re.escape(path.suffix)}")
     for part in path.parent.iterdir():
         found = left.fullmatch(part.name)
@@ -153,7 +205,21 @@ def _commit(part: Path, path: Path, mode: int) -> None:
 
 
 def replace_text(path: Path, text: str) -> Path:
-    """Write a text in UTF-8, its line ends as they are, whole or not at all; returns the path."""
+    """Write a text in UTF-8 as a whole, with its line ends as they are; return the path.
+
+    Parameters
+    ----------
+    path
+        The file.
+    text
+        Its new content.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be written; the old file is left unchanged.
+
+    """
     with atomic_write(path) as part:
         part.write_bytes(text.encode())
     return path

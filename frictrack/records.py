@@ -1,8 +1,8 @@
-"""The frozen types that flow between the rooms: SI units declared per field, checked once when built.
+"""Define the frozen records that pass from stage to stage; their fields are in SI units and are checked once.
 
-Every record of the measuring chain is a table: one row per frame, columns that are numpy arrays of the same
-length, read-only once inside. ``field(metadata={"unit": "m"})`` names the unit, which `store` writes beside
-the numbers. A column is checked by its metadata: ``nan=True`` lets NaN mean "not measured in this frame".
+Most records are tables: one row per frame, with NumPy columns of the same length that are read-only. The metadata of a
+field names its unit, which the store writes beside the numbers. NaN means "not measured in this frame" in the columns
+that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 """
 
 from __future__ import annotations
@@ -21,23 +21,61 @@ Mask = NDArray[np.bool_]
 
 
 def column(unit: str, *, nan: bool = False, kind: Any = np.float64, **options: Any) -> Any:
-    """Declare an array field of a record: one value per frame, with its unit."""
+    """Declare a column of a record.
+
+    Parameters
+    ----------
+    unit
+        Unit of the values.
+    nan
+        Allow NaN, which means "not measured in this frame".
+    kind
+        NumPy type of the values.
+    **options
+        For `dataclasses.field`, for example a default.
+
+    """
     return field(metadata={"unit": unit, "nan": nan, "column": True, "kind": kind}, **options)
 
 
 def stretches(mask: Mask) -> list[slice]:
-    """Slices of consecutive True of a mask (n,)."""
+    """Return the slices of consecutive True in a mask (n,).
+
+    Examples
+    --------
+    >>> stretches(np.array([True, True, False, True]))
+    [slice(0, 2, None), slice(3, 4, None)]
+
+    """
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def scalar(unit: str, **options: Any) -> Any:
-    """Declare a number field of a record, with its unit."""
+    """Declare a number of a record, with its unit.
+
+    Parameters
+    ----------
+    unit
+        Unit of the number.
+    **options
+        For `dataclasses.field`.
+
+    """
     return field(metadata={"unit": unit}, **options)
 
 
 class FrameTable:
-    """Shared border check of the records: same length, finite unless allowed, time rising, read-only."""
+    """Base of the records with one row per frame; checks the columns when a record is built.
+
+    All columns have the same length, are finite unless NaN is allowed, and become read-only; time rises.
+
+    Raises
+    ------
+    FrictrackError
+        If a column is wrong.
+
+    """
 
     min_rows: ClassVar[int] = 2
 
@@ -73,20 +111,26 @@ class FrameTable:
         return len(self.t)  # type: ignore[attr-defined]
 
     def rows(self, part: slice) -> Self:
-        """The same record with some of its rows."""
+        """Return the record with some of its rows."""
         columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]
 
 
 Point = tuple[float, float]
-MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN where lost
+MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN if lost
 
 
 @dataclass(frozen=True, eq=False)
 class Track(FrameTable):
-    """Where the target is in every frame, in pixels of the picture (pixel centres are integers, y down).
+    """Positions of the target in the picture, px, one row per frame (pixel centres are integers, y points down).
 
-    A frame in which the target was not found holds NaN and a reason; a found frame has the reason "".
+    A frame in which the target was not found holds NaN and a reason; in the other frames the reason is "".
+
+    Notes
+    -----
+    `sigma_px`, `sigma_y_px` and `sigma_angle` are standard deviations per frame; `score` is the match score, at most 1.
+    Use `found` for the frames in which the target was found and `lost` for the reasons of the others.
+
     """
 
     t: Array = column("s")
@@ -101,28 +145,38 @@ class Track(FrameTable):
     target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in frame `template`, px
     template: int = 0  # number of the frame in which `target` stands
     picture: Array | None = None  # the target averaged over the run, grey values
-    systematic: float = scalar("px", default=0.0)  # rms by which places are off slowly, beside the noise
-    notes: tuple[str, ...] = ()  # measurement findings, in words
+    systematic: float = scalar("px", default=0.0)  # rms of the slowly varying error of the positions, besides the noise
+    notes: tuple[str, ...] = ()  # notes on the measurement
     sigma_angle: Array | None = column("rad", nan=True, default=None)
-    outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, where it is no rectangle
-    exclude: tuple[tuple[Point, ...], ...] = ()  # polygons there that are no part of it
-    obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture that it passes behind
+    outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
+    exclude: tuple[tuple[Point, ...], ...] = ()  # polygons in that frame that do not belong to the target
+    obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture, behind which the target passes
 
     @property
     def found(self) -> Mask:
-        """Frames in which the target was found."""
+        """Frames (n,) in which the target was found."""
         return np.isfinite(self.x_px)
 
     @property
     def lost(self) -> Counter[str]:
-        """Why it was not found, and in how many frames; reasons that differ only in their number count as one."""
+        """Reasons why the target was lost, each with its number of frames.
+
+        Reasons that differ only in a number count as one.
+        """
         poor = "match score"
         return Counter(f"{poor} too low" if why.startswith(poor) else why for why in self.reason.tolist() if why)
 
 
 @dataclass(frozen=True, eq=False)
 class Displacement(FrameTable):
-    """Unfiltered displacement along the course (x) and across it (y, up), with its standard deviation."""
+    """Unfiltered displacement along the course (x) and across it (y, upward), with its standard deviation.
+
+    Notes
+    -----
+    `x`, `y`, `sigma_x`, `sigma_y` are in m, `angle` in rad, NaN where not measured. Frames with `valid` False are
+    outliers. `pixel_pitch` is the size of a pixel on the course, None for tables.
+
+    """
 
     t: Array = column("s")
     x: Array = column("m", nan=True)
@@ -133,10 +187,10 @@ class Displacement(FrameTable):
     valid: Mask = column("", kind=np.bool_)
     pixel_pitch: float | None = scalar("m", default=None)
     relative_scale_error: float = scalar("1", default=0.0)
-    systematic: float = scalar("m", default=0.0)  # rms of what a tracker is off by slowly, beside its noise
-    shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
+    systematic: float = scalar("m", default=0.0)  # rms of the slowly varying error of the tracker, besides its noise
+    shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
-    resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, where it exceeds the noise
+    resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
     sigma_angle: Array | None = column("rad", nan=True, default=None)
 
     @property
@@ -146,37 +200,51 @@ class Displacement(FrameTable):
 
     @property
     def span(self) -> slice:
-        """From the first to the last frame in which x was measured; all frames where these are fewer than two."""
+        """Rows from the first to the last frame in which x was measured; all rows if there are fewer than two."""
         frames = np.flatnonzero(self.known)
         return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) > 1 else slice(0, len(self))
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered(FrameTable):
-    """Low-passed displacement; what `differentiate` needs to state standard deviations comes with it."""
+    """Low-passed displacement, with what `differentiate` needs to compute standard deviations.
+
+    Notes
+    -----
+    `x` and `y` are the smoothed displacement, m. `smoother` and `smoother_y` describe the smoother completely, so that
+    its derivatives and their standard deviations can be computed later.
+
+    """
 
     t: Array = column("s")
     x: Array = column("m")
     y: Array = column("m", nan=True)
     sigma_x: Array = column("m", nan=True)  # of the unfiltered input, inf where a frame was missing (it was filled)
     sigma_y: Array = column("m", nan=True)
-    cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; see `reason` for what was done
+    cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; `reason` describes what was done
     cutoff_y: float = scalar("Hz", default=float("nan"))
-    asked: bool = False  # whether that cut-off was asked for
-    smoother: str = ""  # JSON: what low-passed x
+    asked: bool = False  # whether the user gave that cut-off
+    smoother: str = ""  # JSON: the smoother of x
     smoother_y: str = ""
-    reason: str = ""  # what x was parted into and why
-    events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide: an impact
-    lines: tuple[float, ...] = ()  # Hz, vibrations that were followed apart from the trend
-    shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
+    reason: str = ""  # components into which x was separated, and why
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events, such as an impact
+    lines: tuple[float, ...] = ()  # Hz, vibrations that were separated from the trend
+    shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
     y_measured: Array | None = column("m", nan=True, default=None)
-    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where what follows needs it
-    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
+    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, if later stages need it
+    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of a fused acceleration, inf without one
 
 
 @dataclass(frozen=True, eq=False)
 class Motion(FrameTable):
-    """Smoothed displacement, velocity and acceleration with their standard deviations."""
+    """Smoothed displacement, velocity and acceleration with their standard deviations, one row per frame.
+
+    Notes
+    -----
+    `x` (m), `v` (m/s) and `a` (m/s^2) are along the course, `a_y` (m/s^2) is across it. Rows closer than `guard` to
+    either end or to a jump are distorted by the smoother.
+
+    """
 
     t: Array = column("s")
     x: Array = column("m")
@@ -187,37 +255,44 @@ class Motion(FrameTable):
     sigma_v: Array = column("m/s")
     sigma_a: Array = column("m/s^2")
     sigma_a_y: Array = column("m/s^2", nan=True)
-    guard: int = 0  # frames at either end, and round a jump, that the filter smears
+    guard: int = 0  # frames at either end and around a jump that the smoother distorts
     cutoff: float = scalar("Hz", default=float("nan"))
-    events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
     lines: tuple[float, ...] = ()  # Hz, vibrations
-    shake_a: float = scalar("m/s^2", default=0.0)  # of sigma_a, rms: what is left of a camera shake feigns it
+    shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
 
 
 @dataclass(frozen=True, eq=False)
 class Friction(FrameTable):
-    """Friction force F = D - m a (F > 0 resists motion toward +x) and the free section it is judged on."""
+    """Friction force F = D - m a and the free section in which it is evaluated, one row per frame.
+
+    F > 0 resists motion toward +x. D is the drive force, m the mass, a the acceleration.
+    """
 
     t: Array = column("s")
     F: Array = column("N")
     sigma_F: Array = column("N")
     free: Mask = column("", kind=np.bool_)
-    reason: str = ""  # why the free section begins and ends where it does
+    reason: str = ""  # why the free section begins and ends there
 
 
 @dataclass(frozen=True, eq=False)
 class CutoffTradeOff:
-    """Residual and floor (m), noise, lost and hidden signal in acceleration (m/s^2), by frequency (Hz); all (k,)."""
+    """Error of the acceleration by the cut-off frequency of a plain low-pass; all columns (k,).
+
+    `residual` is the rms of what the low-pass removes and `floor` that of white noise alone, m. `noise` and `lost` are
+    the noise that passes and the signal that is removed, m/s^2.
+    """
 
     frequency: Array = column("Hz")
     residual: Array = column("m")
     floor: Array = column("m")
     noise: Array = column("m/s^2")
     lost: Array = column("m/s^2")
-    hidden: Array = column("m/s^2")  # rms that a vibration of that frequency could have without being seen
-    chosen: float = scalar("Hz", default=float("nan"))  # of the plain low-pass of the highest likelihood, or as given
-    least: float = scalar("Hz", default=float("nan"))  # where noise and lost signal together are smallest
-    structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events apart
+    hidden: Array = column("m/s^2")  # rms of the largest vibration of that frequency that would not be detected
+    chosen: float = scalar("Hz", default=float("nan"))  # cut-off of highest likelihood, or as given
+    least: float = scalar("Hz", default=float("nan"))  # cut-off with the smallest sum of noise and lost signal
+    structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events separated
     warnings: tuple[str, ...] = ()
 
     @property
@@ -226,14 +301,14 @@ class CutoffTradeOff:
         return np.asarray(np.hypot(self.noise, self.lost))
 
     def at(self, frequency: float) -> tuple[float, float]:
-        """Noise and lost signal at a cut-off, m/s^2."""
+        """Return noise and lost signal at a cut-off (Hz), m/s^2."""
         place = np.log(frequency), np.log(self.frequency)
         return float(np.interp(*place, self.noise)), float(np.interp(*place, self.lost))
 
 
 @dataclass(frozen=True)
 class RunEvents:
-    """What happens in a run: (kind, from, to) in s, in order; rests (from, to) in s; and the noise seen there, m.
+    """Events of a run: (kind, from, to) in s, in order; rests (from, to) in s; and the noise during the rests, m.
 
     Kinds: release, impact, stop, start, reversal.
     """
@@ -248,12 +323,43 @@ GRAVITY = 9.80665  # m/s^2, standard
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One recorded slide: its motion and what is known of the slider.
+    """One recorded slide: its motion and the properties of the slider.
 
-    The run covers the frames of `motion`: what the displacement, `drive` and `friction_N` hold beyond them is cut off.
-    `drive` and `friction_N` are given at the frames of `displacement`. `free` overrides the free section.
-    `pixel_pitch` (m) belongs to the displacement. Without `mass`, it is fitted
-    where the drive is measured; otherwise only measured friction can be identified.
+    The run covers the frames of `motion`; other frames of `displacement`, `drive` and `friction_N` are cut off.
+
+    Parameters
+    ----------
+    displacement, motion
+        The measured displacement, and what `differentiate` made of it.
+    mass, sigma_mass
+        Sliding mass and its standard deviation, kg. None: it is fitted if the drive is measured; otherwise only
+        measured friction can be identified.
+    name
+        Name of the run.
+    incline
+        Angle of the course, rad; positive if it rises toward +x.
+    normal_load
+        Normal load, N; by default m g cos(incline).
+    drive, friction_N
+        Measured drive and friction force at the frames of `displacement`, N, (n,).
+    free
+        Begin and end of the free section, s, instead of the one that is found.
+    clamp_x, beam_length
+        Position of the clamp of a beam under the course and its free length, m.
+    role
+        "fit", or "validation" for a run that is predicted and not fitted.
+    group
+        Name of a group of runs, for fits per group.
+    noise, drift
+        Stated white noise and slow error, rms: N if friction was measured, else m.
+    has_incline
+        Whether gravity drives the run: the free section then starts when motion starts.
+
+    Raises
+    ------
+    FrictrackError
+        If the parts do not fit together.
+
     """
 
     displacement: Displacement
@@ -266,13 +372,13 @@ class Run:
     drive: Array | None = None  # N, at displacement.t
     friction_N: Array | None = None  # N, at displacement.t
     free: tuple[float, float] | None = None  # s
-    clamp_x: float | None = scalar("m", default=None)  # where the beam under the course is clamped
+    clamp_x: float | None = scalar("m", default=None)
     beam_length: float | None = scalar("m", default=None)
-    role: str = "fit"  # or "validation"
+    role: str = "fit"
     group: str = ""
-    noise: float | None = None  # stated white noise, rms: N where friction was measured, else m
-    drift: float | None = None  # stated slow error, rms, in the same unit
-    has_incline: bool = False  # gravity drives the run: the free section starts where motion starts
+    noise: float | None = None
+    drift: float | None = None
+    has_incline: bool = False
 
     def __post_init__(self) -> None:
         faults = []
@@ -295,7 +401,7 @@ class Run:
         raise_faults(faults, f'run "{self.name}"')
 
     def _cut_to_motion(self) -> None:
-        """Leave out the frames before the first and after the last one that the motion covers."""
+        """Cut off the frames before the first and after the last one of the motion."""
         n, first = len(self.displacement), int(np.searchsorted(self.displacement.t, self.motion.t[0]))
         part = slice(first, first + len(self.motion))
         if len(self.motion) == n or not np.array_equal(self.displacement.t[part], self.motion.t):
@@ -308,12 +414,12 @@ class Run:
 
     @property
     def pixel_pitch(self) -> float | None:
-        """Metres per pixel, when a camera is known."""
+        """Size of a pixel on the course, m; None without a camera."""
         return self.displacement.pixel_pitch
 
     @property
     def load(self) -> float | None:
-        """Normal load in N: given, else m g cos(incline)."""
+        """Normal load, N: as given, else m g cos(incline); None without a mass."""
         if self.normal_load is not None:
             return self.normal_load
         return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))
@@ -321,7 +427,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Curve(FrameTable):
-    """One run's measurement beside the fitted model, over the frames that were fitted (or predicted)."""
+    """Measurement and fitted model of one run, at the frames that were fitted (or predicted)."""
 
     t: Array = column("s")
     x: Array = column("m")  # measured displacement
@@ -336,20 +442,20 @@ class Curve(FrameTable):
 
     @property
     def residual(self) -> Array:
-        """Measured minus modelled displacement, m."""
+        """Measured minus modelled displacement (n,), m."""
         return self.x - self.x_model
 
 
 @dataclass(frozen=True, eq=False)
 class ModelledMotion(FrameTable):
-    """The motion of one run that a fitted model itself tells, at the frames that were fitted (or predicted).
+    """Motion of one run by the fitted model, at the frames that were fitted (or predicted).
 
-    The standard deviations are those of the fit: mass and scale are common to all runs and stand apart. NaN: a law
-    too far off to be linearised.
+    Standard deviations are those of the fit; mass and scale errors, common to all runs, are not included. They are NaN
+    if the model is too far from the data to be linearised.
     """
 
     t: Array = column("s")
-    x: Array = column("m")  # of the slider, without what measurement effects add to the picture
+    x: Array = column("m")  # of the slider, without measurement effects
     v: Array = column("m/s")
     a: Array = column("m/s^2")
     F: Array = column("N")
@@ -357,8 +463,8 @@ class ModelledMotion(FrameTable):
     sigma_v: Array = column("m/s", nan=True)
     sigma_a: Array = column("m/s^2", nan=True)
     sigma_F: Array = column("N", nan=True)
-    blow: Mask = column("", kind=np.bool_)  # frames of a collision too short to be resolved: a, F are not known there
-    segment: NDArray[np.int_] = column("", kind=np.int_)  # number of the stretch that a frame belongs to
+    blow: Mask = column("", kind=np.bool_)  # frames of a collision too short to be resolved: a and F are unknown there
+    segment: NDArray[np.int_] = column("", kind=np.int_)  # number of the segment that a frame belongs to
     run: str = "run"
     role: str = "fit"
-    notes: tuple[str, ...] = ()  # what the bands rest on where the model misses something, in words
+    notes: tuple[str, ...] = ()  # how the standard deviations were computed if the model lacks something

@@ -1,9 +1,9 @@
-"""Recordings that lie elsewhere: addresses that fsspec opens, fetched into a folder of this machine when needed.
+"""Fetch recordings that are given by an address into a cache folder of this machine, by fsspec.
 
     video = "s3://lab/course_a/v3.cine"      s3://, gs://, az://, sftp://, https://, webdav://, ...
 
-What a protocol needs beside fsspec (s3fs, gcsfs, sshfs, aiohttp) is installed by who uses it; passwords are where these
-libraries look for them, never in a study file.
+Each protocol needs its own package (s3fs, gcsfs, sshfs, aiohttp), which the user installs. Passwords belong into the
+configuration of these packages, never into a study file.
 """
 
 from __future__ import annotations
@@ -19,16 +19,29 @@ from platformdirs import user_cache_path
 
 from frictrack.errors import FrictrackError
 
-CACHE_VARIABLE = "FRICTRACK_CACHE"  # environment: where fetched recordings are kept
-MAX_CACHE_BYTES = 50e9  # bytes kept; the longest unused go first
-CACHE_INDEX = "cache"  # file in which fsspec notes what it has fetched
-COMPANION_ENDINGS = {".cih": (".mraw",), ".cihx": (".mraw",)}  # a header's frames are in a file beside it
+CACHE_VARIABLE = "FRICTRACK_CACHE"  # environment: folder of fetched recordings
+MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted
+CACHE_INDEX = "cache"  # file in which fsspec lists what it has fetched
+COMPANION_ENDINGS = {".cih": (".mraw",), ".cihx": (".mraw",)}  # header -> files with the frames
 CHANGE_KEYS = ("ETag", "etag", "LastModified", "last_modified", "mtime", "updated")  # by which a file's change is seen
 
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """The address of a file, with a path's names."""
+    """The address of a remote file.
+
+    Attributes
+    ----------
+    url
+        The address.
+
+    Examples
+    --------
+    >>> file = RemoteFile("s3://lab/course_a/v3.cine")
+    >>> file.name, file.stem
+    ('v3.cine', 'v3')
+
+    """
 
     url: str
 
@@ -42,13 +55,17 @@ class RemoteFile:
 
     @property
     def stem(self) -> str:
-        """The name without its ending: ``v3``."""
+        """The name without its suffix: ``v3``."""
         return PurePosixPath(self.name).stem
 
     def fetch(self) -> Path:
-        """The file on this machine, fetched unless it is there and has not changed since.
+        """Return the path of the file on this machine; it is fetched unless the cache has its current version.
 
-        Raises `FrictrackError` where it cannot be fetched.
+        Raises
+        ------
+        FrictrackError
+            If it cannot be fetched.
+
         """
         fsspec = _fsspec()
         kept = _cache_folder(self.url)
@@ -65,7 +82,7 @@ class RemoteFile:
         return found[0]
 
     def state(self) -> list[int]:
-        """What tells whether the file has changed, without fetching it; nothing where it does not answer."""
+        """Return numbers that change when the remote file changes, without fetching it; empty if there is no answer."""
         try:
             fs, path = _fsspec().url_to_fs(self.url)
             info: dict[str, Any] = fs.info(path)
@@ -80,32 +97,46 @@ class RemoteFile:
 
 
 def is_remote(text: str) -> bool:
-    """Whether a text is an address rather than a path."""
+    """Return whether a text is an address and not a path.
+
+    Examples
+    --------
+    >>> is_remote("sftp://host/v3.avi"), is_remote("films/v3.avi")
+    (True, False)
+
+    """
     return "://" in text
 
 
 def local_path(path: Path | RemoteFile) -> Path:
-    """A file of this machine, fetched where it lies elsewhere."""
+    """Return the path of a file on this machine; a remote file is fetched.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be fetched.
+
+    """
     return path.fetch() if isinstance(path, RemoteFile) else path
 
 
 def _fsspec() -> Any:
     try:
-        import fsspec  # noqa: PLC0415 - only who fetches needs it
+        import fsspec  # noqa: PLC0415 - optional
     except ModuleNotFoundError as e:
         raise FrictrackError('recordings by address need fsspec; pip install "frictrack[cluster]"') from e
     return fsspec
 
 
 def _cache_folder(url: str) -> Path:
-    """The folder of what was fetched from one folder elsewhere."""
+    """Return the cache folder of the files of one remote folder."""
     folder = os.environ.get(CACHE_VARIABLE)
     root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
     return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
 def _delete_oldest(root: Path) -> None:
-    """Drop what was not used for longest, above `MOST` bytes."""
+    """Delete the least recently used files above `MAX_CACHE_BYTES`."""
     files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
     held = sorted(files, key=lambda path: path.stat().st_mtime)
     total = sum(path.stat().st_size for path in held)

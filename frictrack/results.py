@@ -1,6 +1,6 @@
-"""What a whole study has come to: the one thing that `report`, `plots` and `export` are given.
+"""Define the results of a whole study, which `report`, `plots` and `export` take.
 
-`flow` fills it from the store; nothing here computes or opens a file.
+`flow` fills them from the store; nothing here computes or opens a file.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from frictrack.records import (
 
 @dataclass(frozen=True, eq=False)
 class RecordingInfo(FrameTable):
-    """What stays of a recording once it is tracked: its clock, its identity and its first picture."""
+    """What is stored of a recording: its clock, its identity and its first frame."""
 
     t: Array = column("s")
     path: str = ""  # as the study file names it
@@ -40,29 +40,32 @@ class RecordingInfo(FrameTable):
     bit_depth: int = 8
     hash: str = ""  # sha256 of the file, or of the files of a folder
     picture: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0)))  # first frame, grey values
-    notes: tuple[str, ...] = ()  # findings about the time base, in words
-    audit: tuple[tuple[str, str, str], ...] = ()  # of the time base: what was looked at, its value, the verdict
+    notes: tuple[str, ...] = ()  # notes on the time base
+    audit: tuple[tuple[str, str, str], ...] = ()  # of the time base: what was checked, its value, the verdict
     exposure: float | None = scalar("s", default=None)
-    clocked: bool = False  # the camera wrote time stamps, so that no frame can be missing unnoticed
+    clocked: bool = False  # the camera wrote time stamps, so a missing frame is always noticed
 
 
 @dataclass(frozen=True, eq=False)
 class Sensors(FrameTable):
-    """What was measured beside the motion, on the camera's clock at the frames of the displacement."""
+    """Quantities that other instruments measured, on the camera's clock at the frames of the displacement."""
 
     t: Array = column("s")
     drive: Array | None = column("N", default=None)
-    a: Array | None = column("m/s^2", nan=True, default=None)  # as the accelerometer has it, NaN where it did not run
+    a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run
     friction_N: Array | None = column("N", default=None)
     known_a: Array | None = column("m/s^2", nan=True, default=None)  # `a` without its gain and bias, if consistent
     sigma_known_a: float | None = scalar("m/s^2", default=None)  # its white noise
     clocks: dict[str, Any] = field(default_factory=dict)  # drive, a, friction_N -> offset_s, gain, verdict, ...
-    notes: tuple[str, ...] = ()  # what was found of clocks and agreement, in words
+    notes: tuple[str, ...] = ()  # notes on clocks and agreement
 
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """One run, every stage that has been done. `film`, `track` are None for a table, `sensors` for a film."""
+    """The results of one run, with every stage that was computed.
+
+    `film` and `track` are None for a table of positions, `friction` without a mass and without measured friction.
+    """
 
     name: str
     source: str  # path of the film or the table, as the study file names it
@@ -76,40 +79,38 @@ class RunResults:
     track: Track | None = None
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
-    quality: dict[str, Any] = field(default_factory=dict)  # what the film says of its own measurement: see flow.quality
-    budget: dict[str, Any] = field(default_factory=dict)  # errors of the friction force by source: see flow.budgets
+    quality: dict[str, Any] = field(default_factory=dict)  # how well the film was measured; see flow.track_quality
+    budget: dict[str, Any] = field(default_factory=dict)  # error budget of the friction force; see flow.run_budget
     role: str = "fit"
     group: str = ""
-    settings: dict[str, Any] = field(default_factory=dict)  # the run's keys, inherited ones too
-    hashes: dict[str, str] = field(default_factory=dict)  # stage -> key of what it was made from
-    notes: tuple[str, ...] = ()  # findings of all stages, in words, no doubles
+    settings: dict[str, Any] = field(default_factory=dict)  # keys of the run, inherited ones included
+    hashes: dict[str, str] = field(default_factory=dict)  # stage -> its key
+    notes: tuple[str, ...] = ()  # notes of all stages, each once
 
     @property
     def mass(self) -> float | None:
-        """Mass in kg where it was weighed."""
+        """Mass, kg, if it was weighed."""
         written = self.settings.get("mass")
         return float(written[0]) if isinstance(written, tuple | list) else None
 
 
 @dataclass(frozen=True, eq=False)
 class ModelResults:
-    """One model that was tried."""
+    """The results of one model that was tried."""
 
     name: str  # "1_tustin", the group's name in the store
     equation: str  # the printed model
     summary: dict[str, Any]  # JSON of `frictrack fit`
     curves: tuple[Curve, ...]
     current: bool = False
-    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, where it was asked
+    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, if it was asked for
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
-    motion: tuple[
-        ModelledMotion, ...
-    ] = ()  # the model's own, one per run; none of a model stored before there was such
+    motion: tuple[ModelledMotion, ...] = ()  # one per run; empty for models of early versions
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A study: its runs, the models tried in order, and what the comparison and the diagnosis say."""
+    """The results of a study: runs, models in the order in which they were tried, comparison and diagnosis."""
 
     name: str
     path: Path  # the study file
@@ -121,18 +122,30 @@ class Results:
     diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on the current model
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
-    notes: tuple[str, ...] = ()  # what could not be done, in words
-    warnings: tuple[str, ...] = ()  # numbers of the study that are implausible, in words
-    outdated: tuple[str, ...] = ()  # what was changed in the study file since all this was made, in words
+    notes: tuple[str, ...] = ()  # what could not be computed
+    warnings: tuple[str, ...] = ()  # implausible numbers of the study
+    outdated: tuple[str, ...] = ()  # what was changed in the study file since the results were computed
 
     @property
     def current(self) -> ModelResults | None:
-        """The model in force: the last one tried."""
+        """The current model; None if no model was tried."""
         return next((m for m in reversed(self.models) if m.current), None)
 
 
 def to_builtins(value: Any) -> Any:
-    """The same value in what JSON knows: numpy becomes Python, what is not finite becomes None."""
+    """Convert a value for JSON: NumPy types become Python types, numbers that are not finite become None.
+
+    Parameters
+    ----------
+    value
+        A number, text, array, list, tuple or dictionary.
+
+    Examples
+    --------
+    >>> to_builtins({"x": np.array([1.0, np.nan])})
+    {'x': [1.0, None]}
+
+    """
     if isinstance(value, dict):
         return {str(k): to_builtins(v) for k, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,7 +1,7 @@
-"""One thread of linear algebra for matrices that are many and small: more threads would only wait for each other.
+"""Limit linear algebra to one thread, and map functions over items in a few threads of Python.
 
-On two cores a diagnosis takes ten times as long with two threads of OpenBLAS as with one. Large pieces of work that do
-not need each other are dealt out by hand.
+The matrices here are many and small, and several threads only wait for each other: on two cores a diagnosis takes ten
+times as long with two threads of OpenBLAS as with one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-MAX_THREADS = 2  # threads of Python that large products keep busy; more only wait for the interpreter
+MAX_THREADS = 2  # of Python that large matrix products keep busy; more only wait for the interpreter
 
 One = TypeVar("One")
 Made = TypeVar("Made")
@@ -22,13 +22,39 @@ Made = TypeVar("Made")
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Hold the process to one thread of linear algebra; also a decorator, `@one_thread()`."""
+    """Limit linear algebra to one thread, as a context manager or a decorator.
+
+    Examples
+    --------
+    >>> with one_thread():
+    ...     pass
+
+    """
     with threadpool_limits(1, user_api="blas"):
         yield
 
 
 def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
-    """Results for every item in order, worked out in as many threads as there are processors to spare."""
+    """Apply a function to every item, in as many threads as there are free processors.
+
+    Parameters
+    ----------
+    of
+        The function; it must release the interpreter lock most of the time.
+    items
+        The items.
+
+    Returns
+    -------
+    list
+        The results, in the order of the items.
+
+    Examples
+    --------
+    >>> map_in_threads(abs, [-1, 2])
+    [1, 2]
+
+    """
     workers = min(_max_threads(), MAX_THREADS, len(items))
     if workers < 2:
         return [of(item) for item in items]
@@ -37,10 +63,10 @@ def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made
 
 
 def _max_threads() -> int:
-    """Processors for threads: one where this process is told to keep to one, as a worker among others is."""
+    """Return the number of processors for threads: one if this process is a worker among others."""
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else processors()
 
 
 def processors() -> int:
-    """Processors that this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""Text with a unit and an uncertainty -> numbers in SI: ``"0.350 +/- 0.002 kg"`` -> (0.350, 0.002)."""
+"""Convert texts with a unit and an uncertainty to numbers in SI units."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from frictrack.errors import FrictrackError
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-# Pint works out any arithmetic, and 9**9**9 has no end: only a name has an exponent, of two digits at most.
+# Pint evaluates any arithmetic, also 9**9**9, which never ends: only a name may have an exponent, of up to two digits.
 _UNBOUNDED_ARITHMETIC = re.compile(
     r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]"
 )
-_MAX_VALUE = 1e30  # of any unit: what is larger is no measurement
+_MAX_VALUE = 1e30  # in any unit; larger values are no measurements
 _MAX_UNIT_LENGTH = 60  # characters of a unit
 _QUANTITY = re.compile(
     rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
@@ -23,14 +23,35 @@ _QUANTITY = re.compile(
 
 
 def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
-    """Value and standard deviation of `text`, both in `unit`.
+    """Read a number, or a text with a unit and an uncertainty.
 
-    A number (or a text without a unit) is taken as SI, that is, as already in `unit`. A text may carry a
-    unit and an uncertainty: ``"0.35 kg"``, ``"350 +/- 2 g"``, ``"(350 ± 2) g"``, ``"0.35 +/- 1% kg"``.
+    Parameters
+    ----------
+    text
+        A number or a text without a unit is already in `unit`. A text may have a unit and an uncertainty: ``"0.35
+        kg"``, ``"350 +/- 2 g"``, ``"(350 ± 2) g"``, ``"0.35 +/- 1% kg"``.
+    unit
+        The wanted unit, as pint writes it: ``"kg"``, ``"m/px"``, ``"rad"``.
+    what
+        Name of the quantity, for messages.
 
-    `unit` is the unit wanted, as pint writes it (``"kg"``, ``"m/px"``, ``"rad"``), `what` the thing's name
-    for the message (``"mass"``). Raises `FrictrackError` for what is no quantity, an unknown unit, the unit
-    of something else, or a negative uncertainty.
+    Returns
+    -------
+    tuple of (float, float)
+        Value and standard deviation, in `unit`.
+
+    Raises
+    ------
+    FrictrackError
+        If it is no quantity, its unit is unknown or of another quantity, or its uncertainty is negative.
+
+    Examples
+    --------
+    >>> parse_quantity("0.5 +/- 0.25", "kg", "mass")
+    (0.5, 0.25)
+    >>> parse_quantity("25 cm", "m", "length")
+    (0.25, 0.0)
+
     """
     if isinstance(text, str):
         value, std = _parse(text, unit, what)
@@ -44,7 +65,7 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
 
 
 def _float(number: float) -> float:
-    """A float; a whole number beyond all floats is infinite."""
+    """Convert to a float; an integer beyond all floats becomes infinite."""
     try:
         return float(number)
     except OverflowError:
@@ -67,8 +88,8 @@ def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
 
 
 def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
-    """`values` from unit `source` to unit `target`."""
-    import pint  # noqa: PLC0415 - half a second that only texts with units need to pay
+    """Convert values from one unit to another."""
+    import pint  # noqa: PLC0415 - takes half a second, which only texts with units need
 
     if len(source) > _MAX_UNIT_LENGTH or _UNBOUNDED_ARITHMETIC.search(source):
         raise FrictrackError(f'{_expected(target, what)} but got "{source[:_MAX_UNIT_LENGTH]}" as its unit')
@@ -95,7 +116,7 @@ def _registry() -> Any:
 
 
 def _pint_name(unit: str) -> str:
-    """Pint's own ``px`` is the 1/96 inch of style sheets; a camera's pixel is ``pixel``."""
+    """Return a unit as pint spells it: pint's ``px`` is 1/96 inch of style sheets, a camera's pixel is ``pixel``."""
     return re.sub(r"\bpx\b", "pixel", unit)
 
 
@@ -114,7 +135,19 @@ UNIT_PATTERN = re.compile(r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)(?:[ */](?:1|[A-Za-
 
 
 def is_coherent(unit: str) -> bool:
-    """Whether numbers in a unit need no factor: an SI unit without a prefix, such as "N s/m", but not "mm"."""
+    """Return whether a unit is an SI unit without prefix, so that numbers in it need no factor.
+
+    Parameters
+    ----------
+    unit
+        A unit such as ``"N s/m"``.
+
+    Examples
+    --------
+    >>> is_coherent("N s/m"), is_coherent("mm")
+    (True, False)
+
+    """
     if unit in COHERENT_UNITS:
         return True
     if not UNIT_PATTERN.fullmatch(unit):  # pint would work out any arithmetic

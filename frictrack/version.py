@@ -1,4 +1,4 @@
-"""Which frictrack this is; results, journals and workers of other ones are told by it."""
+"""Define the version of frictrack; results, journals and workers of other versions are recognised by it."""
 
 from importlib.metadata import version
 

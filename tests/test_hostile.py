@@ -125,7 +125,7 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
         (output / name).symlink_to(victim)
     (output / "csv").symlink_to(outside)
     results = Results("a", tmp_path / "study.toml", output, "0", runs=(), models=())
-    with pytest.raises(FrictrackError, match="csv but it is a link to elsewhere; remove the link"):
+    with pytest.raises(FrictrackError, match="csv but it is a link to another place; remove the link"):
         export.write(results, "csv")
     with pytest.raises(FrictrackError, match=r"cannot write results into .*results"), lock_folder(output):
         pass

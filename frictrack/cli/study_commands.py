@@ -170,7 +170,7 @@ def plan(study: Study, as_json: Json = False) -> None:
     from frictrack.flow import plan as make  # noqa: PLC0415
 
     with progress_bars() as progress:
-        result = make(open_study(study, bare=True), progress)
+        result = make(open_study(study, allow_no_runs=True), progress)
     print_result(result, as_json, "plan", result["page"])
 
 

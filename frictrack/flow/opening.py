@@ -13,14 +13,14 @@ from frictrack.flow.tried_models import FitRequest
 from frictrack.study import Study, load, write_study
 
 
-def open_study(path: str | Path, *, bare: bool = False) -> Study:
+def open_study(path: str | Path, *, allow_no_runs: bool = False) -> Study:
     """Read a study file and check it: keys, scales, model, effects.
 
     Parameters
     ----------
     path
         The study file, or a folder with a ``study.toml``.
-    bare
+    allow_no_runs
         Allow a study without runs.
 
     Raises
@@ -29,7 +29,7 @@ def open_study(path: str | Path, *, bare: bool = False) -> Study:
         (usage) With all faults.
 
     """
-    return check_study(load(path, bare=bare))
+    return check_study(load(path, allow_no_runs=allow_no_runs))
 
 
 def check_study(study: Study) -> Study:

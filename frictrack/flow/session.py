@@ -143,7 +143,7 @@ class Session:
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
         opened = study_edits.OpenStudy(self.study, self.commands, self.models)
         result = STUDY_EDITS[command](opened, **arguments)
-        self._load(open_study(self.study.path, bare=True))
+        self._load(open_study(self.study.path, allow_no_runs=True))
         return result
 
     def bring_up_to(self, stage: str) -> list[RunPipeline]:

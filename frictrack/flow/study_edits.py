@@ -53,7 +53,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
         after = with_key(text, table, key, value, which)
         if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
             request = opened.models.request(opened.models.current_group)
-            request.model(parse(opened.study.path, after, bare=True).effects)
+            request.model(parse(opened.study.path, after, allow_no_runs=True).effects)
         return after
 
     with opened.history.record("edit", table=table, which=which, key=key, value=value) as change:
@@ -137,6 +137,6 @@ def _rewrite(path: Path, rewrite: Callable[[str], str]) -> tuple[dict[str, str],
     """
     before = path.read_bytes().decode()
     after = rewrite(before)
-    check_study(parse(path, after, bare=True))
+    check_study(parse(path, after, allow_no_runs=True))
     replace_text(path, after)
     return {"toml": before}, {"toml": after}

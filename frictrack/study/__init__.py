@@ -1,7 +1,12 @@
-"""The study file: what was filmed, with what, and which model is tried first.
+"""Read, check, edit and write study files, and read tables of measurements.
 
-`load` reads it into a frozen `Study`, `write_study` makes one from recordings, `read_table` reads the runs that
-were measured by something other than a camera.
+A study file (TOML) says what was filmed, what is known of it, and which model is fitted first.
+
+    loading          study.toml -> `Study`, with every fault in one error
+    schema           the keys of a study file, with types and units
+    editing          change one key of a study file; comments are kept
+    writing          a new study file from recordings
+    reading_tables   CSV and Excel -> columns in SI units
 """
 
 from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run

@@ -1,4 +1,4 @@
-"""A study file's text with one key changed: comments, order and spaces stay as they are."""
+"""Change one key or table in the text of a study file; comments, order and spaces are kept."""
 
 from __future__ import annotations
 
@@ -16,10 +16,36 @@ ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several 
 
 
 def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
-    """The text with `key` of ``[table]``, or of that ``[[table]]`` which is called so, set; None takes it away.
+    """Set or remove one key.
 
-    An ``[[effect]]`` that is not there yet is made. Raises `FrictrackError` where the text is no TOML, or holds no
-    such run.
+    Parameters
+    ----------
+    text
+        Text of the study file.
+    table
+        ``"study"``, ``"camera"``, ``"run"`` or ``"effect"``.
+    key, value
+        The key and its value; None removes the key.
+    which
+        Name of the run or effect. An effect that does not exist is added.
+
+    Returns
+    -------
+    str
+        The new text.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the text is not TOML, or there is no such run.
+
+    Examples
+    --------
+    >>> lines = ["[study]  # steel on brass", "mass = 0.35"]
+    >>> print(with_key(chr(10).join(lines), "study", "mass", 0.7))
+    [study]  # steel on brass
+    mass = 0.7
+
     """
     document = _parse(text)
     home = _find_table(document, table, which)
@@ -31,16 +57,33 @@ def with_key(text: str, table: str, key: str, value: Any, which: str | None = No
 
 
 def read_key(text: str, table: str, key: str, which: str | None = None) -> Any:
-    """What stands under `key` of ``[table]``, or of that ``[[table]]`` which is called so; None where nothing does.
+    """Return the value of a key as it is written; None if it is not there.
 
-    Raises `FrictrackError` as `edited` does.
+    The parameters are those of `with_key`.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the text is not TOML, or there is no such run.
+
     """
     found = _find_table(_parse(text), table, which).get(key)
     return found.unwrap() if hasattr(found, "unwrap") else found
 
 
 def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
-    """The text with a ``[[run]]`` more for each recording; paths relative to the `folder` of the study file."""
+    """Add a ``[[run]]`` for each recording.
+
+    Parameters
+    ----------
+    text
+        Text of the study file.
+    folder
+        Folder of the study file, to which paths are relative.
+    recordings
+        The recordings.
+
+    """
     document = _parse(text)
     runs = document.setdefault("run", tomlkit.aot())
     for run in run_tables(recordings, folder, [_name_of(run, "run") for run in runs]):
@@ -49,7 +92,16 @@ def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
 
 
 def with_effect(text: str, effect: Mapping[str, Any]) -> str:
-    """The text with an ``[[effect]]`` more, in the place of one of that name."""
+    """Add an ``[[effect]]``; it replaces one of the same name.
+
+    Parameters
+    ----------
+    text
+        Text of the study file.
+    effect
+        Keys of the table, with "effect" for its name.
+
+    """
     document = _parse(text)
     home = _find_table(document, "effect", effect["effect"])
     for key in [key for key in home if key not in effect]:
@@ -59,7 +111,14 @@ def with_effect(text: str, effect: Mapping[str, Any]) -> str:
 
 
 def without_run(text: str, name: str) -> str:
-    """The text without the ``[[run]]`` of that name; its recording and its results stay where they are."""
+    """Remove the ``[[run]]`` of a name.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If there is no such run.
+
+    """
     document = _parse(text)
     home = _find_table(document, "run", name)
     document["run"].remove(home)
@@ -74,7 +133,7 @@ def _parse(text: str) -> tomlkit.TOMLDocument:
 
 
 def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -> Any:
-    """The table that holds the key."""
+    """Return the table that holds a key."""
     if table not in ARRAY_TABLES:
         return document.setdefault(table, tomlkit.table())
     tables = document.setdefault(table, tomlkit.aot())
@@ -89,13 +148,13 @@ def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -
 
 
 def _name_of(table: Mapping[str, Any], kind: str) -> str:
-    """The name of a table; that of a run is its recording's where it has none."""
+    """Return the name of a table; a run without a name has that of its recording."""
     name = table.get(ARRAY_TABLES[kind])
     return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem
 
 
 def _toml_item(value: Any) -> Any:
-    """A dictionary stands in one line, as the other keys do."""
+    """Convert a value; a dictionary becomes an inline table."""
     if not isinstance(value, Mapping):
         return tomlkit.item(value)
     made = tomlkit.inline_table()

@@ -1,4 +1,4 @@
-"""study.toml -> `Study`: every fault found at once, each with the table and the line it stands in."""
+"""Read a study file into a frozen `Study`; all faults are reported at once, each with its table and line."""
 
 from __future__ import annotations
 
@@ -21,48 +21,92 @@ TABLES: dict[str, type[Keys]] = {
     "run": RunTable,
     "effect": EffectTable,
 }
-ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # folders, as in PATH, into which study files from elsewhere may write
+ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = ("run", "effect")  # written with two brackets
-RESERVED_NAME = "study"  # the results of all runs together are called so
-MAX_STUDY_BYTES = 1 << 19  # bytes of a study file; one of a thousand runs has 100 kB
+RESERVED_NAME = "study"  # name of the file with the results of all runs
+MAX_STUDY_BYTES = 1 << 19  # a study file of a thousand runs has 100 kB
 MAX_DOTS_PER_LINE = 50  # outside of texts and numbers; the time to parse a dotted key grows with the square of them
 _NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study file, read and checked."""
+    """A study file, read and checked.
+
+    Attributes
+    ----------
+    path, name
+        The study file, and the name of the study.
+    model
+        The first model: a name, or names of effects.
+    output
+        Folder of the results.
+    runs, effects
+        The ``[[run]]`` and ``[[effect]]`` tables.
+    mass
+        Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
+    fps, scale
+        Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
+
+    """
 
     path: Path
     name: str
-    model: str | tuple[str, ...]  # the first model
-    output: Path  # folder of the results
+    model: str | tuple[str, ...]
+    output: Path
     runs: tuple[RunTable, ...]
     effects: tuple[EffectTable, ...] = ()
-    mass: Value | None = None  # of [study]: the load at which newtons are quoted
-    fps: float | None = None  # of [camera], which a study without runs is planned with
+    mass: Value | None = None
+    fps: float | None = None
     scale: Any = None
 
     @property
     def folder(self) -> Path:
-        """What paths in the study file are relative to."""
+        """The folder of the study file, to which its paths are relative."""
         return self.path.parent
 
 
-def load(path: str | Path, *, bare: bool = False) -> Study:
-    """Read a study file, or the ``study.toml`` of a folder; a `bare` one may have no runs yet.
+def load(path: str | Path, *, allow_no_runs: bool = False) -> Study:
+    """Read a study file.
 
-    Raises `FrictrackError` (usage) with all faults in one sentence each: what was expected, what came, where.
+    Parameters
+    ----------
+    path
+        The file, or a folder with a ``study.toml``.
+    allow_no_runs
+        Accept a study without runs.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) With all faults: what was expected, what came, in which line.
+
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    return parse(path, _read(path), bare=bare)
+    return parse(path, _read(path), allow_no_runs=allow_no_runs)
 
 
-def parse(path: Path, text: str, *, bare: bool = False) -> Study:
-    """The same of a study file's text, which need not be written yet."""
+def parse(path: Path, text: str, *, allow_no_runs: bool = False) -> Study:
+    """Read the text of a study file, which need not be on the disk.
+
+    Parameters
+    ----------
+    path
+        Path of the study file; paths in the text are relative to its folder.
+    text
+        The text.
+    allow_no_runs
+        Accept a study without runs.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) With all faults.
+
+    """
     raw = read_toml(path.name, text)
-    reader = _Reader(text, {"folder": path.parent}, bare=bare)
+    reader = _Reader(text, {"folder": path.parent}, allow_no_runs=allow_no_runs)
     study = reader.study(path, raw)
     if reader.faults or study is None:
         raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
@@ -70,9 +114,13 @@ def parse(path: Path, text: str, *, bare: bool = False) -> Study:
 
 
 def results_folder(path: Path) -> Path:
-    """The folder of the results of a study file, also where the recordings that it names are gone.
+    """Return the folder of the results of a study file, even if its recordings are missing.
 
-    Raises `FrictrackError` (usage) where the file cannot be read.
+    Raises
+    ------
+    FrictrackError
+        (usage) If the file cannot be read.
+
     """
     head = read_toml(path.name, _read(path)).get("study", {})
     return _output(path, str(head.get("output", "")) if isinstance(head, dict) else "")
@@ -83,7 +131,21 @@ def _output(path: Path, output: str) -> Path:
 
 
 def read_toml(name: str, text: str) -> dict[str, Any]:
-    """The tables of a text; raises `FrictrackError` (usage) where it is no TOML, or one that takes for ever."""
+    """Read the tables of a TOML text.
+
+    Parameters
+    ----------
+    name
+        Name of the file, for messages.
+    text
+        The text.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the text is not TOML, or has more dots in a line than can be parsed in short time.
+
+    """
     for number, line in enumerate(text.splitlines(), 1):
         if line.count(".") > MAX_DOTS_PER_LINE and _NO_KEY.sub("", line).count(".") > MAX_DOTS_PER_LINE:
             raise FrictrackError(f"{name} is not valid TOML: line {number} has too many dots", usage=True)
@@ -115,12 +177,12 @@ def _read(path: Path) -> str:
 
 
 class _Reader:
-    """Gathers faults while the tables are read one after the other."""
+    """Read the tables of a study file one after the other and collect their faults."""
 
-    def __init__(self, text: str, context: dict[str, Any], *, bare: bool = False) -> None:
+    def __init__(self, text: str, context: dict[str, Any], *, allow_no_runs: bool = False) -> None:
         self.lines = text.splitlines()
         self.context = context
-        self.bare = bare  # nothing was filmed yet
+        self.allow_no_runs = allow_no_runs
         self.faults: list[str] = []
 
     def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
@@ -130,10 +192,10 @@ class _Reader:
         camera = self._table("camera", 0, raw.get("camera", {}))
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
-        if not raw.get("run") and not self.bare:
+        if not raw.get("run") and not self.allow_no_runs:
             self.faults.append(
-                "expected at least one [[run]] but got none; `frictrack init FOLDER` shows how, and `frictrack plan "
-                "STUDY` tells which runs to film"
+                "expected at least one [[run]] but got none; `frictrack init FOLDER` writes an example, and `frictrack "
+                "plan STUDY` lists which runs to film"
             )
         if self.faults:
             return None
@@ -142,8 +204,8 @@ class _Reader:
         if not _is_allowed(output, path.parent):
             self.faults.append(
                 f"[study], {self._line('study', 0, 'output')}: expected an output inside the study's folder but got "
-                f'"{head.output or output.name}", which leads out of it; name another one, or allow that folder '
-                f"yourself: {ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
+                f'"{head.output or output.name}", which is outside; choose another folder, or allow that one: '
+                f"{ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
             )
         self._check_names(merged)
         return Study(
@@ -185,10 +247,10 @@ class _Reader:
             hint = f"it belongs in [{home}]" if home else suggest(key, TABLES[table].model_fields)
             return f'{where}: unknown key "{key}"; {hint}'
         if fault["type"] == "value_error":
-            said = str(fault["ctx"]["error"])
-            return f"{where}: {said}" if key in said else f"{where}: {key}: {said}"
-        said = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
-        return f"{where}: {key}: {said[0].lower()}{said[1:]} but got {fault['input']!r}"
+            message = str(fault["ctx"]["error"])
+            return f"{where}: {message}" if key in message else f"{where}: {key}: {message}"
+        message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
+        return f"{where}: {key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
 
     def _merged(self, index: int, run: RunTable, head: StudyTable, camera: CameraTable) -> RunTable:
         where = f"{_title('run', index, run.model_dump())}, {self._line('run', index, '')}"
@@ -205,7 +267,7 @@ class _Reader:
         }
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
-        if run.table and needs_film(run.scale):  # the camera's board says nothing of a table
+        if run.table and needs_film(run.scale):  # a board in the camera's view gives no scale of a table
             run = run.model_copy(update={"scale": None})
         self.faults += [f"{where}: {fault}" for fault in _run_faults(run)]
         return run
@@ -218,7 +280,7 @@ class _Reader:
                 self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
 
     def _line(self, table: str, index: int, key: str) -> str:
-        """Where a key stands: `line 12`; the table's header when the key is not found."""
+        """Return the line of a key, as ``line 12``; that of the table's header if the key is not found."""
         header = re.compile(r"\s*\[+\s*(\w+)")
         at, count, inside = 0, -1, not table
         for number, line in enumerate(self.lines, 1):
@@ -232,7 +294,7 @@ class _Reader:
 
 
 def _is_allowed(output: Path, folder: Path) -> bool:
-    """Whether a folder of results lies in the study's own, symbolic links followed, or in one that the user allowed."""
+    """Return whether a folder of results lies inside the study's folder (links resolved), or inside an allowed one."""
     allowed = [part for part in os.environ.get(ALLOWED_FOLDERS_VARIABLE, "").split(os.pathsep) if part]
     try:
         return any(output.resolve().is_relative_to(home.resolve()) for home in (folder, *map(Path, allowed)))
@@ -253,7 +315,7 @@ def _title(table: str, index: int, raw: Any) -> str:
 
 
 def _run_faults(run: RunTable) -> list[str]:
-    """What the keys of one run must be to each other."""
+    """Return the faults of one run that concern several keys."""
     faults = []
     if not is_file_name(run.name) or run.name.casefold() == RESERVED_NAME:
         faults.append(

@@ -1,4 +1,4 @@
-"""Runs that come as tables: CSV or Excel -> columns in SI units, checked at the border."""
+"""Read tables of measurements (CSV or Excel) as columns in SI units, and check them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
-FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number that shows its decimal sign
-MAX_UNPACKED_BYTES = 256 << 20  # bytes of a workbook
-MAX_VALUE = 1e12  # SI units: beyond anything that slides
-MIN_INTERVAL_S = 1e-9  # s between rows
+FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number with a decimal sign
+MAX_UNPACKED_BYTES = 256 << 20  # of a workbook
+MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
+MIN_INTERVAL_S = 1e-9  # between rows
 MAX_REPEATED_SHARE = 0.9  # of the time stamps that may repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
@@ -33,7 +33,24 @@ NO_COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, eq=False)
 class TableData:
-    """The columns of a table in SI units, each of shape (n,); None for one that is not there."""
+    """The columns of a table in SI units, each of shape (n,); None for a column that is not there.
+
+    Attributes
+    ----------
+    t
+        Time, s.
+    x, y
+        Position along and across the course, m.
+    sigma
+        Standard deviation of x, m.
+    drive, friction
+        Drive force and friction force, N.
+    a
+        Acceleration, m/s^2.
+    pressure
+        Pressure of a drive, Pa.
+
+    """
 
     t: Array
     x: Array | None = None
@@ -46,20 +63,52 @@ class TableData:
 
 
 def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
-    """Read a run: columns t_s and x_m, and of sigma_m, y_m, drive_N, a_m_s2, friction_N those that are there.
+    """Read the table of a run: columns t_s and x_m, and sigma_m, y_m, drive_N, a_m_s2, friction_N if they are there.
 
-    `columns` names other headers: ``{"t": "Time (ms)", "friction": "-F (uN)"}``; the unit is read from the
-    parentheses (SI without), a leading minus flips the sign. Raises `FrictrackError` that lists all faults:
-    a missing column, a value that is no number, time that does not rise, fewer than two rows.
+    Parameters
+    ----------
+    path
+        A CSV or Excel file with one header line.
+    columns
+        Other headers by short name: ``{"t": "Time (ms)", "friction": "-F (uN)"}``. The unit stands in parentheses (SI
+        without them); a leading minus flips the sign.
+
+    Returns
+    -------
+    TableData
+        The columns in SI units.
+
+    Raises
+    ------
+    FrictrackError
+        With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
+
     """
     return TableData(**_read(path, columns, ("t", "x"), COLUMNS))
 
 
 def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
-    """Read a sensor with its own clock: t_s and at least one of the `wanted` columns.
+    """Read the table of a sensor with its own clock.
 
-    `columns` names other headers as for `read_table`, with "pressure" (pressure_Pa) beside; an acceleration may be in
-    units of gravity, "a (g)". An empty cell is a sample that was not taken: NaN.
+    Parameters
+    ----------
+    path
+        A CSV or Excel file with one header line and a column t_s.
+    wanted
+        Short names of columns ("a", "friction", "drive", "pressure"), of which at least one must be there.
+    columns
+        Other headers by short name, as for `read_table`. An acceleration may be in units of gravity: ``"a (g)"``.
+
+    Returns
+    -------
+    TableData
+        The columns in SI units; an empty cell is NaN.
+
+    Raises
+    ------
+    FrictrackError
+        With all faults.
+
     """
     values = _read(path, columns, ("t",), {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)})
     if len(values) == 1:
@@ -74,7 +123,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 def _read(
     path: Path, columns: Mapping[str, str], required: Sequence[str], known: Mapping[str, tuple[str, str]]
 ) -> dict[str, Array]:
-    """The columns that are there of those `known`; empty cells are allowed in what is not required."""
+    """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
     frame = _frame(path)
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
@@ -103,14 +152,14 @@ def _hint(header: str, present: list[str]) -> str:
 
 
 def _header(written: str, present: list[str]) -> tuple[str, float]:
-    """The header that is meant, and its sign."""
+    """Return the header without its sign, and the sign."""
     if written.startswith("-") and written not in present:
         return written[1:].strip(), -1.0
     return written, 1.0
 
 
 def _factor(header: str, standard: str, unit: str) -> float:
-    """SI units per unit of the column."""
+    """Return the size of the column's unit in SI units."""
     named = UNIT.search(header)
     if named and header != standard and (named[1], unit) == ("g", "m/s^2"):
         return GRAVITY
@@ -118,7 +167,7 @@ def _factor(header: str, standard: str, unit: str) -> float:
 
 
 def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
-    import pandas as pd  # noqa: PLC0415 - half a second that `--help` need not wait for
+    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     with np.errstate(over="ignore"):
         try:
@@ -139,9 +188,7 @@ def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
     steps = np.diff(t)
-    repeated = np.sum(steps == 0) <= MAX_REPEATED_SHARE * len(
-        steps
-    )  # a clock that is read too seldom; rows go on all the same
+    repeated = np.sum(steps == 0) <= MAX_REPEATED_SHARE * len(steps)  # the clock is read less often than rows come
     back = np.flatnonzero((steps < 0) if repeated and len(t) >= MIN_ROWS_FOR_REPEATS else (steps <= 0))
     if len(back):
         i = int(back[0])
@@ -166,8 +213,8 @@ def _frame(path: Path) -> pd.DataFrame:
 
 
 def _sheet(path: Path) -> pd.DataFrame:
-    """The first sheet of a workbook: its filled rows, the first of them the header."""
-    import openpyxl  # noqa: PLC0415 - not everybody has it
+    """Read the first sheet of a workbook; its first row with content is the header."""
+    import openpyxl  # noqa: PLC0415 - optional
     import pandas as pd  # noqa: PLC0415
 
     try:
@@ -187,7 +234,7 @@ def _sheet(path: Path) -> pd.DataFrame:
 
 
 def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
-    """Rows in which something stands; the sheet itself may claim any number of them."""
+    """Yield the rows with content; the sheet itself may declare any number of rows."""
     sheet.reset_dimensions()
     for i, row in enumerate(sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True)):
         if i == MAX_ROWS:
@@ -197,9 +244,9 @@ def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
 
 
 def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """The columns under their own names: of rows with more fields than names pandas takes the first for labels.
+    """Return the columns under their own names; pandas takes the first fields for labels if rows have too many.
 
-    A separator at the end of every row is left out. Raises `ValueError` where the further fields hold something.
+    A separator at the end of every row is ignored. Raises `ValueError` if the further fields have content.
     """
     import pandas as pd  # noqa: PLC0415
 
@@ -216,7 +263,7 @@ def _named(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _dialect(path: Path) -> dict[str, Any]:
-    """Separator and decimal sign: as the first lines show them, where none of the two could be the other."""
+    """Find separator and decimal sign from the first lines that show them."""
     with path.open(encoding="utf-8-sig") as file:
         lines = (line for line in file if line.strip() and not line.startswith("#"))
         head = list(itertools.islice(lines, 3))
@@ -227,6 +274,6 @@ def _dialect(path: Path) -> dict[str, Any]:
 
 
 def _separator(head: Sequence[str]) -> str:
-    """What stands as often in the header as in the rows below it, and most often."""
+    """Return the character that stands equally often in the header and in the rows, and most often."""
     counts = {sign: [line.count(sign) for line in head] for sign in "\t;,"}
     return max(counts, key=lambda sign: (len(set(counts[sign])) == 1 and counts[sign][0] > 0, sum(counts[sign][:1])))

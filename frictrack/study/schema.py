@@ -1,6 +1,6 @@
-"""The keys of a study file, each with its type and unit: DESIGN section 4 as a table.
+"""Define the keys of a study file, each with its type and unit.
 
-Values are checked here one by one; what they must be to each other is checked by `load`.
+Each value is checked here by itself; what several keys must satisfy together is checked by `frictrack.study.loading`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.remote import RemoteFile, is_remote
 from frictrack.units import parse_quantity
 
-Value = tuple[float, float]  # SI, with its standard deviation
+Value = tuple[float, float]  # in SI units, with its standard deviation
 Pair = tuple[float, float]
 COLUMNS = {
     "t": ("t_s", "s"),
@@ -33,14 +33,47 @@ SENSOR_COLUMNS = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} 
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """What to try instead of a wrong word: the nearest right one, or all of them."""
+    """Return a hint for an unknown name: the nearest known name, or all of them.
+
+    Examples
+    --------
+    >>> suggest("cutof", ["cutoff", "free"])
+    'did you mean "cutoff"?'
+
+    """
     known = list(known)
     near = difflib.get_close_matches(word, known, 1)
     return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
 
 
 def to_si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = math.inf) -> Value:
-    """A number in `unit`, or a text with a unit and perhaps an uncertainty, as (value, std)."""
+    """Read a number in `unit`, or a text with a unit and perhaps an uncertainty.
+
+    Parameters
+    ----------
+    raw
+        The value, as TOML has it.
+    unit, what
+        Expected unit, and the name of the quantity for messages.
+    above, below
+        Limits of the value, exclusive.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Value and standard deviation in `unit`.
+
+    Raises
+    ------
+    ValueError
+        If it is no such quantity, or outside of the limits.
+
+    Examples
+    --------
+    >>> to_si("0.35 +/- 0.002", "kg", "mass")
+    (0.35, 0.002)
+
+    """
     value, std = parse_quantity(raw, unit, what)
     if not above < value < below:
         span = f"above {above:g} {unit}" if below == math.inf else f"between {above:.3g} and {below:.3g} {unit}"
@@ -49,12 +82,12 @@ def to_si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float
 
 
 def _number(unit: str, **limits: float) -> BeforeValidator:
-    """A physical value without its standard deviation."""
+    """Return a validator of a physical value; its standard deviation is dropped."""
     return BeforeValidator(lambda raw, info: to_si(raw, unit, str(info.field_name), **limits)[0])
 
 
 def _span(unit: str) -> BeforeValidator:
-    """Two values, the first below the second."""
+    """Return a validator of two values, the first below the second."""
 
     def check(raw: Any, info: ValidationInfo) -> Pair:
         if not isinstance(raw, list) or len(raw) != 2:
@@ -68,7 +101,7 @@ def _span(unit: str) -> BeforeValidator:
 
 
 def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
-    """What an instrument is stated to be off by, and its SI unit: of a load cell N, of a position m."""
+    """Read the specification of an instrument with its SI unit: N of a load cell, m of a position."""
     name = str(info.field_name)
     if not isinstance(raw, str):
         raise ValueError(f'expected a text with a unit, as in {name} = "0.004 N" or {name} = "5 um", but got {raw!r}')
@@ -79,11 +112,12 @@ def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
 
 
 def _mass(raw: Any) -> Any:
+    """Read a mass, kg; "fit" stays as it is."""
     return raw if raw == "fit" else to_si(raw, "kg", "mass", above=0.0)
 
 
 def _angle(raw: Any, info: ValidationInfo) -> float:
-    """An angle below a right one; a number is in rad."""
+    """Read an angle below 90 degrees; a number is in rad."""
     try:
         return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
     except ValueError as e:
@@ -93,7 +127,7 @@ def _angle(raw: Any, info: ValidationInfo) -> float:
 
 
 def _path(raw: Any, info: ValidationInfo) -> Path:
-    """A file or folder that is there, relative to the study file."""
+    """Return an existing file or folder; the path is relative to the study file."""
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
     path = _folder(info) / raw
@@ -106,7 +140,7 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
 
 
 def _exists(path: Path) -> bool:
-    """Whether it is a file or a folder: of a pipe or a device nobody knows where it ends."""
+    """Return whether a path is a file or a folder; pipes and devices may have no end."""
     try:
         return path.is_file() or path.is_dir()
     except OSError:  # a name longer than the system has
@@ -114,12 +148,12 @@ def _exists(path: Path) -> bool:
 
 
 def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
-    """A recording or a table of this machine, or an address; whether that answers is seen when it is needed."""
+    """Read a path of this machine, or an address, which is opened only when it is needed."""
     return RemoteFile(raw) if isinstance(raw, str) and is_remote(raw) else _path(raw, info)
 
 
 def _are_numbers(raw: Any, count: int) -> bool:
-    """Whether these are so many numbers, none beyond any picture."""
+    """Return whether a value is a list of `count` numbers that can be pixel coordinates."""
     return (
         isinstance(raw, list)
         and len(raw) == count
@@ -128,7 +162,7 @@ def _are_numbers(raw: Any, count: int) -> bool:
 
 
 def _target(raw: Any, info: ValidationInfo) -> Any:
-    """A rectangle, a click or a picture; whether it fits the film is told by `tracking`."""
+    """Read a rectangle, a click, an outline or the path of a picture; `tracking` checks whether it fits the film."""
     if isinstance(raw, str) and raw:
         return _path(raw, info)
     if _are_numbers(raw, 2) or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
@@ -139,7 +173,7 @@ def _target(raw: Any, info: ValidationInfo) -> Any:
 
 
 def _targets(raw: Any, info: ValidationInfo) -> Any:
-    """Further targets by name."""
+    """Read further targets by name."""
     if not isinstance(raw, dict):
         raise ValueError(f"expected further targets as {{name = [x, y, width, height]}} but got {raw!r}")
     for name in raw:
@@ -150,12 +184,14 @@ def _targets(raw: Any, info: ValidationInfo) -> Any:
 
 
 def _reference(raw: Any) -> Any:
+    """Read the fixed reference: "auto", "none" or a rectangle."""
     if raw in ("auto", "none") or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
         return raw if isinstance(raw, str) else tuple(raw)
     raise ValueError(f'expected "auto", "none" or a rectangle [x, y, width, height] in px but got {raw!r}')
 
 
 def _columns(raw: Any) -> Any:
+    """Check that the short names of other headers are known."""
     for key in raw if isinstance(raw, dict) else ():
         if key not in COLUMNS:
             raise ValueError(f'expected one of {", ".join(COLUMNS)} but got "{key}"; {suggest(key, COLUMNS)}')
@@ -163,7 +199,7 @@ def _columns(raw: Any) -> Any:
 
 
 def _drive(raw: Any, info: ValidationInfo) -> Any:
-    """A table with its own clock, a constant force, or none."""
+    """Read a drive: a table with its own clock, a constant force, or none."""
     if raw == "none":
         return None
     if isinstance(raw, dict):
@@ -180,7 +216,7 @@ def _drive(raw: Any, info: ValidationInfo) -> Any:
 
 
 def _sensor(raw: Any, info: ValidationInfo) -> Any:
-    """A table with its own clock."""
+    """Read a sensor: a table with its own clock."""
     if isinstance(raw, dict):
         return _sensor_table(raw, info, SENSOR, ("a", "friction"))
     if isinstance(raw, str) and raw:
@@ -192,7 +228,7 @@ def _sensor(raw: Any, info: ValidationInfo) -> Any:
 
 
 def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], wanted: tuple[str, ...]) -> Any:
-    """A sensor's table with what is to be known of it: every value checked, files looked up."""
+    """Read the table of a sensor with its keys; every value is checked, and files must exist."""
     for key in raw:
         if key not in keys:
             raise ValueError(f'expected one of {", ".join(keys)} but got "{key}"; {suggest(key, keys)}')
@@ -213,15 +249,16 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
     return {key: read[key](value) for key, value in raw.items()}
 
 
-def _time(raw: Any, word: str, what: str) -> float:
+def _time(raw: Any, keyword: str, what: str) -> float:
+    """Read a time, s, where a keyword is the alternative."""
     try:
         return to_si(raw, "s", what)[0]
     except ValueError as e:
-        raise ValueError(f'expected {what} as {word} or a time like "1.2 ms" but got {raw!r}') from e
+        raise ValueError(f'expected {what} as {keyword} or a time like "1.2 ms" but got {raw!r}') from e
 
 
 def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
-    """Which header stands for which column of a sensor's table."""
+    """Read the headers of a sensor's table by short name."""
     if not isinstance(raw, dict) or not all(isinstance(header, str) for header in raw.values()):
         raise ValueError(f'expected columns = {{t = "Time (ms)", {keys[1]} = "..."}} but got {raw!r}')
     for key in raw:
@@ -231,19 +268,20 @@ def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
 
 
 def _folder(info: ValidationInfo) -> Path:
-    """What paths are relative to."""
+    """Return the folder to which paths are relative."""
     folder: Path = (info.context or {})["folder"]
     return folder
 
 
 def _model(raw: Any) -> Any:
+    """Check that a model is a name or a list of names."""
     if isinstance(raw, str) or (isinstance(raw, list) and all(isinstance(name, str) for name in raw)):
         return raw
     raise ValueError(f"expected the name of a model or a list of effects but got {raw!r}")
 
 
 def _scale(raw: Any, info: ValidationInfo) -> Any:
-    """As it is written, files looked up; what the numbers must be is checked where they are used."""
+    """Return a scale as it is written; files must exist. Its numbers are checked where they are used."""
     if isinstance(raw, str | int | float) and not isinstance(raw, bool):
         return raw
     if isinstance(raw, list) and raw:
@@ -262,6 +300,7 @@ def _scale(raw: Any, info: ValidationInfo) -> Any:
 
 
 def _axis(raw: Any) -> Any:
+    """Read the direction of the course: a vector [dx, dy], px, or "track"."""
     numbers = isinstance(raw, list) and len(raw) == 2 and all(isinstance(v, int | float) for v in raw)
     if raw == "track" or (numbers and any(raw)):
         return raw
@@ -269,7 +308,14 @@ def _axis(raw: Any) -> Any:
 
 
 def needs_film(scale: Any) -> bool:
-    """Whether a scale can be told from a film only: a table has no pixels, at most a pitch."""
+    """Return whether a scale can only be measured in a film; a table has no pixels.
+
+    Parameters
+    ----------
+    scale
+        Value of the key ``scale``.
+
+    """
     first = scale[0] if isinstance(scale, list) else scale
     return isinstance(first, dict) and "length" not in first
 
@@ -305,13 +351,13 @@ Times = Annotated[Pair, _span("s")]
 
 
 class Keys(BaseModel):
-    """A table of the study file: nothing but the keys that are named here."""
+    """A table of the study file; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
 class StudyTable(Keys):
-    """`[study]`."""
+    """The keys of ``[study]``."""
 
     name: str = ""
     mass: Mass | None = None
@@ -321,7 +367,7 @@ class StudyTable(Keys):
 
 
 class CameraTable(Keys):
-    """`[camera]`; for a table, `scale` is the pixel pitch."""
+    """The keys of ``[camera]``; for a table of positions, `scale` is the size of a pixel."""
 
     fps: Frequency | None = None
     scale: Scale | None = None
@@ -329,7 +375,7 @@ class CameraTable(Keys):
 
 
 class RunTable(Keys):
-    """`[[run]]`, with what it inherits from `[study]` and `[camera]` once `load` has put them together."""
+    """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``."""
 
     name: str = ""
     video: Source | None = None
@@ -380,7 +426,7 @@ def _fixed(raw: Any) -> Any:
 
 
 def _per_run(raw: Any) -> Any:
-    """A list of parameters, or which has a value in every run (true) and which one for all (false)."""
+    """Read a list of parameters, or which ones have a value per run (true) or one for all (false)."""
     if isinstance(raw, list) and all(isinstance(name, str) for name in raw):
         return dict.fromkeys(raw, True)
     if isinstance(raw, dict) and all(isinstance(v, bool) for v in raw.values()):
@@ -389,7 +435,7 @@ def _per_run(raw: Any) -> Any:
 
 
 class EffectTable(Keys):
-    """`[[effect]]`: settings of one effect, or with `formula` a new one."""
+    """The keys of ``[[effect]]``: settings of one effect, or a new effect with `formula`."""
 
     effect: str
     fix: Annotated[dict[str, float | Literal[False]], BeforeValidator(_fixed)] = {}  # false frees what is fixed

@@ -1,4 +1,4 @@
-"""A study file made from recordings: for `run a.avi b.avi`, and commented for a newcomer by `init FOLDER`."""
+"""Write a study file from recordings; with comments for a new user."""
 
 from __future__ import annotations
 
@@ -74,7 +74,14 @@ bounds = {w = [0.002, 0.05]}"""
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """Films, tables and folders of pictures in a folder, by name."""
+    """List the films, tables and folders of pictures in a folder, by name.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If there is no such folder; otherwise if it has no recordings.
+
+    """
     if not folder.is_dir():
         raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
     found = [p for p in folder.iterdir() if _is_recording(p)]
@@ -89,9 +96,27 @@ def write_study(
 ) -> Path:
     """Write the study file of some recordings.
 
-    `keys` are those of [study] and [camera] that are known (mass, model, fps, scale); with `commented` the
-    unknown ones stand there switched off, with a word on each. Raises `FrictrackError` (usage) where a study
-    file is already.
+    Parameters
+    ----------
+    path
+        Path of the new file.
+    recordings
+        The recordings.
+    keys
+        Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
+    commented
+        Write the other keys as comments, with an explanation of each.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the file exists.
+
     """
     if path.exists():
         raise FrictrackError(f"{path} is already there; `frictrack run {path}` uses it, or move it away", usage=True)
@@ -122,14 +147,14 @@ def _is_recording(path: Path) -> bool:
 
 
 def _many_pages(path: Path) -> bool:
-    """Whether a TIFF may be a film: one page is a picture (of a board, perhaps)."""
+    """Return whether a TIFF has several pages: one page is a picture, for example of a board."""
     import tifffile  # noqa: PLC0415 - a study of tables does without
 
     try:
         with tifffile.TiffFile(path) as file:
             return len(file.pages) > 1 or bool((file.imagej_metadata or {}).get("images", 1) > 1)
     except (OSError, ValueError, tifffile.TiffFileError):
-        return True  # what is wrong with it is said when it is opened
+        return True  # the fault is reported when the file is opened
 
 
 def _commented_table(
@@ -149,9 +174,18 @@ def _commented_table(
 
 
 def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = ()) -> list[dict[str, str]]:
-    """``[[run]]`` of every recording, its path relative to the study's folder.
+    """Return a ``[[run]]`` for every recording, with its path relative to the study's folder.
 
-    It is named by its stem, or by its whole name where two stems are the same or one is taken.
+    Parameters
+    ----------
+    recordings
+        The recordings.
+    folder
+        Folder of the study file.
+    taken
+        Names of other runs. A run is named by the stem of its recording, or by the whole name if the stem is not
+        unique.
+
     """
     stems = [p.stem.casefold() for p in recordings] + [name.casefold() for name in taken]
     return [
@@ -164,6 +198,6 @@ def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = 
 
 
 def with_blank_line(table: Any) -> Any:
-    """A table with an empty line before it."""
+    """Return a table with an empty line before it."""
     table.trivia.indent = "\n"
     return table

@@ -150,7 +150,9 @@ class PageState(param.Parameterized):
         """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
         assert self.study is not None
         try:
-            Session(open_study(self.path, bare=True), author=WHO, expected_revision=self.rev).apply(do, **arguments)
+            Session(open_study(self.path, allow_no_runs=True), author=WHO, expected_revision=self.rev).apply(
+                do, **arguments
+            )
         except FrictrackError as e:
             self.notify(str(e), is_error=True)
             return False
@@ -220,7 +222,7 @@ def _read(path: Path) -> tuple[Study | None, Results | None] | FrictrackError:
     if not path.exists():
         return None, None
     try:
-        study = open_study(path, bare=True)
+        study = open_study(path, allow_no_runs=True)
         return study, read_results(study)
     except FrictrackError as e:
         return e

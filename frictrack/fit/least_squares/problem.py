@@ -196,7 +196,11 @@ class LeastSquaresProblem:
         return self._linearised_response(piece, p, about, (x, self.sensitivities(piece, p, *about)[1]))
 
     def _linearised_response(
-        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], seen_motion: tuple[Array, Array]
+        self,
+        piece: Piece,
+        p: Array,
+        about: tuple[CollocationSolution, MotionResponse],
+        seen_motion: tuple[Array, Array],
     ) -> PieceResponse:
         """The same from the sensitivities (n, 2, A + 2) of the motion to the active unknowns and the start."""
         (motion, linear), (x, motion_sensitivities) = about, seen_motion
@@ -258,7 +262,9 @@ class LeastSquaresProblem:
         )
         return acceleration_change, edges[piece.at]
 
-    def motion_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse) -> Array:
+    def motion_sensitivities(
+        self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
+    ) -> Array:
         """Compute the sensitivities (n, 2, A + 2) of position and speed to the active unknowns and to the start."""
         return self.sensitivities(piece, p, motion, linear)[1]
 
@@ -295,7 +301,9 @@ class LeastSquaresProblem:
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
         return piece.path_since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
-    def _acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]) -> Array:
+    def _acceleration_sensitivities(
+        self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
+    ) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
         path = replace(self._solved_path(piece, motion, level), states=self._initial_states(piece, values))

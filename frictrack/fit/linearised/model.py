@@ -231,7 +231,11 @@ def _linearised_piece(solution: Solution, response: PieceResponse) -> Linearised
             path_at_compared(piece, motion.x, motion.v, path_level),
         )
     else:
-        path, rows, compared_path = _edge_path(response, path_level), EdgeResponse(_linear(problem, solution.p, response)), None
+        path, rows, compared_path = (
+            _edge_path(response, path_level),
+            EdgeResponse(_linear(problem, solution.p, response)),
+            None,
+        )
     return LinearisedPiece(
         problem, response, values, level, path_level, path, basis, response.q.shape[1], rows, compared_path
     )
