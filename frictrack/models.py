@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.effects import Effect, Path, settings
-from frictrack.effects.settings import Settings
+from frictrack.effects import Effect, EffectSettings, Path
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_concise
 from frictrack.records import Array
@@ -135,13 +134,13 @@ class Model:
         out = []
         for e in self.effects:
             try:
-                different = settings.differences(e, self.base(e))
+                different = effects.differences(e, self.base(e))
             except FrictrackError:  # made by hand: nothing to differ from
                 continue
             out += [_said(e, name, key, value) for key, of in different.items() for name, value in of.items()]
         return out
 
-    def adjusted(self, told: Iterable[Settings]) -> Model:
+    def adjusted(self, told: Iterable[EffectSettings]) -> Model:
         """The model with the settings of those of its effects that `told` speaks of; the others wait."""
         of = {one.effect: one for one in told}
         return Model(tuple(of[e.name].applied(e) if e.name in of else e for e in self.effects))
@@ -167,7 +166,7 @@ class Model:
         return tomlkit.dumps(document)
 
     def _tables(self) -> dict[str, dict[str, Any]]:
-        """Settings of every effect that has some, formulas among them."""
+        """EffectSettings of every effect that has some, formulas among them."""
         out: dict[str, dict[str, Any]] = {}
         for e in self.effects:
             if e.formula is not None:
@@ -175,7 +174,7 @@ class Model:
                 units = {p.name: p.unit for p in e.parameters if p.unit != "1"}
                 told = {"formula": e.formula, "acts_on": e.acts_on, "units": units, "bounds": shut}
                 out.setdefault(e.kind, {}).update({k: v for k, v in told.items() if v and v != "force"})
-            different = settings.differences(e, self.base(e))
+            different = effects.differences(e, self.base(e))
             if different:
                 out.setdefault(e.name, {}).update(different)
         return out
@@ -347,7 +346,7 @@ def from_toml(source: str | FilePath) -> Model:
         raise FrictrackError(
             'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]', usage=True
         )
-    told = [settings.read(table) for table in raw.get("effect", [])]
-    model = parse(asked, settings.definitions(told)).adjusted(told)
-    settings.check_ties(model.effects)
+    told = [effects.read_settings(table) for table in raw.get("effect", [])]
+    model = parse(asked, effects.definitions(told)).adjusted(told)
+    effects.check_ties(model.effects)
     return model

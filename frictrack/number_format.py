@@ -178,6 +178,21 @@ def format_size(value: float, unit: str) -> str:
     return f"{format_number(factor * value, 2)} {format_unit(unit)}".strip()
 
 
+def format_length(metres: float) -> str:
+    """Format a length with three significant digits in m, mm or µm.
+
+    Examples
+    --------
+    >>> format_length(0.5), format_length(-0.0123), format_length(3.2e-6)
+    ('0.500 m', '−12.3 mm', '3.20 µm')
+
+    """
+    size = abs(metres)
+    if size >= 0.1:
+        return f"{format_number(metres)} m"
+    return f"{format_number(1e3 * metres)} mm" if size >= 1e-4 else f"{format_number(1e6 * metres)} µm"
+
+
 def format_interval(ends: Sequence[float] | None, factor: float = 1.0) -> str:
     """Format both ends of an interval, multiplied by `factor`; a dash for no interval.
 

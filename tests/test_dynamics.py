@@ -7,9 +7,8 @@ import pytest
 from runs import BASE, FPS, HIDDEN, MASS, SHIFTS, Slider, force, integrate
 from scipy.integrate import solve_ivp
 
-from frictrack.effects import Path
-from frictrack.effects.memory import headings
-from frictrack.effects.presliding import bending
+from frictrack.effects import Path, direction_of_motion
+from frictrack.effects.library.presliding import bending
 from frictrack.errors import FrictrackError
 from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 
@@ -126,7 +125,7 @@ def test_a_law_that_runs_away_is_an_error_and_no_warning():
 
 def bristle(x, v, t, length=1e-4):
     """Acceleration (1 + 3 p,) of a mass under a drive, held by a contact that bends; closed form between reversals."""
-    s = headings(v)
+    s = direction_of_motion(v)
     s[0] = 0.0
     w = bending(Path(t, x, v, s), length, 1.0)
     return (4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * w - v) / MASS

@@ -11,9 +11,8 @@ from runs import BASE, MASS, measured
 from scipy.integrate import solve_ivp
 
 from frictrack import models
-from frictrack.effects import Path, get
-from frictrack.effects.memory import headings
-from frictrack.effects.presliding import bending
+from frictrack.effects import Path, direction_of_motion, get
+from frictrack.effects.library.presliding import bending
 from frictrack.fit.segments import reference_of
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.friction import free_section
@@ -36,7 +35,7 @@ def speed(t):
 
 def to_and_fro(n=800, duration=0.7):
     t = np.linspace(0, duration, n)
-    return Path(t, place(t), speed(t), headings(speed(t)))
+    return Path(t, place(t), speed(t), direction_of_motion(speed(t)))
 
 
 def state(rate, t, start):

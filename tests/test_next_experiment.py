@@ -30,9 +30,10 @@ from frictrack.diagnose.experiments import (
     rate_runs,
 )
 from frictrack.diagnose.experiments.advice_text import describe_separation
-from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER_STD, LEVEL_STD_RAD, direct_checks
+from frictrack.diagnose.experiments.direct_checks import direct_checks
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
+from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
@@ -220,7 +221,7 @@ def test_what_no_effect_explains_gets_a_run_that_tells_its_axis():
     assert told[0]["kind"] == "film"
     assert "place" in told[0]["separates"]
     assert told[0]["expected_if_true"]["place"] > 10
-    assert "what is tied to the place comes again at the same place" in told[0]["what"]
+    assert "what depends on the place comes again at the same place" in told[0]["what"]
 
 
 def test_candidates_speak_of_the_numbers_of_this_study():
@@ -238,11 +239,9 @@ def test_candidates_speak_of_the_numbers_of_this_study():
 
 @pytest.mark.parametrize("name", sorted(set(effects.LIBRARY) - {"coulomb", "viscous", "lugre", "presliding"}))
 def test_every_effect_of_the_library_has_words_of_its_own(name):
-    from frictrack.diagnose.effect_description import DESCRIPTIONS  # noqa: PLC0415
-    from frictrack.diagnose.experiments.advice_text import INVARIANTS  # noqa: PLC0415
-
-    assert name in INVARIANTS
-    assert name in DESCRIPTIONS or name in ("stribeck", "measured_load")
+    effect = effects.get(name)
+    assert effect.invariant
+    assert effect.describe or name in ("stribeck", "measured_load")
 
 
 STEPS = [

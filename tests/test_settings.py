@@ -23,7 +23,7 @@ OVERTONE = {"amplitude": 0.6, "frequency": 122.6, "phase": 0.2}
 
 
 def told(effect, **keys):
-    return settings.read({"effect": effect} | keys)
+    return settings.read_settings({"effect": effect} | keys)
 
 
 def model(names, *tables):
@@ -394,7 +394,7 @@ def test_settings_that_do_not_go_together_are_refused_in_one_sentence(names, tab
 )
 def test_a_table_of_the_wrong_kind_is_told(table, said):
     with pytest.raises(FrictrackError) as caught:
-        settings.read(table)
+        settings.read_settings(table)
     assert said in str(caught.value)
 
 

@@ -21,7 +21,7 @@ from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, Re
 from frictrack.diagnose.simpler_model import find_simpler_model
 from frictrack.diagnose.smooth_forces import candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
-from frictrack.effects.settings import definitions, read
+from frictrack.effects import definitions, read_settings
 from frictrack.fit import fit
 from frictrack.fit.least_squares import refine
 
@@ -137,7 +137,7 @@ def test_numbers_are_those_of_the_cause(firsts):
 @pytest.mark.parametrize("cause", ["magnet", "flash_weakening"])
 def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, firsts, cause):
     first = firsts(cause)
-    tables = [read(table) for table in tomllib.loads(first["toml"])["effect"]]
+    tables = [read_settings(table) for table in tomllib.loads(first["toml"])["effect"]]
     (effect,) = definitions(tables)
     assert effect.name == "unexplained"
     before = fits[cause]

@@ -10,8 +10,7 @@ from runs import BASE, HIDDEN, Spec, study
 
 import frictrack as ft
 from frictrack import effects, models
-from frictrack.effects import Path, Span, formula, settings
-from frictrack.effects.user import DECLARED
+from frictrack.effects import DECLARED, Path, Span, formula, settings
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.records import GRAVITY
@@ -197,7 +196,7 @@ def test_a_hostile_unit_or_tie_is_refused_at_once(unit):
     with pytest.raises(FrictrackError, match="expected an SI unit of F"):
         formula("mine", "F*x", units={"F": unit})
     with pytest.raises(FrictrackError, match="tie: expected another parameter for F_c"):
-        settings.read({"effect": "coulomb", "tie": {"F_c": unit * 10}}).applied(effects.get("coulomb"))
+        settings.read_settings({"effect": "coulomb", "tie": {"F_c": unit * 10}}).applied(effects.get("coulomb"))
     assert time.process_time() - began < 0.5
 
 
@@ -310,10 +309,10 @@ def test_a_declaration_that_does_not_go_together_is_told_why():
 
     with pytest.raises(FrictrackError, match='none: expected every parameter with its unit, as in x_c="m"'):
         ft.effect(F="N")(none)
-    with pytest.raises(
-        FrictrackError, match='none: expected a coefficient that multiplies what it returns, such as F="N"'
-    ):
+    with pytest.raises(FrictrackError, match='none: expected a coefficient of what it returns, such as F="N"'):
         ft.effect(x_c="m")(none)
+    with pytest.raises(FrictrackError, match='none: about: unknown field "keeps"; known are '):
+        ft.effect(F="N", x_c="m", about={"keeps": "its place"})(none)
     with pytest.raises(FrictrackError, match=r'none: expected bounds of x_c, as in x_c=\("1", 0.0, 1.0\)'):
         ft.effect(F="N", x_c="1")(none)
     with pytest.raises(

@@ -30,7 +30,6 @@ MIN_FRAMES = 80  # frames of a run
 MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per name; of one with memory, whose motion takes long
 MAX_EFFECTS_TRIED = 8  # names tried until one can be seen
 FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
-FILM_FAULTS = ("camera_shake", "dropped_frame", "lens", "timebase", "target_rotation")  # that a film can show
 
 
 def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
@@ -38,7 +37,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
     if kind == "foreign":
         return list(FOREIGN)
     if kind == "fault":
-        return list(FILM_FAULTS)
+        return sorted(e.name for e in effects.LIBRARY.values() if e.film_fault)
     kinds = set(law)
     return [
         e.name
@@ -48,7 +47,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
         and not (e.memory and not e.modifies)  # what swings under no drive stands still
         and not (e.modifies and not kinds & e.modifies)
         and e.clock is None  # one of a run's typed numbers, no cause
-        and not (e.name == "friction_lag" and "stribeck" not in law)  # a level that does not change cannot lag
+        and not (e.test_draw.only_with and not kinds & e.test_draw.only_with)
         and "angle" not in e.needs
         and not (film and (e.acts_on == "measurement" or e.needs or e.memory))
     ]

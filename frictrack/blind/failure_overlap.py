@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from frictrack.blind.ideal_detector import MIN_SPEED
-from frictrack.blind.truth import RunTruth, Truth
+from frictrack.blind.truth import RunTruth, Truth, effect_named
+from frictrack.effects import Effect
 from frictrack.records import Array, Mask
 from frictrack.simulate import Trajectory
-
-ACTING_SIGMAS = 2.0  # standard deviations on either side over which a patch or a blow acts
-LOCAL_EFFECTS = ("patch", "collision")
 
 
 def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapping[str, float]) -> float | None:
@@ -21,13 +19,13 @@ def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapp
 
     `low_pass_half_width` (s) is the half width of every run's low-pass, by which a blow is seen wider than it is.
     """
-    if len(truth.hidden) != 1 or truth.hidden[0] not in LOCAL_EFFECTS:
+    if len(truth.hidden) != 1 or effect_named(truth.hidden[0]).acts_within is None:
         return None
-    name = truth.hidden[0]
+    effect = effect_named(truth.hidden[0])
     n_both = n_reported = n_true = 0
     for run in truth.runs:
         slide = truth.slide(run)
-        acts = acting(name, run, slide, low_pass_half_width.get(run.name, 0.0))
+        acts = acting(effect, run, slide, low_pass_half_width.get(run.name, 0.0))
         reported = _frames_within(slide.t, [span["t"] for span in spans if span["run"] == run.name])
         n_both, n_reported, n_true = (
             n_both + int((acts & reported).sum()),
@@ -37,15 +35,13 @@ def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapp
     return 2 * n_both / max(n_reported + n_true, 1)
 
 
-def acting(name: str, run: RunTruth, slide: Trajectory, low_pass_half_width: float) -> Mask:
-    """Frames in which a patch or a blow acts on a run that moves."""
-    own = run.values.get(name)
-    if own is None:
+def acting(effect: Effect, run: RunTruth, slide: Trajectory, low_pass_half_width: float) -> Mask:
+    """Return the frames of a moving run in which a local effect acts, (n,)."""
+    own = run.values.get(effect.name)
+    if own is None or effect.acts_within is None:
         return np.zeros(len(slide.t), dtype=bool)
-    if name == "patch":
-        inside = np.abs(slide.x - own["x_c"]) <= ACTING_SIGMAS * own["w"]
-        return np.asarray(inside & (np.abs(slide.v) > MIN_SPEED))
-    return np.asarray(np.abs(slide.t - own["time"]) <= ACTING_SIGMAS * own["width"] + low_pass_half_width)
+    acts = effect.acts_within(slide.t, slide.x, own, low_pass_half_width)
+    return np.asarray(acts & (np.abs(slide.v) > MIN_SPEED))
 
 
 def _frames_within(t: Array, stretches: list[list[float]]) -> Mask:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack import effects
 from frictrack.blind.detection_limits import limits_over_ideal
 from frictrack.blind.equivalents import equivalent_effects
 from frictrack.blind.failure_overlap import overlap
@@ -16,12 +17,6 @@ from frictrack.blind.truth import Truth, effect_named
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.flow import Session, open_study
-
-NOTE_PHRASES = {  # how the measuring chain itself puts a fault into words
-    "camera_shake": ("camera shake of",),
-    "dropped_frame": ("told by the motion", "repeats the one before", "repeat the one before"),
-    "peak_locking": ("peak locking",),
-}
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ def _faults_in_notes(session: Session) -> tuple[str, ...]:
     """Faults that are in the notes of the records."""
     stages = [(work, name) for work in session.runs for name in ("track", "displacement") if name in work.stages]
     words = " ".join(note for work, name in stages for note in work.get(name).notes)
-    return tuple(name for name, phrases in NOTE_PHRASES.items() if any(phrase in words for phrase in phrases))
+    return tuple(name for name, e in effects.LIBRARY.items() if any(phrase in words for phrase in e.noted_as))
 
 
 def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:

@@ -20,7 +20,6 @@ MIN_COSINE = 0.9  # cosine between what a cause leaves and what it leaves to fir
 EVENT_RUN_SHARE = 0.6  # share of the runs in which events happen
 SHAKE_RANGE_PX = (0.05, 0.5)  # px, of a film: what its background shows
 MAX_MOMENTUM_SHARE = 0.3  # of the momentum at the start that a blow may take
-ONE_SIGN_EFFECTS = ("drag", "spring", "measured_load")  # causes with one sign
 
 PlacedEffect = tuple[Truth, Array]  # the study with one cause in it, and its trace
 
@@ -30,9 +29,7 @@ def place_effect(detector: IdealDetector, name: str, rng: np.random.Generator) -
     effect = effect_named(name)
     size = float(np.exp(rng.uniform(*np.log(SIZE_RANGE))))
     shape = _draw_values(detector, effect, rng)
-    if effect.name == "dropped_frame" or (
-        effect.name == "camera_shake" and detector.base_study.film
-    ):  # as large as it is
+    if effect.test_draw.own_size or (effect.moves_picture and detector.base_study.film):
         found = _check(detector, effect, shape)
         return None if found is None else (found, _size_over_limit(found[1], detector, effect))
     if is_event(effect):
@@ -57,7 +54,7 @@ def _draw_values(detector: IdealDetector, effect: Effect, rng: np.random.Generat
     span = base_study.span(slides)
     shared = {p.name: _draw_value(effect, p, span, rng) for p in effect.parameters if not p.per_run}
     phased = any(p.role == "phase" for p in effect.parameters)  # its sign is half a turn of the phase
-    plain = phased or effect.name in ONE_SIGN_EFFECTS or effect.name in FOREIGN
+    plain = phased or effect.test_draw.positive or effect.name in FOREIGN
     sign = 1.0 if plain else float(rng.choice([-1.0, 1.0]))
     present = np.ones(len(slides), dtype=bool)
     if is_event(effect):
@@ -68,13 +65,13 @@ def _draw_values(detector: IdealDetector, effect: Effect, rng: np.random.Generat
     for run, slide, present_here in zip(base_study.runs, slides, present, strict=True):
         each = {p.name: _draw_value(effect, p, base_study.span([slide]), rng) for p in effect.parameters if p.per_run}
         own = {p.name: (shared | each)[p.name] for p in effect.parameters}
-        if effect.name == "camera_shake" and base_study.film:
+        if effect.moves_picture and base_study.film:
             own["amplitude"] = shake_amplitude
-        if effect.name == "dropped_frame":  # between two frames
-            own["time"] = (np.floor(own["time"] * base_study.fps) + 0.5) / base_study.fps
+        if moment := effect.test_draw.between_frames:
+            own[moment] = (np.floor(own[moment] * base_study.fps) + 0.5) / base_study.fps
         for p in size_parameters(effect):
             one_sided = p.bounds[0] >= 0 or p.role == "amplitude"
-            own[p.name] *= np.sign(run.speed) if effect.name == "collision" else 1.0 if one_sided else sign
+            own[p.name] *= np.sign(run.speed) if effect.test_draw.impulse else 1.0 if one_sided else sign
         out.append({effect.name: own} if present_here else {})
     return out
 
@@ -96,11 +93,9 @@ def _draw_value(effect: Effect, p: Parameter, span: Span, rng: np.random.Generat
         return float(np.interp(rng.uniform(0.05, 0.95) * (len(grid) - 1), np.arange(len(grid)), grid))
     if effect.name in FOREIGN and not p.linear:
         return float(rng.uniform(*parameter_range(p.name, span)))
-    second = {  # a spring's rest lies on the course; of a viscous asymmetry there is at most as much as of a dry one
-        ("spring", "x_0"): -rng.uniform(span.x_min, span.x_max),
-        ("asymmetry", "dF_v"): rng.uniform(-1.0, 1.0) / span.v_max,
-    }
-    return float(second.get((effect.name, p.name), 1.0))
+    uniform = rng.random(2)  # drawn for every effect, so that a study does not depend on which effects use them
+    own = effect.test_draw.coefficients
+    return float(own(span, uniform).get(p.name, 1.0)) if own else 1.0
 
 
 # --- how large it is
@@ -176,14 +171,16 @@ def _scale_events(
             continue
         alone = [own if k == i else {} for k in range(len(shape))]
         found = _scale_to_size(detector, effect, alone, size)
-        if found is None or _exceeds_momentum(found[0], i):
+        if found is None or _exceeds_momentum(found[0], effect, i):
             return None
         values.append(found[0].runs[i].values)
     return _check(detector, effect, values)
 
 
-def _exceeds_momentum(truth: Truth, i: int) -> bool:
-    """Whether a blow takes more than a part of the momentum."""
+def _exceeds_momentum(truth: Truth, effect: Effect, i: int) -> bool:
+    """Whether an impulse takes more than a part of the momentum."""
+    if not effect.test_draw.impulse:
+        return False
     run = truth.runs[i]
-    impulse = run.values.get("collision", {}).get("J", 0.0)
+    impulse = run.values[effect.name][effect.linear[0].name]
     return abs(impulse) > MAX_MOMENTUM_SHARE * truth.mass * run.mass_ratio * abs(run.speed)

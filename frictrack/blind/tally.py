@@ -81,7 +81,8 @@ def is_fault(name: str) -> bool:
 
 def can_show(row: Outcome) -> bool:
     """Whether the data can show a fault of the measurement: no force does the same, or a film's background tells."""
-    if row.film and row.hidden[0] in ("camera_shake", "dropped_frame"):
+    first = effect_named(row.hidden[0])
+    if row.film and first.film_fault and first.noted_as:
         return True
     return len(row.hidden) == 1 and is_fault(row.hidden[0]) and all(is_fault(n) for n in _equivalent_set(row))
 

@@ -44,7 +44,6 @@ MAX_GAP_FRAMES = 12  # frames between two stretches that are one
 N_WIDTHS, N_CENTRES = 25, 15  # tried for the span of a local force
 N_REFINEMENTS = 2  # times that they are looked for more finely where they are likely
 MAX_CHI2_DIFFERENCE = 16.0  # of chi-squared, by which a width and a place may fit worse and still count
-LOCAL_EFFECTS = ("patch", "collision")  # effects that are bumps
 
 
 @dataclass(frozen=True)
@@ -237,7 +236,7 @@ def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> l
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
     law = _model_without(solution, effect)
     search = start_search(law)
-    if effect.kind in LOCAL_EFFECTS and (found := continue_search(search)).bumps:
+    if effect.acts_within is not None and (found := continue_search(search)).bumps:
         return _spans_of_bumps(found, runs)
     forces = [effect_force(solution, r, missing) for r in solution.responses]
     sizes = _expected_peaks(solution, effect, forces)

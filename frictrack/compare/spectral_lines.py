@@ -10,8 +10,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from frictrack.compare.bump_dictionary import NodeMotion, motion_at_nodes
-from frictrack.effects.base import frequencies
-from frictrack.effects.texture import periods
+from frictrack.effects import frequencies, spatial_periods
 from frictrack.fit.least_squares import ModelProjection, PieceResponse, displacement_response
 from frictrack.records import Array
 
@@ -181,7 +180,7 @@ class SpatialWave:
 
 def strongest_spatial_wave(law: ModelProjection) -> SpatialWave | None:
     """The spatial period that lowers chi-squared of all runs most; None if there is nothing to refine."""
-    f = np.sort(1 / periods(law.solution.problem.layout.span))
+    f = np.sort(1 / spatial_periods(law.solution.problem.layout.span))
     at = [motion_at_nodes(law.solution, r) for r in law.responses]
     gram, data, on = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
     for rows, response, n in zip(law.rows, law.responses, at, strict=True):

@@ -19,13 +19,6 @@ from frictrack.fit import Fit
 from frictrack.fit.linearised import LinearisedPiece
 from frictrack.records import Array
 
-BASIC_EFFECTS = (
-    "stribeck",
-    "viscous",
-    "drag",
-    "texture",
-    "vibration",
-)  # effects that a complete law must be able to exclude
 MIN_DETECTABLE_SHARE = 0.10  # of the mean friction: rms size at which they must be seen
 MAX_NOISE_FACTOR = (
     5.0  # times less noise that a laboratory can still be asked for: beyond, another kind of run is needed
@@ -59,7 +52,7 @@ def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, 
     found = [*_parameters(fit), *_vague(fit, first, friction)]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
-        if scanned.effect.kind in BASIC_EFFECTS and name == scanned.effect.kind and len(scanned.scans) == 1:
+        if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
             limit = limit_as_force(first, scanned, curves[name]["limit"]) / friction
             if not limit <= MIN_DETECTABLE_SHARE:
                 found.append(_unseen(name, limit, scanned.effect.confirm))
@@ -127,7 +120,7 @@ def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
     for effect in first.solution.problem.model.effects:
         for k, p in enumerate(effect.linear):
             found = fit.parameters.get(f"{effect.name}.{p.name}")
-            if effect.kind not in (*BASIC_EFFECTS, "coulomb") or p.per_run or found is None or not found.std:
+            if not (effect.basic or effect.kind == "coulomb") or p.per_run or found is None or not found.std:
                 continue
             columns = [
                 s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.pieces

@@ -7,14 +7,16 @@ from functools import cache
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Part, Path, frequencies, wave
-from frictrack.effects.stribeck import speeds
+from frictrack.effects.definition import Effect, Parameter, RelaxedPart
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import frequencies, stribeck_velocities
+from frictrack.effects.waves import wave
 from frictrack.records import Array
 
 F_C = Parameter("f_c", "N", linear=True, loaded=True)
 F_S = Parameter("f_s", "N", linear=True, loaded=True)
 F_V = Parameter("f_v", "N s/m", linear=True)
-V_S = Parameter("v_s", "m/s", scan=speeds)
+V_S = Parameter("v_s", "m/s", scan=stribeck_velocities)
 
 
 def _decay(path: Path, nonlinear: Nonlinear) -> Array:
@@ -55,10 +57,10 @@ VISCOUS = Effect(
 )
 
 
-def _part(effect: Effect, i: int) -> Part:
+def _part(effect: Effect, i: int) -> RelaxedPart:
     """One sine of a sum, its amplitude its own."""
     names = (f"{effect.name}_{p.name}_{i}" if p in SINE else p.name for p in effect.parameters)
-    return Part(effect.called(f"{effect.name}:{i}"), tuple(names))
+    return RelaxedPart(effect.called(f"{effect.name}:{i}"), tuple(names))
 
 
 @cache
@@ -92,7 +94,7 @@ def atm2(order: int) -> Effect:
         ),
         parameters=(F_C, F_S, F_V, V_S, *(replace(p, name=f"{k}_{p.name}_{i}") for k, i in lines for p in SINE)),
         columns=columns,
-        relaxed=(Part(STATIC, ("f_s", "v_s")), *waves),
+        relaxed=(RelaxedPart(STATIC, ("f_s", "v_s")), *waves),
         replaces=frozenset({"coulomb", "stribeck", "viscous"}),
         scales_with="load",
         what="Sliding and viscous friction are each multiplied by a sum of sines in time.",

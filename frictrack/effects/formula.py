@@ -18,7 +18,9 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from simpleeval import SimpleEval
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, frequencies
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import Span, frequencies
 from frictrack.errors import FrictrackError
 from frictrack.records import GRAVITY, Array
 from frictrack.units import is_coherent
@@ -82,6 +84,7 @@ def formula(
         parameters=tuple(made),
         columns=Formula(name, text, tuple(linear)),
         scales_with="load" if any(loads.values()) else "nothing",
+        may_pull=True,
         what="An effect of your own, given as a formula.",
         source="the study file",
         formula=text,

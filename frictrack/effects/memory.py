@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-from frictrack.effects.base import Path
+from frictrack.effects.path import Path
 from frictrack.records import Array, Mask
 
-SMALL = 0.5  # step below which the moments of the exponential are summed as a series
-TERMS = 14
-LATELY = 400  # samples of the motion before a path that its states still know
-UNEVEN = 8.0  # ratio of neighbouring steps beyond which no parabola is laid through them
+MAX_SERIES_STEP = 0.5  # step below which the moments of the exponential are summed as a series
+N_SERIES_TERMS = 14
+MAX_PRECEDING_SAMPLES = 400  # samples of the motion before a path that its states still know
+MAX_STEP_RATIO = 8.0  # ratio of neighbouring steps beyond which no parabola is laid through them
 
 
-def travel(path: Path) -> tuple[Array, Array]:
+def slid_per_step(path: Path) -> tuple[Array, Array]:
     """Distance (n,) slid from the sample before: up to a reversal in between, and after it.
 
     The velocity is taken as linear in time around a reversal; by what the displacement differs from that, the two parts
@@ -46,19 +46,19 @@ def travel(path: Path) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def past(path: Path) -> Path | None:
+def preceding_motion(path: Path) -> Path | None:
     """The run's motion just before a path, once for every individual; None where it begins at rest or with the run."""
     if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0 or path.begin is not None:
         return None
-    t, x, v = path.before[:, -LATELY:]
+    t, x, v = path.before[:, -MAX_PRECEDING_SAMPLES:]
     count = len(path.starts)
     starts = tuple(len(t) * i for i in range(count))
-    t, x, v, s = (np.tile(q, count) for q in (t, x, v, headings(v)))
+    t, x, v, s = (np.tile(q, count) for q in (t, x, v, direction_of_motion(v)))
     return Path(t, x, v, s, starts=starts)
 
 
 @dataclass(frozen=True)
-class Stretches:
+class DirectionStretches:
     """A path of n samples cut into q stretches of one direction.
 
     `way` (n,) is the direction of motion, at rest that of the next motion; `first` (q,) the row at which each stretch
@@ -87,16 +87,16 @@ class Stretches:
         return out
 
 
-def stretches(path: Path) -> Stretches:
+def direction_stretches(path: Path) -> DirectionStretches:
     """Cut a path at its reversals, and where individuals of a population begin."""
-    before, after = travel(path)
+    before, after = slid_per_step(path)
     way, fresh = _ways(path)
     first = np.flatnonzero(fresh | (np.diff(way, prepend=way[:1]) != 0))
     which = np.repeat(np.arange(len(first)), np.diff([*first, len(way)]))
     covered = np.cumsum(after)
     slid = covered - (covered[first] - after[first])[which]
     whole = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
-    return Stretches(way, first, which, slid, whole, fresh[first])
+    return DirectionStretches(way, first, which, slid, whole, fresh[first])
 
 
 def _ways(path: Path) -> tuple[Array, Mask]:
@@ -111,32 +111,34 @@ def _ways(path: Path) -> tuple[Array, Mask]:
     return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
 
 
-def last(path: Path) -> Array:
+def last_samples(path: Path) -> Array:
     """Row of the last sample of every individual, (P,)."""
     return np.array([*path.starts[1:], len(path.t)]) - 1
 
 
-def own(value: float | Array, path: Path, n: int) -> Array:
+def per_individual(value: float | Array, path: Path, n: int) -> Array:
     """The value of every individual of a path, for each of n samples of its own."""
     each = np.broadcast_to(value, path.t.shape)[list(path.starts)]
     return np.repeat(each, n // len(path.starts))
 
 
-def headings(v: Array) -> Array:
+def direction_of_motion(v: Array) -> Array:
     """Direction of motion (n,): the sign of v, and at rest the one before; 0 until it first moves."""
     s = np.sign(v)
     rows = np.where(s != 0, np.arange(len(s)), 0)
     return np.asarray(s[np.maximum.accumulate(rows)]) if len(s) else s
 
 
-def turned(path: Path) -> Mask:
+def direction_changed(path: Path) -> Mask:
     """Where a sample's direction is not that of the one before, or there is none before, (n,)."""
     out = np.diff(path.s, prepend=path.s[:1]) != 0
     out[list(path.starts)] = True
     return np.asarray(out)
 
 
-def followed(target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array, starts: Sequence[int]) -> Array:
+def follow_target(
+    target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array, starts: Sequence[int]
+) -> Array:
     """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
 
     Where the target is `broken` (n,), the first steps are made under the old target, the second under the new one.
@@ -157,7 +159,7 @@ def followed(target: Array, steps: tuple[Array, Array], broken: Mask, begin: Arr
     return _recursion(whole, right)
 
 
-def averaged(value: Array, step: Array, broken: Mask) -> Array:
+def mean_per_step(value: Array, step: Array, broken: Mask) -> Array:
     """Mean (n,) of a value over the step to every sample, by the cubic with the slopes of parabolas."""
     rise = np.diff(value, prepend=value[:1])[:, None]
     rise[broken] = 0.0
@@ -188,7 +190,7 @@ def _bends(rise: Array, step: Array, broken: Mask) -> tuple[Array, Array]:
     """By how much the slope at either end of every step, times the step, differs from the rise; each (n, k)."""
     left, right = np.zeros_like(rise), np.zeros_like(rise)
     a, b = step[:-1, None], step[1:, None]
-    smooth = ~broken[:-1, None] & ~broken[1:, None] & (a < UNEVEN * b) & (b < UNEVEN * a)
+    smooth = ~broken[:-1, None] & ~broken[1:, None] & (a < MAX_STEP_RATIO * b) & (b < MAX_STEP_RATIO * a)
     a, b = np.where(smooth, a, 1.0), np.where(smooth, b, 1.0)
     right[:-1] = np.where(smooth, a / (a + b) * (a / b * rise[1:] - rise[:-1]), 0.0)
     left[1:] = np.where(smooth, b / (a + b) * (b / a * rise[:-1] - rise[1:]), 0.0)
@@ -199,10 +201,10 @@ def _bends(rise: Array, step: Array, broken: Mask) -> tuple[Array, Array]:
 
 def _moments(step: Array) -> tuple[Array, Array, Array]:
     """Integrals over theta in (0, 1) of theta^j exp(-step (1 - theta)), j = 0, 1, 2."""
-    small = step < SMALL
+    small = step < MAX_SERIES_STEP
     tiny = np.where(small, step, 0.0)
     term, series = np.full_like(step, 1 / 3), np.full_like(step, 1 / 3)
-    for k in range(1, TERMS):
+    for k in range(1, N_SERIES_TERMS):
         term = term * -tiny / (k + 3)
         series = series + term
     big = np.where(small, 1.0, step)

@@ -40,7 +40,7 @@ def oscillates(values: Mapping[str, float], span: Any) -> str:
     return _periods(values["frequency"] * span.duration)
 
 
-def repeats_along(parameter: str) -> Check:
+def is_periodic_in(parameter: str) -> Check:
     """Return the check that the travelled span holds `MIN_PERIODS` of a period in space (m)."""
     return lambda values, span: _periods((span.x_max - span.x_min) / abs(values[parameter] or 1e-300))
 

@@ -1,7 +1,7 @@
 """What a user sets of one effect, as an `[[effect]]` table says it: fixed values, bounds, priors, ties, per run.
 
-A table with a formula defines an effect. Settings change a copy of the effect's parameters; a model is made of such
-copies and so carries its settings.
+A table with a formula defines an effect. EffectSettings change a copy of the effect's parameters; a model is made of
+such copies and so carries its settings.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
-from frictrack import effects
-from frictrack.effects.base import Effect, Parameter
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.formula import formula
+from frictrack.effects.registry import get, is_library
 from frictrack.errors import FrictrackError
 
 TIE = re.compile(
     r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
 )
-LONGEST = 120  # characters of a tie
+MAX_TIE_LENGTH = 120  # characters
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Settings:
+class EffectSettings:
     """One `[[effect]]` table. ``False`` as a fixed value frees what the library fixes."""
 
     effect: str
@@ -45,16 +46,16 @@ class Settings:
             if self.units:
                 self._refuse("expected units only beside a formula; the library knows its own")
             return None
-        if effects.is_library(self.effect) or not re.fullmatch(r"[A-Za-z]\w*", self.effect, re.ASCII):
+        if is_library(self.effect) or not re.fullmatch(r"[A-Za-z]\w*", self.effect, re.ASCII):
             self._refuse("expected a name of its own for a formula (letters, digits and _), not one of the library")
-        return effects.formula(self.effect, self.formula, units=self.units, bounds=self.bounds, acts_on=self.acts_on)
+        return formula(self.effect, self.formula, units=self.units, bounds=self.bounds, acts_on=self.acts_on)
 
     def applied(self, effect: Effect) -> Effect:
         """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
         changes: dict[str, dict[str, Any]] = {}
         bounds = self.bounds if self.formula is None else {}  # a formula has them from its definition
-        for key, told in (("fixed", self.fix), ("bounds", bounds), ("prior", self.prior), ("tie", self.tie)):
-            for name, value in told.items():
+        for key, given in (("fixed", self.fix), ("bounds", bounds), ("prior", self.prior), ("tie", self.tie)):
+            for name, value in given.items():
                 self._check_name(effect, name)
                 changes.setdefault(name, {})[key] = None if value is False else value
         for name, own in self.per_run.items():
@@ -97,7 +98,7 @@ class Settings:
             self._refuse(f"fix: expected {p.name} between {low:g} and {high:g} {p.unit} but got {value:g}")
         if "prior" in change:
             self._check_prior(p, change["prior"], (low, high))
-        if change.get("tie") is not None and not _tied(change["tie"]):
+        if change.get("tie") is not None and not _parse_tie(change["tie"]):
             self._refuse(
                 f'tie: expected another parameter for {p.name}, as in "vibration.frequency" or '
                 f'"2*vibration.frequency", but got "{change["tie"]}"'
@@ -116,9 +117,9 @@ class Settings:
         raise FrictrackError(f'[[effect]] "{self.effect}": {what}', usage=True)
 
 
-def _tied(text: str) -> re.Match[str] | None:
-    """A tie taken apart; None for what is none, or longer than names are."""
-    return TIE.fullmatch(text) if len(text) <= LONGEST else None
+def _parse_tie(text: str) -> re.Match[str] | None:
+    """Parse a tie 'effect.parameter'; return None if it is not one."""
+    return TIE.fullmatch(text) if len(text) <= MAX_TIE_LENGTH else None
 
 
 @dataclass(frozen=True)
@@ -134,27 +135,49 @@ class Tie:
 
     @classmethod
     def read(cls, text: str) -> Tie:
-        """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `Settings` has checked."""
-        found = _tied(text)
+        """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `EffectSettings` has checked."""
+        found = _parse_tie(text)
         if found is None:
             raise FrictrackError(f'expected a tie such as "vibration.frequency" but got "{text}"', usage=True)
         return cls(found["of"], found["name"], float(found["factor"] or 1.0))
 
 
-def read(table: Mapping[str, Any]) -> Settings:
-    """Settings from a table as TOML gives it; raises FrictrackError (usage) for keys and values of another kind."""
+def read_settings(table: Mapping[str, Any]) -> EffectSettings:
+    """Read an `[[effect]]` table.
+
+    Parameters
+    ----------
+    table : mapping
+        The table as TOML gives it.
+
+    Returns
+    -------
+    EffectSettings
+        Its keys, checked one by one; `EffectSettings.applied` checks them against the effect.
+
+    Raises
+    ------
+    FrictrackError
+        For an unknown key, or a value of another kind.
+
+    Examples
+    --------
+    >>> read_settings({"effect": "texture", "fix": {"period": 0.03}}).fix
+    {'period': 0.03}
+
+    """
     name = table.get("effect")
     if not isinstance(name, str):
         raise FrictrackError(f"[[effect]]: expected effect = the name of an effect but got {name!r}", usage=True)
-    made = Settings(name)
-    unknown = [key for key in table if key not in Settings.__dataclass_fields__]
+    made = EffectSettings(name)
+    unknown = [key for key in table if key not in EffectSettings.__dataclass_fields__]
     if unknown:
-        made._refuse(f'unknown key "{unknown[0]}"; known are {", ".join(Settings.__dataclass_fields__)}')
+        made._refuse(f'unknown key "{unknown[0]}"; known are {", ".join(EffectSettings.__dataclass_fields__)}')
     shaped = {key: _shaped(made, key, value) for key, value in table.items()}
-    return Settings(**shaped)
+    return EffectSettings(**shaped)
 
 
-def _shaped(made: Settings, key: str, value: Any) -> Any:
+def _shaped(made: EffectSettings, key: str, value: Any) -> Any:
     if key == "per_run" and isinstance(value, list):
         return dict.fromkeys(value, True)
     if key in _SHAPES:
@@ -185,17 +208,17 @@ _SHAPES: dict[str, tuple[Any, str]] = {
 }
 
 
-def definitions(told: Iterable[Settings]) -> list[Effect]:
+def definitions(tables: Iterable[EffectSettings]) -> list[Effect]:
     """The effects that tables define by a formula; raises FrictrackError (usage) for a table that makes no sense."""
-    told = list(told)
-    names = [one.effect for one in told]
-    for one in told:
+    tables = list(tables)
+    names = [one.effect for one in tables]
+    for one in tables:
         if names.count(one.effect) > 1:
             one._refuse("expected one table for each effect but got two; write their keys into one")
-    made = [effect for one in told if (effect := one.defined()) is not None]
-    for one in told:
+    made = [effect for one in tables if (effect := one.defined()) is not None]
+    for one in tables:
         try:
-            base = effects.get(one.effect, made)
+            base = get(one.effect, made)
         except FrictrackError as e:
             one._refuse(f"{e}, or give a formula")
         one.applied(base)

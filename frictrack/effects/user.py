@@ -1,31 +1,31 @@
-"""A user's effect as a function in Python.
+"""Declare a user's effect as a Python function.
 
     @ft.effect(F="N", x_c="m", w=("m", 1e-3, 0.1))
     def magnet(path, x_c, w):
         '''A magnet under the course pulls the mass in.'''
         return path.s * np.exp(-(((path.x - x_c) / w) ** 2))
 
-What the function takes beside the path is non-linear, what else is declared (F) is the coefficient of a column that
-it returns, in order. Once declared, the name stands wherever an effect's does.
+Parameters that the function takes are non-linear. The others (F) are the coefficients of the columns that it returns.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.formula import OPEN, Places
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.registry import DECLARED, is_library
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 Declared = str | tuple[str, float, float] | Parameter  # unit; unit and bounds; or everything
-COUNT = 41  # places of a scan
-DECLARED: dict[str, Effect] = {}  # by name, in the order in which they were declared
+N_SCAN_VALUES = 41
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,45 @@ def effect(
     *,
     acts_on: Literal["force", "measurement"] = "force",
     scales_with: Literal["nothing", "load", "mass"] = "nothing",
+    about: Mapping[str, Any] | None = None,
     **parameters: Declared,
 ) -> Callable[[Callable[..., Array]], Effect]:
-    """Declare a function as an effect; its parameters by unit, (unit, low, high) or `Parameter`.
+    """Declare a function as an effect, which its name stands for from then on in models, studies and commands.
 
-    A parameter that the function takes is non-linear, every other one the coefficient of a column (n, k) that it
-    returns: N per unit of it, m for one that acts on the measurement. With `scales_with` "load" the columns carry
-    ``path.load``. Raises FrictrackError (usage) when names do not go together.
+    Parameters
+    ----------
+    acts_on : {"force", "measurement"}
+        Whether the columns are forces, N, or errors of the measured position, m.
+    scales_with : {"nothing", "load", "mass"}
+        What carries its size from one run to another. With "load" the function multiplies by ``path.load``.
+    about : mapping, optional
+        Further fields of `Effect`, which the effects of the library have too: `looks_like`, `confirm`, `invariant`,
+        `plausible`, `describe` and so on.
+    **parameters
+        Every parameter by its unit, by (unit, lowest, highest), or as a `Parameter`. Those that the function takes are
+        non-linear; each of the others is the coefficient of one column (n, k) that the function returns.
+
+    Returns
+    -------
+    callable
+        A decorator that returns the `Effect`. Its `what` is the docstring of the function.
+
+    Raises
+    ------
+    FrictrackError
+        For a name of the library, a parameter without a unit, no coefficient, or an unknown field in `about`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> @effect(F="N", x_c="m", w=("m", 1e-3, 0.1), about={"invariant": "a magnet keeps its place"})
+    ... def magnet(path, x_c, w):
+    ...     '''A magnet under the course pulls the mass in.'''
+    ...     return path.s * np.exp(-(((path.x - x_c) / w) ** 2))
+    >>> magnet.equation, magnet.invariant
+    ('F magnet(x_c, w)', 'a magnet keeps its place')
+    >>> del DECLARED["magnet"]
+
     """
 
     def declare(function: Callable[..., Array]) -> Effect:
@@ -77,18 +109,27 @@ def effect(
             parameters=made,
             columns=Columns(function, taken, len(linear)),
             scales_with=scales_with,
+            may_pull=True,
             what=inspect.getdoc(function) or "An effect of your own.",
             source="declared in Python",
         )
-        DECLARED[name] = found
-        return found
+        DECLARED[name] = replace(found, **_checked_fields(name, about or {}))
+        return DECLARED[name]
 
     return declare
 
 
-def _check(name: str, taken: tuple[str, ...], linear: list[str], parameters: dict[str, Declared]) -> None:
-    from frictrack.effects import is_library  # noqa: PLC0415 - the table knows this file
+def _checked_fields(name: str, about: Mapping[str, Any]) -> Mapping[str, Any]:
+    allowed = {f.name for f in fields(Effect)} - {"name", "acts_on", "parameters", "columns", "scales_with", "formula"}
+    unknown = [key for key in about if key not in allowed]
+    if unknown:
+        raise FrictrackError(
+            f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}', usage=True
+        )
+    return about
 
+
+def _check(name: str, taken: tuple[str, ...], linear: list[str], parameters: dict[str, Declared]) -> None:
     if is_library(name):
         raise FrictrackError(
             f'expected a name of its own for your effect but "{name}" is one of the library', usage=True
@@ -98,18 +139,20 @@ def _check(name: str, taken: tuple[str, ...], linear: list[str], parameters: dic
         raise FrictrackError(f'{name}: expected every parameter with its unit, as in {lost[0]}="m"', usage=True)
     if not linear:
         raise FrictrackError(
-            f'{name}: expected a coefficient that multiplies what it returns, such as F="N", which it does not take',
+            f'{name}: expected a coefficient of what it returns, such as F="N", which is no argument of the function',
             usage=True,
         )
 
 
-def _parameter(name: str, p: str, told: Declared, linear: bool, loaded: bool) -> Parameter:
-    if isinstance(told, Parameter):
-        return Parameter(**vars(told) | {"name": p, "linear": linear})
-    unit, bounds = (told, OPEN) if isinstance(told, str) else (told[0], (float(told[1]), float(told[2])))
+def _parameter(name: str, p: str, declared: Declared, linear: bool, loaded: bool) -> Parameter:
+    if isinstance(declared, Parameter):
+        return Parameter(**vars(declared) | {"name": p, "linear": linear})
+    unit, bounds = (
+        (declared, OPEN) if isinstance(declared, str) else (declared[0], (float(declared[1]), float(declared[2])))
+    )
     if linear:
         return Parameter(p, unit, bounds, linear=True, loaded=loaded)
-    scan = Places(unit, bounds, COUNT)
+    scan = Places(unit, bounds, N_SCAN_VALUES)
     if not scan.known:
         raise FrictrackError(f'{name}: expected bounds of {p}, as in {p}=("{unit}", 0.0, 1.0)', usage=True)
     return Parameter(p, unit, bounds, scan=scan, signed=unit == "m")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import models
-from frictrack.effects.settings import check_ties
+from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem

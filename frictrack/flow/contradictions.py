@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from frictrack import effects
 from frictrack.plausibility import Finding
-
-# Kind of finding -> effects with the same cause. If one of them is in the model or was found missing, the diagnosis
-# has dealt with the contradiction, and the verdict stands.
-SAME_CAUSE = {"fps": ("clock_rate",), "incline": ("slope",)}
 
 
 def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
@@ -41,8 +38,10 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) 
     contradictions = [f for f in findings if f.contradicts]
     if not contradictions:
         return dict(diagnosis)
-    known = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
-    first = [_undetermined_entry(f) for f in contradictions if not known.intersection(SAME_CAUSE.get(f.kind, ()))]
+    # an effect of the same cause in the model, or found missing, has dealt with the contradiction
+    named = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
+    explained = {e.same_cause_as for name, e in effects.known().items() if name in named}
+    first = [_undetermined_entry(f) for f in contradictions if f.kind not in explained]
     if not first:
         return dict(diagnosis)
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}

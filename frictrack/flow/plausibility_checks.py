@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack import effects
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow.pipeline import RunPipeline
@@ -35,7 +36,6 @@ LOG = logging.getLogger("frictrack")
 NUMBER_WITHOUT_UNIT = re.compile(
     r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
 )  # such as "0.35" or "0.35 +/- 1 %"
-ENERGY_STORING_EFFECTS = ("spring", "bouc_wen")  # effects that can accelerate the mass
 CHECKED_KEYS = ("mass", "scale", "fps", "incline")
 ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 # Table of the study file that a run inherits a key from.
@@ -178,8 +178,9 @@ def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
 def _can_accelerate(study: Study) -> bool:
     """Return whether the model of a study can accelerate the mass: by a spring, or by an effect of the user."""
     law = study.model.split(",") if isinstance(study.model, str) else study.model
+    known = effects.known()
     own = {table.effect for table in study.effects if table.formula is not None}
-    return any(name.strip() in own or name.strip() in ENERGY_STORING_EFFECTS for name in law)
+    return any(name in own or (name in known and known[name].may_pull) for name in map(str.strip, law))
 
 
 def find_missing_incline(pipeline: RunPipeline, record: Run) -> Finding | None:

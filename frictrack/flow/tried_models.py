@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack import effects, models, store
-from frictrack.effects import Effect
-from frictrack.effects.settings import Settings, check_ties, definitions
+from frictrack.effects import Effect, EffectSettings, check_ties, definitions
 from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state
 from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.flow.command_history import CommandHistory
@@ -133,8 +132,8 @@ def configured_effects(tables: Iterable[EffectTable]) -> list[Effect]:
     return [one.applied(effects.get(one.effect, own)) for one in settings]
 
 
-def _settings(tables: Iterable[EffectTable]) -> list[Settings]:
-    return [Settings(**table.model_dump()) for table in tables]
+def _settings(tables: Iterable[EffectTable]) -> list[EffectSettings]:
+    return [EffectSettings(**table.model_dump()) for table in tables]
 
 
 class TriedModels:

@@ -12,8 +12,6 @@ from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
 
-FORCE_SHARE = 0.05  # of the friction force (rms), of the momentum of a blow
-LOST_FRAMES = 1.0  # frames lost
 MEASUREMENT_NOISE_RATIO = 1.0  # times the noise of a frame (rms), of a fault of the picture
 MAX_GRID_POINTS = 150  # of one effect
 MAX_FREQUENCY_HZ = 250.0  # Hz, up to which lines are looked for

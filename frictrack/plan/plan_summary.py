@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.experiments import CHECK_BY_EFFECT, OTHER_MEASUREMENTS
-from frictrack.effects import Effect
-from frictrack.plan.causes import FORCE_SHARE, LOST_FRAMES, MEASUREMENT_NOISE_RATIO
+from frictrack.diagnose.experiments import settled_by
+from frictrack.effects import PLANNED_SHARE, Effect
+from frictrack.plan.causes import MEASUREMENT_NOISE_RATIO
 from frictrack.plan.selection import MIN_CHI2_SEPARATED, PlanStep, RunPlan, detection_threshold, unseparated_pairs
 from frictrack.records import Array
 
@@ -16,8 +16,8 @@ MAX_CHI2_IDENTICAL = 1.0  # expected chi-squared below which two traces are one
 MIN_VISIBLE_SHARE = 1e-6  # of what a cause leaves in the picture: less is rounding
 REFERENCE_INSTRUCTION = "a mark at rest in every picture, given as `reference`"
 PLANNED_SIZES = (
-    f"sizes: every force {100 * FORCE_SHARE:g} % of friction (rms), a blow {100 * FORCE_SHARE:g} % of the momentum, a "
-    f"measurement fault {MEASUREMENT_NOISE_RATIO:g} times the noise per frame (rms), {LOST_FRAMES:g} lost frame; "
+    f"sizes: every force {100 * PLANNED_SHARE:g} % of friction (rms), a blow {100 * PLANNED_SHARE:g} % of the "
+    f"momentum, a measurement fault {MEASUREMENT_NOISE_RATIO:g} times the noise per frame (rms), 1 lost frame; "
     "effects without a size (presliding, lag): the middle of the scanned range"
 )
 
@@ -98,15 +98,15 @@ def _left(plan: RunPlan, a: int, b: int) -> dict[str, Any]:
         why = "both change every candidate run in the same way"
     else:
         why = f"expected chi-squared difference of their best fits: {e:.2g}; separation needs {MIN_CHI2_SEPARATED:g}"
-    kinds = frozenset({names[a], names[b]})
-    means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(filter(None, (_direct_check(causes[k].effect) for k in (a, b))))
+    rivals = [causes[k].effect for k in (a, b)]
+    means = settled_by(rivals) or "; ".join(filter(None, map(_direct_check, rivals)))
     return {"effects": [names[a], names[b]], "expected_chi2": float(e), "why": why, "settle": means}
 
 
 def _direct_check(effect: Effect) -> str:
     """Instruction for a direct measurement that shows an effect."""
-    check = CHECK_BY_EFFECT.get(effect.kind)
-    words = check.words if check else effect.confirm.split(":")[0].rstrip(".")
+    check = effect.direct_check
+    words = check.instruction if check else effect.confirm.split(":")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 
 

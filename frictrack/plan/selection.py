@@ -22,7 +22,6 @@ MAX_RUNS = 8  # runs
 MIN_PROGRESS_PAIRS = 0.5  # of a pair that a run must bring nearer where it parts none
 N_INDEPENDENT_FORMS = 1000  # independent forms that a search of the library looks at, about
 DEGREES_OF_FREEDOM = 2  # coefficients of a form
-CAMERA_SHAKE = "camera_shake"
 
 Progress = Callable[[int, int, str], None]
 
@@ -82,8 +81,7 @@ class EvidenceTables:
         unexplained = [sum_runs([self.rivals[r][b] for r in chosen]).unexplained_chi2() for b in range(d)]
         bare = sum_runs([self.without_rival[r] for r in chosen]).unexplained_chi2()
         out = np.column_stack([*unexplained, bare])
-        if reference and CAMERA_SHAKE in self.names:
-            k = self.names.index(CAMERA_SHAKE)
+        for k in (i for i, c in enumerate(self.causes) if reference and c.effect.moves_picture):
             out[k] += self.raw_chi2[chosen, k].sum()
             out[:, k] = np.where(np.arange(d) == k, out[:, k], bare)
         out[np.arange(d), np.arange(d)] = np.inf

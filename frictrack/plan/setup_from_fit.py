@@ -13,16 +13,6 @@ from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.plan.experiment_setup import DEFAULT_NOISE_PX, DEFAULT_SCATTER, Experiment, ExperimentSetup
 
-BASE_LAW_EFFECTS = (
-    "coulomb",
-    "stribeck",
-    "viscous",
-    "drag",
-    "spring",
-    "slope",
-    "asymmetry",
-)  # what a base law may hold
-
 
 def fitted_setup(fit: Fit) -> ExperimentSetup:
     """Derive the setup from a fit; its runs count as completed.
@@ -53,7 +43,7 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
         )
     solution, first = fit.solution, fit.runs[0]
     layout = solution.problem.layout
-    base_effects = [e for e in fit.model.effects if e.name in BASE_LAW_EFFECTS]
+    base_effects = [e for e in fit.model.effects if e.in_base_law]
     if not any(e.name == "coulomb" for e in base_effects):
         raise FrictrackError("expected Coulomb friction in the fitted law to plan with; fit a model that has it")
     values, _ = layout.values(solution.p, 0)

@@ -15,13 +15,13 @@ from frictrack.diagnose.experiments import (
     blank_piece,
     integrate_motion,
 )
-from frictrack.effects import Effect, Span
+from frictrack.effects import PLANNED_SHARE, Effect, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.plan.causes import FORCE_SHARE, LOST_FRAMES, MEASUREMENT_NOISE_RATIO, Cause
+from frictrack.plan.causes import MEASUREMENT_NOISE_RATIO, Cause
 from frictrack.plan.experiment_setup import Experiment, ExperimentSetup
 from frictrack.records import Array
 
@@ -172,10 +172,8 @@ def _displacement_columns(run: PlannedRun, effect: Effect, grid: list[dict[str, 
 def planned_size(runs: list[PlannedRun], cause: Cause) -> float:
     """Coefficient at which an effect has its planned size over the candidate runs."""
     effect, setting = cause.effect, cause.setting
-    if effect.name == "dropped_frame":
-        return LOST_FRAMES
-    if effect.name == "collision":
-        return FORCE_SHARE * float(np.median([r.piece.mass * abs(r.experiment.design.start[1]) for r in runs]))
+    if effect.planned_size is not None:
+        return effect.planned_size(float(np.median([r.piece.mass * abs(r.experiment.design.start[1]) for r in runs])))
     if effect.acts_on == "measurement":
         shifts = [_measurement_columns(r, effect, [setting])[:, 0] / r.piece.sigma for r in runs]
         return MEASUREMENT_NOISE_RATIO / max(_rms(shifts), 1e-300)
@@ -183,7 +181,7 @@ def planned_size(runs: list[PlannedRun], cause: Cause) -> float:
         return 1.0
     made = [effect_forces(r, effect, [setting])[:, 0] for r in runs]
     default_setup = [r.piece.mass * (r.piece.known - r.response.motion.a) for r in runs]
-    return FORCE_SHARE * float(np.mean(np.abs(np.concatenate(default_setup)))) / max(_rms(made), 1e-300)
+    return PLANNED_SHARE * float(np.mean(np.abs(np.concatenate(default_setup)))) / max(_rms(made), 1e-300)
 
 
 def _rms(parts: list[Array]) -> float:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from frictrack.effects import Path
-from frictrack.effects.memory import headings
+from frictrack.effects import Path, direction_of_motion
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.conditions import Conditions
@@ -152,7 +151,7 @@ class SimulationState:
 
     def directions(self, v: Array) -> Array:
         """Direction of motion (n,) from the last sample on; it is kept at rest."""
-        return headings(np.append(self.heading, v))[1:]
+        return direction_of_motion(np.append(self.heading, v))[1:]
 
     def excess_force(self, x: float, t: Array, s: float) -> Array:
         """Driving force minus friction, N, of a mass at rest at x that is about to move in direction s."""

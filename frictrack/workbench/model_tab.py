@@ -92,7 +92,8 @@ class ModelTab:
         """What the chosen effect is."""
         found = self._library().get(self.choice.value)
         if found:
-            self.words.object = note(f"{found['equation']}. Looks like {found['looks_like']}.")
+            seen = f"Looks like {found['looks_like']}." if found["looks_like"] else found["what"]
+            self.words.object = note(f"{found['equation']}. {seen}")
 
     def _add(self) -> None:
         if self.choice.value:

@@ -19,7 +19,7 @@ from seeds import CAMERAS, ROOT
 from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.calibration.lens import read_lens
-from frictrack.effects.formula import CONSTANTS, FUNCTIONS, VARIABLES
+from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.errors import FrictrackError
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study

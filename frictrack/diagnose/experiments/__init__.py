@@ -1,7 +1,6 @@
 """Propose the next experiment: the run, or the direct check, that separates what the present runs cannot."""
 
-from frictrack.diagnose.experiments.advice_text import OTHER_MEASUREMENTS
-from frictrack.diagnose.experiments.direct_checks import CHECK_BY_EFFECT
+from frictrack.diagnose.experiments.advice_text import settled_by
 from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.rating import (
@@ -21,10 +20,8 @@ from frictrack.diagnose.experiments.virtual_runs import (
 )
 
 __all__ = [
-    "CHECK_BY_EFFECT",
     "DEFAULT_SCATTER",
     "GOLDEN_ANGLE_RAD",
-    "OTHER_MEASUREMENTS",
     "PLANNED_RUN_NAME",
     "Experiment",
     "Explanation",
@@ -39,4 +36,5 @@ __all__ = [
     "plan_for_unexplained",
     "propose_experiments",
     "rate_runs",
+    "settled_by",
 ]

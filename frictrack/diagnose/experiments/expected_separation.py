@@ -70,6 +70,11 @@ class Explanation:
     conservative: Solution
     _simulated: dict[tuple[RunDesign, int], Piece] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def fitted_effect(self) -> Effect:
+        """The effect as it was fitted."""
+        return next(e for e in self.solution.problem.model.effects if e.name == self.effect)
+
     def simulated_run(self, design: RunDesign, fine: int) -> Piece:
         """Simulate a planned run without noise, with at least `fine` panels per frame; the result is cached."""
         key = design, max([fine, *(e.fine for e in self.conservative.problem.model.effects)])

@@ -16,6 +16,7 @@ from frictrack.diagnose.experiments.direct_checks import direct_checks
 from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
+from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
@@ -58,13 +59,13 @@ class RatedExperiment:
         """Evidence relative to effort: a sensor must be bought, mounted and synchronised."""
         return self.min_evidence() * (1.0 if self.kind == "film" or self.key not in COSTLY_CHECKS else 1 / COST_FACTOR)
 
-    def summary(self, names: Sequence[str]) -> dict[str, Any]:
+    def summary(self, effects: Sequence[Effect]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
         pairs = self.separated_pairs()
         members = {name for pair in pairs for name in pair}
-        separated = [name for name in names if name in members]
+        separated = [effect.name for effect in effects if effect.name in members]
         each = {n: min(self.evidence[n, b] for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
-        why = explain_separation(separated) if self.kind == "film" else ""
+        why = explain_separation([e for e in effects if e.name in members]) if self.kind == "film" else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": separated,
@@ -118,7 +119,7 @@ def propose_experiments(
         )
         if experiment.separated_pairs()
     ]
-    out = [experiment.summary(names) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
+    out = [experiment.summary([e.fitted_effect for e in explanations]) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
     remaining = [
         pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.separated_pairs() for o in rated)
     ]
@@ -243,7 +244,7 @@ def rate_direct_checks(explanations: Sequence[Explanation]) -> Iterator[RatedExp
     made: dict[str, RatedExperiment] = {}
     for one, other in combinations(explanations, 2):
         for check, if_one, if_other in direct_checks(one, other):
-            experiment = made.setdefault(check.key, RatedExperiment(check.key, check.words, "measurement", {}))
+            experiment = made.setdefault(check.key, RatedExperiment(check.key, check.instruction, "measurement", {}))
             experiment.evidence[one.effect, other.effect] = if_one
             experiment.evidence[other.effect, one.effect] = if_other
     yield from made.values()
@@ -256,14 +257,9 @@ def _are_coasting(explanations: Sequence[Explanation]) -> bool:
 
 def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation]) -> dict[str, Any]:
     """JSON entry of a pair that no run separates."""
-    confirm = [
-        e.confirm
-        for separated in explanations
-        for e in separated.solution.problem.model.effects
-        if e.name == separated.effect in pair
-    ]
+    inseparable = [e.fitted_effect for e in explanations if e.effect in pair]
     return {
-        "what": describe_unseparated(pair, confirm),
+        "what": describe_unseparated(inseparable),
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_if_true": {},

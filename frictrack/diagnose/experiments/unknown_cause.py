@@ -14,12 +14,16 @@ from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.expected_separation import Explanation
 from frictrack.diagnose.formulas import AXIS_SYMBOLS
 from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
-from frictrack.effects import Effect, Parameter, Path
-from frictrack.effects.base import Nonlinear
+from frictrack.effects import Effect, Nonlinear, Parameter, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.records import Array
 
+INVARIANTS = {  # by axis: what a force over it keeps when a run is made differently
+    "x": "what depends on the place comes again at the same place",
+    "t": "what depends on the time comes again equally long after release",
+    "v": "what depends on the speed comes again at the same speed",
+}
 N_HATS = 14  # over an axis
 PRIOR_STD_RATIO = 0.5  # of friction: what is known of a height beside the runs
 MAX_STEPS = 8
@@ -74,4 +78,11 @@ def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) ->
         return np.asarray(axis.times(path)[:, None] * hats)
 
     heights = tuple(Parameter(f"h{k}", "N", linear=True, prior=(0.0, prior_std)) for k in range(len(knots)))
-    return Effect(name=name, acts_on="force", equation=f"any curve over {name}", parameters=heights, columns=columns)
+    return Effect(
+        name=name,
+        acts_on="force",
+        equation=f"any curve over {name}",
+        parameters=heights,
+        columns=columns,
+        invariant=INVARIANTS[axis.name],
+    )

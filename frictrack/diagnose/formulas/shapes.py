@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.effects.formula import CONSTANTS, FUNCTIONS, OPERATORS
+from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
 from frictrack.records import Array
 
 WIDTHS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for places

@@ -32,7 +32,7 @@ from frictrack.diagnose.repeatability.common_frequency import (
     restricted_likelihood_gain,
 )
 from frictrack.diagnose.smooth_forces import gain_of_separate_curves, smooth_forces
-from frictrack.effects.texture import periods
+from frictrack.effects import spatial_periods
 from frictrack.fit.least_squares import ModelProjection, Solution, displacement_response, model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
@@ -273,7 +273,7 @@ def _wave(apart: _Runs) -> tuple[Array, float]:
 
     And the evidence for such a wave in all of them.
     """
-    f = 1 / periods(apart.law.solution.problem.layout.span)
+    f = 1 / spatial_periods(apart.law.solution.problem.layout.span)
     made = [wave_traces(r, n.x, f, n.dry_factor) for r, n in zip(apart.law.responses, apart.at, strict=True)]
     runs = apart.waved(made)
     gram, data = apart.normal_equations([np.zeros((len(c), 0)) for c in apart.shared])

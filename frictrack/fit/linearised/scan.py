@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.effects import Effect, Span
-from frictrack.effects.settings import Tie
+from frictrack.effects import Effect, Span, Tie
 from frictrack.errors import FrictrackError
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, columns_one_by_one
 from frictrack.records import Array

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter
-from frictrack.effects.settings import Tie
+from frictrack.effects import Effect, Parameter, Tie
 from frictrack.errors import FrictrackError
 from frictrack.models import Model
 

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter, Span
-from frictrack.effects.settings import Tie
+from frictrack.effects import Effect, Parameter, Span, Tie
 from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
 from frictrack.models import Model
 from frictrack.records import Array, Mask

@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter, Path
-from frictrack.effects.base import Nonlinear
+from frictrack.effects import Effect, Nonlinear, Parameter, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.parameters.constraints import MASS
 from frictrack.fit.parameters.layout import ParameterLayout

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from frictrack.effects import Path, Span
-from frictrack.effects.memory import headings
+from frictrack.effects import Path, Span, direction_of_motion
 from frictrack.errors import FrictrackError
 from frictrack.fit.segments.release import Reference, RunContext, run_context
 from frictrack.fit.segments.swings import join_swings
@@ -106,7 +105,7 @@ class Piece:
         """Sign of the velocity (n,), held at rest; 0 at first where the piece begins at rest."""
         if self.slack:
             return np.clip(v / self.slack, -1.0, 1.0)
-        s = headings(v)
+        s = direction_of_motion(v)
         if self.path.s[0] == 0:
             s[0] = 0.0
         return s
@@ -171,7 +170,7 @@ class Piece:
     def _direction_at_nodes(self, low: int, high: int) -> Array:
         """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
         s = self.path.s[3 * low : 3 * high]
-        return np.full_like(s, headings(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
+        return np.full_like(s, direction_of_motion(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
 
     def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
         """What was measured beside the motion, moved from the nodes to where `of` reads it off."""

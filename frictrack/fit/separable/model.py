@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.effects import Effect, Path
-from frictrack.effects.settings import Tie
+from frictrack.effects import Effect, Path, Tie
 from frictrack.fit.parameters import ParameterLayout, apply_constraints
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.models import Model

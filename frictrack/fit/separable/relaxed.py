@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from frictrack.effects import Effect
-from frictrack.effects.base import Part
+from frictrack.effects import Effect, RelaxedPart
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import ROUGH_STEPS, VariableProjection
@@ -259,7 +258,7 @@ def _over_phases(products: Array) -> Array:
     return np.asarray((products @ _single_precision(PHASE_ROTATIONS)).ravel())
 
 
-def _effect_of_part(name: str, part: Part, effect: Effect, shared_values: Mapping[str, float]) -> Effect:
+def _effect_of_part(name: str, part: RelaxedPart, effect: Effect, shared_values: Mapping[str, float]) -> Effect:
     """A part as it is searched: bounds and fixed values of the whole, what is shared held."""
     own_parameters = []
     for q, reported_name in zip(part.effect.parameters, part.names, strict=True):

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter
-from frictrack.effects.base import Within
-from frictrack.effects.settings import Tie
+from frictrack.effects import Effect, Parameter, Tie, Within
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import reported_value
 from frictrack.models import Model

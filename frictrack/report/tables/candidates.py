@@ -126,6 +126,6 @@ def _limit(limit: Mapping[str, Any]) -> str:
 def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
     from frictrack import effects  # noqa: PLC0415 - only for the units
 
-    kind = effects.LIBRARY.get(effect.split(":", maxsplit=1)[0])
+    kind = effects.known().get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
     return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())

@@ -13,7 +13,8 @@ from types import FrameType
 from typing import Any
 
 from frictrack.blind.equivalents import equivalent_effects
-from frictrack.blind.outcome import NOTE_PHRASES, parameter_deviations
+from frictrack.blind.outcome import parameter_deviations
+from frictrack.blind.truth import effect_named
 from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
@@ -106,7 +107,7 @@ def wrong(said: Outcome) -> str:
         for group in said.groups:
             if not set(group) & set(said.allowed):
                 return f"names {' / '.join(group)}"
-    seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in NOTE_PHRASES.get(h, ()))]
+    seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in effect_named(h).noted_as)]
     size = max(said.size, default=0.0) / said.fault.louder
     if said.verdict == "complete" and not said.named and not seen and size >= TWICE:
         return f"complete, while {said.hidden[0]} of {size:.1f} limits is hidden"

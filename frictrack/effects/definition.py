@@ -1,0 +1,300 @@
+"""One physical cause: its name, a function that returns columns, and named parameters with units and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from frictrack.effects.in_study import DirectCheck, EffectInStudy
+from frictrack.effects.path import NEEDS, Nonlinear, Path
+from frictrack.effects.plausibility import Check
+from frictrack.effects.scans import Span, Within
+from frictrack.records import Array, Mask
+
+Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named number of an effect, with unit and bounds.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and SI unit, as a study file and the results write them.
+    bounds : tuple of float
+        Lowest and highest value, in `unit`.
+    linear : bool
+        Whether it is a coefficient of a column of the effect. The linear parameters are in the order of the columns.
+    per_run : bool
+        Whether every run has its own value.
+    role : {"", "phase", "depth", "amplitude"}
+        A phase is never scanned: the two quadratures of the wave are fitted instead. A depth scales what a modifier
+        changes; it is scanned as if it were a coefficient.
+    scan : callable, optional
+        Map a `Span` to the values on which the first search looks for a non-linear parameter.
+    known : callable, optional
+        Map a `Span` to the value, where the runs state it.
+    fixed : float, optional
+        A value that is not fitted.
+    loaded : bool
+        Whether its column carries the normal load and the friction level of the run.
+    signed : bool
+        Whether it is a place or a moment, which may lie on either side of zero; others are sizes above zero.
+    prior : tuple of float, optional
+        Mean and standard deviation, known from elsewhere than the runs.
+    passive : bool
+        Whether a negative value would drive the motion.
+    tie : str, optional
+        What it equals: "vibration.frequency", or a multiple, "2*vibration.frequency".
+
+    """
+
+    name: str
+    unit: str
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    linear: bool = False
+    per_run: bool = False
+    role: Literal["", "phase", "depth", "amplitude"] = ""
+    scan: Callable[[Span], Array] | None = None
+    known: Callable[[Span], float | None] | None = None
+    fixed: float | None = None
+    loaded: bool = False
+    signed: bool = False
+    prior: tuple[float, float] | None = None
+    passive: bool = False
+    tie: str | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether it is fitted: neither fixed nor tied to another parameter."""
+        return self.fixed is None and self.tie is None
+
+
+@dataclass(frozen=True)
+class TestDraw:
+    """How an effect is drawn at random for a test study, where its parameters and scans do not say it.
+
+    Attributes
+    ----------
+    positive : bool
+        Whether its coefficients are drawn above zero; others have a random sign.
+    impulse : bool
+        Whether its coefficient is an impulse, N s: it takes the sign of the velocity of the run, and is at most a share
+        of the momentum.
+    only_with : frozenset of str
+        Effects of which the base law must have one.
+    own_size : bool
+        Whether its size follows from its numbers (a lost frame); others are drawn relative to the detection limit.
+    between_frames : str
+        The parameter, a time in s, that is put midway between two frames; "" for none.
+    coefficients : callable, optional
+        Map a `Span` and two random numbers in [0, 1) to values of coefficients at unit size; others are 1.
+
+    """
+
+    __test__ = False  # no test class of pytest
+
+    positive: bool = False
+    impulse: bool = False
+    only_with: frozenset[str] = frozenset()
+    own_size: bool = False
+    between_frames: str = ""
+    coefficients: Callable[[Span, Array], Mapping[str, float]] | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical cause: what it adds to the friction force (N) or to the picture of the motion (m).
+
+    Everything that frictrack knows of an effect stands in its file and reaches the rest of the program by these fields.
+    Only the first five are needed.
+
+    Attributes
+    ----------
+    name : str
+        Name in study files, commands and results.
+    acts_on : {"force", "measurement"}
+        Whether it is a force on the mass, or an error of the measured position.
+    equation : str
+        Formula in plain text.
+    parameters : tuple of Parameter
+        Linear parameters first, in the order of the columns.
+    columns : callable
+        Map a `Path` and the non-linear parameters to columns (n, k): N or m per unit of each linear parameter. A
+        modifier takes the columns that it modifies as third argument.
+    modifies, replaces : frozenset of str
+        Effects whose columns it changes; effects that cannot stand beside it in a model.
+    scales_with : {"nothing", "load", "mass", "drive"}
+        What carries its size from one run to another.
+    what, looks_like, mistaken_for, confirm, source : str
+        What it is physically, how it shows, what it is confused with, how to confirm it, where the formula is from.
+    invariant : str
+        What it keeps when a run is made differently, as a sentence without a full stop.
+    settled_by : str
+        What to do where no film separates it from another effect, as a phrase.
+    direct_check : DirectCheck, optional
+        A measurement other than a film that shows it directly.
+    describe : callable, optional
+        Map an `EffectInStudy` to a phrase with the numbers of the study. Without it the parameters are listed.
+    plausible : callable, optional
+        Map values of one run and its `Span` to an objection, or "" where they are physically sensible.
+    needs : tuple of str
+        What a run must tell, keys of `NEEDS`.
+    fine : int
+        Integration panels per frame that its columns need.
+    memory : bool
+        Whether its columns depend on the whole motion so far and not on the moment alone.
+    state : callable, optional
+        What it remembers at every sample, (n, k), of the same arguments as `columns`.
+    turns : bool
+        Whether its force passes a stop or a reversal without a jump.
+    rank : int
+        Order among modifiers: one of higher rank changes what those of lower rank have left.
+    relaxed : tuple of RelaxedPart
+        The same effect with an amplitude of its own for every wave.
+    formula : str, optional
+        Text of a user's formula.
+    in_base_law : bool
+        Whether it may belong to the law that a plan of experiments starts from.
+    basic : bool
+        Whether a verdict "complete" needs runs that would show it.
+    may_pull : bool
+        Whether it can pull the mass along, so that motion without a drive needs no incline.
+    moves_picture : bool
+        Whether it moves everything in the picture, so that a fixed reference in the film shows it.
+    film_fault : bool
+        Whether it is a fault that a film of the run itself can show.
+    noted_as : tuple of str
+        Phrases by which remarks of the tracking name the fault.
+    same_cause_as : str
+        Key of the study file ("fps", "incline") that would be wrong if this effect is there; "" for none.
+    acts_within : callable, optional
+        Map t (s), x (m), the values of a run, and a half width in time (s) to the frames in which a local effect acts.
+    planned_size : callable, optional
+        Map the momentum of the mass (N s) to the size for which a plan is made; others get a share of the friction.
+    test_draw : TestDraw
+        How it is drawn for a test study.
+    clock : callable, optional
+        True over recorded time of a run, for an effect of the clock.
+    quote : callable, optional
+        Map own fitted values, and all values of the model, to values as they are quoted, where these differ.
+
+    """
+
+    name: str
+    acts_on: Literal["force", "measurement"]
+    equation: str
+    parameters: tuple[Parameter, ...]
+    columns: Columns
+    modifies: frozenset[str] = frozenset()
+    replaces: frozenset[str] = frozenset()
+    scales_with: str = "nothing"
+    what: str = ""
+    looks_like: str = ""
+    mistaken_for: str = ""
+    confirm: str = ""
+    source: str = ""
+    invariant: str = ""
+    settled_by: str = ""
+    direct_check: DirectCheck | None = field(default=None, compare=False)
+    describe: Callable[[EffectInStudy], str] | None = field(default=None, compare=False)
+    plausible: Check | None = field(default=None, compare=False)
+    needs: tuple[str, ...] = ()
+    fine: int = 1
+    memory: bool = False
+    state: Columns | None = None
+    turns: bool = False
+    rank: int = 0
+    relaxed: tuple[RelaxedPart, ...] = ()
+    formula: str | None = None
+    in_base_law: bool = False
+    basic: bool = False
+    may_pull: bool = False
+    moves_picture: bool = False
+    film_fault: bool = False
+    noted_as: tuple[str, ...] = ()
+    same_cause_as: str = ""
+    acts_within: Callable[[Array, Array, Mapping[str, float], float], Mask] | None = field(default=None, compare=False)
+    planned_size: Callable[[float], float] | None = field(default=None, compare=False)
+    test_draw: TestDraw = field(default_factory=TestDraw, compare=False)
+    clock: Callable[[Nonlinear], float] | None = field(default=None, compare=False)
+    quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
+
+    @property
+    def kind(self) -> str:
+        """The library name: `vibration` of the instance `vibration:2`."""
+        return self.name if self.name.startswith("atm2") else self.name.split(":")[0]
+
+    def lacks(self, paths: Sequence[Path]) -> str:
+        """What the runs of these paths do not tell although the effect needs it, in words; "" where nothing."""
+        gone = [NEEDS[need] for need in self.needs if any(getattr(path, need) is None for path in paths)]
+        if not gone:
+            return ""
+        return f"{self.name} needs {' and '.join(what for what, _ in gone)} of every run; " + ", ".join(
+            how for _, how in gone
+        )
+
+    @property
+    def linear(self) -> tuple[Parameter, ...]:
+        """Coefficients of the columns, in order."""
+        return tuple(p for p in self.parameters if p.linear)
+
+    @property
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        """What the columns themselves depend on."""
+        return tuple(p for p in self.parameters if not p.linear)
+
+    @property
+    def quoted(self) -> frozenset[str]:
+        """Parameters that are quoted otherwise than they are sought, such as F_s for F_s - F_c."""
+        return frozenset() if self.quote is None else frozenset(self.quote({p.name: 1.0 for p in self.parameters}, {}))
+
+    @property
+    def sized(self) -> bool:
+        """Whether it has a size: coefficients, or a depth."""
+        return any(p.linear or p.role == "depth" for p in self.parameters)
+
+    @property
+    def single(self) -> bool:
+        """Whether it is an event of single runs: each is scanned by itself, and those that do not show it lack it."""
+        own = any(p.scan is not None and p.per_run and p.free for p in self.nonlinear)
+        return own or self.clock is not None
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def called(self, name: str) -> Effect:
+        """The same cause as another instance."""
+        return replace(self, name=name)
+
+    def adjusted(self, **changes: dict[str, Any]) -> Effect:
+        """A copy whose named parameters have the given fields changed: ``adjusted(phase={"per_run": False})``."""
+        known = {p.name for p in self.parameters}
+        if not changes.keys() <= known:
+            raise KeyError(f"{self.name} has {', '.join(sorted(known))} but not {', '.join(changes.keys() - known)}")
+        parameters = tuple(_adjusted(p, changes.get(p.name, {})) for p in self.parameters)
+        return replace(self, parameters=parameters)
+
+
+@dataclass(frozen=True)
+class RelaxedPart:
+    """A part of a relaxed effect; `names` are what the whole calls its parameters, in order."""
+
+    effect: Effect
+    names: tuple[str, ...]
+
+
+def _adjusted(p: Parameter, change: Mapping[str, Any]) -> Parameter:
+    """A changed parameter; the scan of one with new bounds keeps to them, one that is freed gets a scan."""
+    made = replace(p, **change)
+    inner = made.scan.scan if isinstance(made.scan, Within) else made.scan
+    scanned = not (made.linear or made.role in ("phase", "depth"))
+    freed = inner is None and made.free and bool(np.all(np.isfinite(made.bounds)))
+    if scanned and (freed or ("bounds" in change and inner is not None)):
+        return replace(made, scan=Within(made.bounds, inner))
+    return made

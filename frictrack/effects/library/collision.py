@@ -1,0 +1,82 @@
+"""Collision: a short blow that takes (or gives) momentum at one moment of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter, TestDraw
+from frictrack.effects.in_study import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import Span
+from frictrack.number_format import format_number
+from frictrack.records import Array, Mask
+
+MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Pulse of unit area at `time`, standard deviation `width`, shape (n, 1): N per N s of J."""
+    z = (path.t - nonlinear["time"]) / nonlinear["width"]
+    return (np.exp(-(z**2) / 2) / (np.sqrt(2 * np.pi) * nonlinear["width"]))[:, None]
+
+
+def times(span: Span) -> Array:
+    """Moments worth trying, s since release."""
+    edge = 8.0 / span.fps  # closer to either end a blow is only another start or end speed
+    return np.linspace(edge, max(span.duration - edge, 2 * edge), 121)
+
+
+def widths(span: Span) -> Array:
+    """Durations worth trying, s: below a few frames the film cannot tell them apart."""
+    return np.array([1.0, 3.0]) / span.fps
+
+
+def plausible(values: Nonlinear, span: Span) -> str:
+    """Return an objection to a blow that lasts: then it is a force of time, and no impact."""
+    longest = max(MAX_SHARE * span.duration, MAX_FRAMES / span.fps)
+    if values["width"] <= longest:
+        return ""
+    return f"it would last {values['width']:.2g} s, expected at most {longest:.2g} s of a blow"
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Run, moment, impulse and the step in velocity."""
+    impulse = abs(effect.value("J"))
+    when = format_number(1e3 * effect.value("time"))
+    step = format_number(impulse / effect.mass, 2)
+    return f"in run {effect.run} {when} ms after release, of {format_number(impulse)} N s: {step} m/s at once"
+
+
+def acts_within(t: Array, x: Array, values: Nonlinear, half_width: float) -> Mask:
+    """Return the frames within two standard deviations of the blow, and the half width of a low-pass, (n,)."""
+    return np.asarray(np.abs(t - values["time"]) <= N_STD_ACTIVE * values["width"] + half_width)
+
+
+def planned_impulse(momentum: float) -> float:
+    """Return the impulse for which a plan is made, N s."""
+    return PLANNED_SHARE * momentum
+
+
+collision = Effect(
+    name="collision",
+    acts_on="force",
+    equation="J exp(-((t - time)/width)^2/2)/(width sqrt(2 pi))",
+    parameters=(
+        Parameter("J", "N s", linear=True, per_run=True),
+        Parameter("time", "s", per_run=True, scan=times, signed=True),
+        Parameter("width", "s", scan=widths),
+    ),
+    columns=columns,
+    what="The mass strikes a joint, an edge or the course itself.",
+    looks_like="a kink in displacement, a step in velocity, a spike in force",
+    mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",
+    confirm="Look at the frames round that moment; change the speed: a joint stays at its place.",
+    fine=3,
+    plausible=plausible,
+    invariant="a blow comes at a moment of its own",
+    describe=describe,
+    acts_within=acts_within,
+    planned_size=planned_impulse,
+    test_draw=TestDraw(impulse=True),
+    source="Hunt & Crossley 1975 for the shape inside; second paper for the cause",
+)

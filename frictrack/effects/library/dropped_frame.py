@@ -1,0 +1,80 @@
+"""A dropped frame: the recording has a frame too few or too many, and its clock does not know."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter, TestDraw
+from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import WHOLE_FRAME
+from frictrack.effects.scans import Span
+from frictrack.number_format import format_number
+from frictrack.records import Array
+
+MAX_MOMENTS = 2000  # moments tried in one run
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """V dt from `time` on, shape (n, 1): m per frame that is missing; it comes in over one frame interval dt."""
+    dt = float(np.median(np.diff(path.t)))
+    after: Array = np.clip((path.t - nonlinear["time"]) / dt + 0.5, 0.0, 1.0)
+    return np.asarray((path.v * dt * after)[:, None])
+
+
+def times(span: Span) -> Array:
+    """Moments worth trying, s since release: between any two frames, not too near to either end."""
+    n = round(span.duration * span.fps)
+    between: Array = np.arange(3.5, max(n - 3, 5))
+    return between[:: max(1, len(between) // MAX_MOMENTS)] / span.fps
+
+
+def plausible(values: Nonlinear, span: Span) -> str:
+    """Return an objection to a part of a frame: a camera loses or doubles whole ones."""
+    frames = abs(values["frames"])
+    if round(frames) >= 1 and abs(frames - round(frames)) <= WHOLE_FRAME:
+        return ""
+    return f"{values['frames']:.2f} frames are lost, expected a whole number"
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Run, moment and count of frames."""
+    when = format_number(1e3 * effect.value("time"))
+    return f"in run {effect.run} {when} ms after release, {format_number(effect.value('frames'), 2)} frames"
+
+
+def time_stamp_signal(effect: EffectInStudy) -> float:
+    """Return chi-squared of the jump of time stamps that would be recorded with every frame."""
+    return (effect.rms("frames") / FLASH_STD_FRAMES) ** 2
+
+
+def one_frame(momentum: float) -> float:
+    """Return the size for which a plan is made: one frame, at any momentum."""
+    return 1.0
+
+
+dropped_frame = Effect(
+    name="dropped_frame",
+    acts_on="measurement",
+    equation="y: frames v dt from time on",
+    parameters=(
+        Parameter("frames", "1", linear=True, per_run=True),
+        Parameter("time", "s", per_run=True, scan=times, signed=True),
+    ),
+    columns=columns,
+    what="The camera or the computer lost a frame (frames > 0) or stored one twice (frames < 0).",
+    looks_like="a jump in displacement of as far as the mass goes in one frame, the velocity before and after the same",
+    mistaken_for="a collision (a step in velocity, no jump)",
+    confirm="Look at the time stamps and at the frames round that moment: one is missing, or two are alike.",
+    plausible=plausible,
+    invariant="a lost frame shifts the picture by the way of the mass in one frame",
+    direct_check=DirectCheck(
+        "time stamps", "Keep the camera's time stamps, or film a running counter", time_stamp_signal
+    ),
+    describe=describe,
+    film_fault=True,
+    noted_as=("told by the motion", "repeats the one before", "repeat the one before"),
+    planned_size=one_frame,
+    test_draw=TestDraw(own_size=True, between_frames="time"),
+    source="textbook; y(t) = x(t + frames dt) after the loss",
+)

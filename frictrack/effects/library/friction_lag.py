@@ -1,0 +1,70 @@
+"""Frictional lag: the level of dry friction answers a change of speed only after a while."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter, TestDraw
+from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.memory import follow_target
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import shorter_than_record
+from frictrack.effects.scans import Span, log_grid
+from frictrack.number_format import format_length, format_number
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """Dry-friction columns whose size u follows the one c of the moment, du/dt = (c - u)/tau, same shape as `inner`.
+
+    A steady change of c arrives tau late. The sign stays the one of the motion: friction never pushes.
+    """
+    return state(path, nonlinear, inner) * path.s[:, None]
+
+
+def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """The size u of dry friction that follows the one of the moment, (n, k)."""
+    size = inner * path.s[:, None]
+    starts = list(path.starts)
+    rested = [i for i in starts if path.s[i] == 0]
+    size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
+    late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
+    late[starts] = 0.0
+    fresh = np.zeros(len(late), dtype=bool)
+    fresh[starts] = True
+    begin = size[starts] if path.begin is None else path.begin
+    return follow_target(size, (np.zeros_like(late), late), fresh, begin, starts)
+
+
+def lags(span: Span) -> Array:
+    """Lags worth trying, s: from half a frame up to a quarter of the longest run."""
+    return log_grid(0.5 / span.fps, max(span.duration / 4.0, 2.0 / span.fps), 6)
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Delay, and the way that the mass slides in it."""
+    tau, speed = effect.value("tau"), effect.typical_speed
+    return f"{format_number(1e3 * tau)} ms late, {format_length(tau * speed)} at {format_number(speed, 2)} m/s"
+
+
+friction_lag = Effect(
+    name="friction_lag",
+    acts_on="force",
+    equation="coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau",
+    parameters=(Parameter("tau", "s", (1e-7, np.inf), scan=lags),),
+    columns=columns,
+    state=state,
+    modifies=frozenset({"coulomb", "stribeck"}),
+    scales_with="load",
+    memory=True,
+    rank=-1,
+    what="Film thickness and bonds take their time: dry friction belongs to the speed of a moment ago.",
+    looks_like="a loop against v where the speed swings; a hook that comes late before a stop",
+    mistaken_for="another Stribeck velocity, when the speed only falls",
+    confirm="Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency.",
+    plausible=shorter_than_record("tau", 0.5),
+    invariant="a lag needs a speed that changes to and fro",
+    describe=describe,
+    test_draw=TestDraw(only_with=frozenset({"stribeck"})),  # a level that does not change cannot lag
+    source="Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994",
+)

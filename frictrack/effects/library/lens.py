@@ -1,0 +1,66 @@
+"""Lens distortion: the picture's scale changes away from the optical axis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import DirectCheck, EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import within_picture
+from frictrack.effects.scans import Span
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """(x - x_c)^3, shape (n, 1): m per 1/m^2 of k."""
+    return ((path.x - nonlinear["x_c"]) ** 3)[:, None]
+
+
+def centres(span: Span) -> Array:
+    """Optical axes worth trying, m: the travelled span and half of it beyond either end."""
+    reach = (span.x_max - span.x_min) / 2
+    return np.linspace(span.x_min - reach, span.x_max + reach, 17)
+
+
+def distortion(values: Nonlinear, span: Span) -> float:
+    """Largest error in the picture once its scale is fitted, m: a cubic less its best line leaves 1/4 at the ends."""
+    return values["k"] * max(abs(span.x_min - values["x_c"]), abs(span.x_max - values["x_c"])) ** 3 / 4
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Optical axis."""
+    return f"no error at x = {effect.value('x_c'):.3f} m, growing with the cube of the distance from there"
+
+
+def rule_signal(effect: EffectInStudy) -> float:
+    """Return chi-squared of the marks of a rule along the course; a line through them is its scale and place."""
+    record = effect.longest
+    shift, x, rows = record.contribution, record.x, record.marks
+    line = np.polyfit(x[rows], shift[rows], 1)
+    return float(np.sum(((shift - np.polyval(line, x)) / record.noise)[rows] ** 2))
+
+
+lens = Effect(
+    name="lens",
+    acts_on="measurement",
+    equation="y: k (x - x_c)^3",
+    parameters=(
+        Parameter("k", "1/m^2", linear=True, role="amplitude"),
+        Parameter("x_c", "m", scan=centres, signed=True),
+    ),
+    columns=columns,
+    what="The lens magnifies the middle and the edge of the picture differently.",
+    looks_like="a cubic in x that is the same in every run, whatever the speed",
+    mistaken_for="a spring or drag, at one speed",
+    confirm="Film a ruler along the course, or another speed: a force's trace changes with time, the lens's does not.",
+    plausible=within_picture(distortion),
+    invariant="the lens bends the picture by place, equally at every speed",
+    settled_by="film a rule along the course",
+    direct_check=DirectCheck(
+        "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
+    ),
+    describe=describe,
+    film_fault=True,
+    source="Brown 1966, radial term",
+)

@@ -1,0 +1,61 @@
+"""Load modulation: the normal load, and with it dry friction, oscillates (contact vibrating vertically)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import ACCELEROMETER_STD, DirectCheck, EffectInStudy, oscillation
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import all_of, modulates, oscillates
+from frictrack.effects.scans import frequencies
+from frictrack.effects.waves import wave
+from frictrack.number_format import format_length, format_number
+from frictrack.records import GRAVITY, Array
+
+
+def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """Dry-friction columns times 1 + depth sin(2 pi f t + phase), same shape as `inner`."""
+    return inner * (1 + nonlinear["depth"] * wave(nonlinear["frequency"] * path.t, nonlinear["phase"]))
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Frequency, depth, and the vertical motion of the course that would make it."""
+    depth = abs(effect.value("depth"))
+    lift = depth * GRAVITY / (2 * np.pi * effect.value("frequency")) ** 2
+    return (
+        f"{oscillation(effect)}; the load changes by ± {format_number(100 * depth, 2)} %, as on a course that moves "
+        f"up and down by ± {format_length(lift)}"
+    )
+
+
+def upward_acceleration_signal(effect: EffectInStudy) -> float:
+    """Return chi-squared of the vertical acceleration of the course that would change the load as fitted."""
+    record = effect.longest
+    return 0.5 * len(record.t) * (effect.rms("depth") * record.gravity / ACCELEROMETER_STD) ** 2
+
+
+load_modulation = Effect(
+    name="load_modulation",
+    acts_on="force",
+    equation="(coulomb + stribeck) depth sin(2 pi frequency t + phase)",
+    parameters=(
+        Parameter("depth", "1", (-1.0, 1.0), role="depth"),
+        Parameter("frequency", "Hz", scan=frequencies),
+        Parameter("phase", "rad", per_run=True, role="phase"),
+    ),
+    columns=columns,
+    modifies=frozenset({"coulomb", "stribeck"}),
+    scales_with="load",
+    what="The beam vibrates vertically: the mass is pressed on harder and lighter in turn.",
+    looks_like="a line in time whose size follows the dry friction",
+    mistaken_for="vibration (same shape when the dry friction is constant)",
+    confirm="Double the mass: the force doubles with the load, a vibration's stays.",
+    plausible=all_of(oscillates, modulates),
+    invariant="a modulated load acts through the dry friction, and so grows with the mass",
+    direct_check=DirectCheck(
+        "course sensor", "Fix an accelerometer to the course, facing upward", upward_acceleration_signal
+    ),
+    describe=describe,
+    source="Teidelt et al.; the physical form of the first paper's ATM2",
+)

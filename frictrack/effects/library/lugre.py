@@ -1,0 +1,95 @@
+"""LuGre friction: bristles that bend before they slip, with damping, over a Stribeck curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.memory import (
+    direction_changed,
+    follow_target,
+    last_samples,
+    mean_per_step,
+    per_individual,
+    preceding_motion,
+    slid_per_step,
+)
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import Span, breakaway_lengths, stribeck_velocities
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Bristle force per N of F_c and speed of bending per N s/m of sigma_1, shape (n, 2).
+
+    As published, dz/dt = v - sigma_0 |v| z/g(v) and F = sigma_0 z + sigma_1 dz/dt. With w = sigma_0 z/F_c,
+    length = F_c/sigma_0 and gamma = g/F_c this is dw/dt = (|v|/(length gamma))(gamma sgn v - w), in which F_c and
+    sigma_1 are coefficients: F = F_c w + sigma_1 (v - |v| w/gamma). `sigma_0` is fitted as that length, `F_s`
+    as F_s/F_c.
+    """
+    w, gamma = _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])
+    return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
+
+
+def state(path: Path, nonlinear: Nonlinear) -> Array:
+    """Bending of the bristles over F_c, (n, 1)."""
+    return _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])[0][:, None]
+
+
+def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array]) -> tuple[Array, Array]:
+    """Bending w and level gamma, both over F_c, (n,)."""
+    highest, v_s, delta = curve
+    gamma = 1.0 + (highest - 1.0) * np.exp(-((path.speed / v_s) ** delta))
+    before, after = slid_per_step(path)
+    broken, starts = direction_changed(path), list(path.starts)
+    between = mean_per_step(1 / gamma, np.where(broken, 0.0, after), broken) / length
+    target = (path.s * gamma)[:, None]
+    earlier, begin = preceding_motion(path), target[starts] if path.begin is None else path.begin
+    if earlier is not None:
+        n = len(earlier.t)
+        lasting, _ = _bristles(earlier, per_individual(length, path, n), [per_individual(q, path, n) for q in curve])
+        begin = lasting[last_samples(earlier), None]
+    w = follow_target(target, (before * between, after * between), broken, begin, starts)
+    return w[:, 0], gamma
+
+
+def speeds(span: Span) -> Array:
+    """Stribeck velocities worth trying, m/s."""
+    return stribeck_velocities(span, low=1e-3, per_decade=4)
+
+
+def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
+    """F_s in N and sigma_0 in N/m, both from F_c."""
+    level = own["F_c"] if "F_c" in own else float("nan")
+    of = {"F_s": lambda ratio: level * ratio, "sigma_0": lambda length: level / length}
+    return {name: quoted(own[name]) for name, quoted in of.items() if name in own}
+
+
+lugre = Effect(
+    name="lugre",
+    acts_on="force",
+    equation="L (sigma_0 z + sigma_1 dz/dt), dz/dt = v - sigma_0 |v| z/(F_c + (F_s - F_c) exp(-(|v|/v_s)^delta))",
+    parameters=(
+        Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
+        Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
+        Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lambda span: breakaway_lengths(span)[::2]),
+        Parameter("F_s", "N", (1.0, 10.0), scan=lambda span: np.array([1.2, 1.6, 2.5])),
+        Parameter("v_s", "m/s", scan=speeds),
+        Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
+    ),
+    columns=columns,
+    state=state,
+    replaces=frozenset({"coulomb", "stribeck", "presliding"}),
+    scales_with="load",
+    memory=True,
+    turns=True,
+    what="Bristles between the surfaces bend, damp and slip: presliding, the Stribeck effect and a lag in one state.",
+    looks_like="a loop against x after every reversal and a hook at the slow end",
+    mistaken_for="presliding with stribeck, when the speed changes slowly",
+    confirm="Reverse the drive slowly (sigma_0), swing it fast within the breakaway length (sigma_1).",
+    invariant="LuGre's bristles need a reversal or a slow speed",
+    source="Canudas de Wit, Olsson, Astrom & Lischinsky 1995, IEEE Trans. Automatic Control 40, 419",
+    quote=quote,
+)

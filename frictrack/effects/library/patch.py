@@ -1,0 +1,64 @@
+"""A local patch on the course: more (or less) friction at one place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import N_STD_ACTIVE, EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import within_course
+from frictrack.effects.scans import Span, log_grid
+from frictrack.records import Array, Mask
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """L s exp(-((x - x_c)/w)^2/2), shape (n, 1): N per N of F."""
+    bump = np.exp(-(((path.x - nonlinear["x_c"]) / nonlinear["w"]) ** 2) / 2)
+    return path.load * (path.s * bump)[:, None]
+
+
+def places(span: Span) -> Array:
+    """Centres worth trying, m."""
+    return np.linspace(span.x_min, span.x_max, 61)
+
+
+def widths(span: Span) -> Array:
+    """Widths worth trying, m."""
+    travel = span.x_max - span.x_min
+    return log_grid(travel / 120, travel / 8, 5)
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Place, width, and when the first runs pass it."""
+    centre, width = effect.value("x_c"), effect.value("w")
+    passes = effect.passes(centre) or "no run"
+    return f"from x = {centre - 2 * width:.3f} to {centre + 2 * width:.3f} m, the middle passed by {passes}"
+
+
+def acts_within(t: Array, x: Array, values: Nonlinear, half_width: float) -> Mask:
+    """Return the frames within two standard deviations of the centre, (n,)."""
+    return np.asarray(np.abs(x - values["x_c"]) <= N_STD_ACTIVE * values["w"])
+
+
+patch = Effect(
+    name="patch",
+    acts_on="force",
+    equation="F L s exp(-((x - x_c)/w)^2/2)",
+    parameters=(
+        Parameter("F", "N", linear=True, loaded=True),
+        Parameter("x_c", "m", scan=places, signed=True),
+        Parameter("w", "m", scan=widths),
+    ),
+    columns=columns,
+    scales_with="load",
+    what="Dirt, wear or a repair: one stretch of the course rubs differently.",
+    looks_like="a step in velocity at the same place in every run",
+    mistaken_for="a collision, a spring when it is wide",
+    confirm="Wipe or mark the place and film again; reverse the run.",
+    plausible=within_course("x_c", "w"),
+    invariant="a patch keeps its place on the course",
+    describe=describe,
+    acts_within=acts_within,
+    source="textbook; position-dependent friction",
+)

@@ -1,0 +1,47 @@
+"""Surface texture: friction that varies periodically along the course."""
+
+from __future__ import annotations
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import is_periodic_in
+from frictrack.effects.scans import spatial_periods
+from frictrack.effects.waves import wave
+from frictrack.number_format import format_length
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """L s sin(2 pi x/period + phase), shape (n, 1): N per N of amplitude."""
+    ripple = wave(path.x / nonlinear["period"], nonlinear["phase"])
+    return path.load * path.s[:, None] * ripple
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Period."""
+    period = format_length(effect.value("period"))
+    return f"a period of {period}: one mark every {period} of the course"
+
+
+texture = Effect(
+    name="texture",
+    acts_on="force",
+    equation="amplitude L s sin(2 pi x/period + phase)",
+    parameters=(
+        Parameter("amplitude", "N", linear=True, loaded=True, role="amplitude"),
+        Parameter("period", "m", scan=spatial_periods),
+        Parameter("phase", "rad", role="phase"),
+    ),
+    columns=columns,
+    scales_with="load",
+    what="Machining marks, joints or waviness of the course.",
+    looks_like="ripples at the same places in every run; a chirp in time as the mass slows",
+    mistaken_for="vibration, when the speed hardly changes",
+    confirm="Film at another speed: the ripples stay at their places and change their frequency.",
+    plausible=is_periodic_in("period"),
+    invariant="texture keeps its places on the course",
+    describe=describe,
+    basic=True,
+    source="textbook; position-dependent friction",
+)

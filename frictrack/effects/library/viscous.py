@@ -1,0 +1,31 @@
+"""Viscous friction: proportional to velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """v, shape (n, 1): N per N s/m of F_v."""
+    return path.v[:, None]
+
+
+viscous = Effect(
+    name="viscous",
+    acts_on="force",
+    equation="F_v v",
+    parameters=(Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True, passive=True),),
+    columns=columns,
+    what="A lubricant or a guide sheared by the motion.",
+    looks_like="a straight line against v",
+    mistaken_for="drift in time, a spring (over one run of one speed)",
+    confirm="Double the mass: a viscous force stays, its deceleration halves.",
+    invariant="viscous friction is proportional to the speed",
+    in_base_law=True,
+    basic=True,
+    source="first paper, Eq. 1",
+)

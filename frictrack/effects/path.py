@@ -1,0 +1,71 @@
+"""The motion of one run, along which the columns of an effect are evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from frictrack.records import GRAVITY, Array
+
+Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
+
+
+@dataclass(frozen=True)
+class Path:
+    """The motion of one run along which columns are evaluated, and what is known of that run.
+
+    All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
+    that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
+    friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
+    what integrates along the path begins anew at each of `starts`. `before` (3, k) holds t, x, v of the run's motion
+    from release up to where the path begins, for what depends on the way so far.
+    """
+
+    t: Array  # s since release
+    x: Array  # m
+    v: Array  # m/s
+    s: Array
+    load: float = 1.0
+    mass_ratio: float = 1.0
+    pixel_pitch: float | None = None  # m
+    drive: Array | None = None  # N
+    drive_at: Callable[[Array], Array] | None = None  # N at any times since release
+    lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
+    mass: float | None = None  # kg, where it is known
+    gravity: float = GRAVITY  # normal load per mass of a mass at rest, m/s^2
+    angle: Array | None = None  # rad, by which the target has turned counter-clockwise
+    clamp_x: float | None = None  # m, where the beam is clamped
+    beam_length: float | None = None  # m
+    travelled: float | Array = 0.0  # m slid from release to `begins`
+    begins: float | Array | None = None  # m, a place of this path; default its first
+    before: Array | None = None
+    starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
+    states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
+    begin: Array | None = None  # that of the effect at hand, (P, k)
+
+    @property
+    def speed(self) -> Array:
+        """|v| along the direction of motion, never below zero."""
+        return np.maximum(self.s * self.v, 0.0)
+
+    @property
+    def distance(self) -> Array:
+        """Distance slid since release, m."""
+        first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
+        return np.asarray(self.travelled + np.abs(self.x - first))
+
+    def each(self, values: Array) -> Array:
+        """One value per individual (P,), spread over the frames of each, (n,)."""
+        return np.repeat(values, np.diff([*self.starts, len(self.t)]))
+
+
+# What an effect may need to know of a run, in words: what it is, and how it is given.
+NEEDS = {
+    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
+    "drive": ("a measured drive", 'give drive = "drive.csv"'),
+    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
+    "angle": ("the angle of the target", "give a film: a table has no angle"),
+    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+}

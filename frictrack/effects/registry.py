@@ -1,0 +1,156 @@
+"""Look up effects by name: the library, effects declared in Python, and formulas of a study."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from frictrack.effects.atm2 import atm2
+from frictrack.effects.definition import Effect
+from frictrack.effects.library import load_library
+from frictrack.effects.path import NEEDS
+from frictrack.errors import FrictrackError
+
+MAX_INSTANCES = 99  # of one effect in a model
+MAX_ORDER = 20  # sines of ATM1 and ATM2: 60 parameters and more; the papers stop at 4
+
+LIBRARY = load_library()
+DECLARED: dict[str, Effect] = {}  # effects declared in Python by `effect`, in the order of declaration
+
+
+def is_library(name: str) -> bool:
+    """Return whether a name is taken by the library."""
+    return name in LIBRARY or name in ("atm2", "mass", "level")
+
+
+def known(extra: Iterable[Effect] = ()) -> dict[str, Effect]:
+    """Return every effect by name.
+
+    Parameters
+    ----------
+    extra : iterable of Effect
+        Further effects, such as the formulas of a study; they win over the library.
+
+    Returns
+    -------
+    dict of Effect
+        The library, then effects declared in Python, then `extra`.
+
+    """
+    return LIBRARY | DECLARED | {e.name: e for e in extra}
+
+
+def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
+    """Return the effect of a name.
+
+    Parameters
+    ----------
+    name : str
+        "texture", a further instance "vibration:2", or ATM2 of an order, "atm2:2".
+    extra : iterable of Effect
+        Further effects, such as the formulas of a study.
+
+    Returns
+    -------
+    Effect
+        The effect, called by `name`.
+
+    Raises
+    ------
+    FrictrackError
+        For an unknown name; the message suggests the nearest known one.
+
+    Examples
+    --------
+    >>> get("texture").equation
+    'amplitude L s sin(2 pi x/period + phase)'
+    >>> get("vibration:2").kind
+    'vibration'
+
+    """
+    kind, colon, suffix = name.partition(":")
+    if kind == "atm2":
+        return atm2(order(name) if colon else 2)
+    number = _parse_count(suffix, MAX_INSTANCES)
+    if suffix and number is None:
+        raise FrictrackError(f'expected a number up to {MAX_INSTANCES} after the colon but got "{name}"', usage=True)
+    table = known(extra)
+    if name in table:
+        return table[name]
+    if kind not in table:
+        near = difflib.get_close_matches(kind, [*table, "atm2"], 1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(table)}, atm2"
+        raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
+    return table[kind].called(name) if number is not None and number > 1 else table[kind]
+
+
+def order(name: str) -> int:
+    """Return the number of sines that a name such as "atm1:2" asks for.
+
+    Raises
+    ------
+    FrictrackError
+        For a name without an order, or with one above `MAX_ORDER`.
+
+    Examples
+    --------
+    >>> order("atm2:3")
+    3
+
+    """
+    kind, _, suffix = name.partition(":")
+    found = _parse_count(suffix, MAX_ORDER)
+    if found is None:
+        wanted = f'an order from 1 to {MAX_ORDER} after the colon, as in "{kind}:2"'
+        raise FrictrackError(f'expected {wanted}, but got "{name[:40]}"', usage=True)
+    return found
+
+
+def _parse_count(text: str, highest: int) -> int | None:
+    """A number from 1 to `highest`; None for another text."""
+    # int() alone would read digits of other scripts, and thousands of digits slowly
+    found = int(text) if re.fullmatch(r"[0-9]{1,4}", text) else 0
+    return found if 1 <= found <= highest else None
+
+
+def catalogue(extra: Iterable[Effect] = ()) -> list[dict[str, Any]]:
+    """Return every effect as JSON: what the command `frictrack effects` prints.
+
+    Parameters
+    ----------
+    extra : iterable of Effect
+        Further effects, such as the formulas of a study.
+
+    Returns
+    -------
+    list of dict
+        One entry per effect: name, equation, parameters with units and bounds, and the texts about it.
+
+    """
+    return [_entry(e) for e in (*known(extra).values(), atm2(2))]
+
+
+def _entry(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "acts_on": effect.acts_on,
+        "equation": effect.equation,
+        "parameters": [
+            {
+                "name": p.name,
+                "unit": p.unit,
+                "linear": p.linear,
+                "bounds": [float(b) if abs(b) < float("inf") else None for b in p.bounds],
+                "per_run": p.per_run,
+            }
+            for p in effect.parameters
+        ],
+        "what": effect.what,
+        "looks_like": effect.looks_like,
+        "mistaken_for": effect.mistaken_for,
+        "confirm": effect.confirm,
+        "source": effect.source,
+        "needs": [NEEDS[need][0] for need in effect.needs],
+    }

@@ -1,0 +1,82 @@
+"""Grids of values on which a search first tries the non-linear parameters of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.records import Array
+
+MAX_SPEED_SLOW_MACHINE = 0.05  # m/s: a machine that is never faster gets a scan on its own scale of speeds
+
+
+@dataclass(frozen=True)
+class Span:
+    """How far the recorded runs reach: what a scan can hope to see."""
+
+    duration: float  # s, of the longest run
+    x_min: float  # m
+    x_max: float
+    v_min: float  # m/s, slowest speed seen
+    v_max: float
+    fps: float  # Hz
+    clamp_x: float | None = None  # m
+    beam_length: float | None = None  # m, where it is known
+
+
+MIN_SCAN_VALUES = 9  # of a scan between bounds
+
+
+@dataclass(frozen=True)
+class Within:
+    """A scan that keeps to bounds; without a grid of its own it runs evenly from one to the other."""
+
+    bounds: tuple[float, float]
+    scan: Callable[[Span], Array] | None = None
+
+    def __call__(self, span: Span) -> Array:
+        """Values worth trying, at least `MIN_SCAN_VALUES` where the scan has as many and the bounds leave room."""
+        low, high = self.bounds
+        if self.scan is None:
+            return np.linspace(low, high, MIN_SCAN_VALUES)
+        grid = self.scan(span)
+        inside = grid[(grid >= low) & (grid <= high)]
+        if len(inside) >= min(MIN_SCAN_VALUES, len(grid)):
+            return inside
+        if np.all(np.isfinite(self.bounds)):
+            return np.linspace(low, high, MIN_SCAN_VALUES)
+        return np.unique(np.clip(grid, low, high))
+
+
+def frequencies(span: Span) -> Array:
+    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart, at least one period in the longest run."""
+    lowest = max(1.0 / span.duration, 2.0)
+    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
+    return np.arange(lowest, highest, 0.25 / span.duration)
+
+
+def log_grid(low: float, high: float, per_decade: int) -> Array:
+    """Logarithmic scan from low to high with about so many points per decade."""
+    return np.geomspace(low, high, max(2, round(per_decade * np.log10(high / low)) + 1))
+
+
+def spatial_periods(span: Span) -> Array:
+    """Return periods worth trying, m: equal steps in 1/period, a quarter of a cell of the travelled span apart."""
+    travel = span.x_max - span.x_min
+    shortest = max(min(0.002, travel / 20), span.v_min / (0.2 * span.fps), travel / 200)
+    return 1.0 / np.arange(1.0 / travel, 1.0 / shortest, 0.25 / travel)
+
+
+def stribeck_velocities(span: Span, low: float = 0.02, per_decade: int = 8) -> Array:
+    """Return Stribeck velocities worth trying, m/s: one far below the slowest speed seen leaves no trace."""
+    if span.v_max < MAX_SPEED_SLOW_MACHINE:
+        return log_grid(max(span.v_min / 6, span.v_max / 100), 2 * span.v_max, per_decade)
+    return log_grid(min(max(low, span.v_min / 6), 1.0), 2.0, per_decade)
+
+
+def breakaway_lengths(span: Span) -> Array:
+    """Return breakaway lengths worth trying, m: from a micrometre up to a third of the travel."""
+    longest = max((span.x_max - span.x_min) / 3.0, 1e-5)
+    return log_grid(max(1e-6, 1e-4 * longest), longest, 4)
