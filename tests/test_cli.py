@@ -182,7 +182,7 @@ def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path)
         ("fit", "slow.csv"): "expected a study file (.toml) but got slow.csv",
         ("run", "study.toml", "--mass", "1kg"): "expected no --mass beside a study file",
         ("run", "study.toml", "study.toml"): "expected one study file; `frictrack batch` runs several",
-        ("run", "a.avi"): "expected --mass and --scale beside recordings, as in --mass 0.35kg",
+        ("run", "a.avi"): "expected --mass and --scale together with recordings, as in --mass 0.35kg",
         ("run", "empty"): "expected a study.toml in empty; `frictrack init empty` writes one",
         (
             "run",
@@ -242,7 +242,7 @@ def test_batch_lists_what_failed(capsys: pytest.CaptureFixture[str], here: Path)
     assert code == 1
     assert "1 of 1: broken/study.toml" in err
     assert 'failed: broken/study.toml: study.toml: [study], line 2: unknown key "mas"' in err
-    assert "something failed in 1 of 1 studies; out/all.html says why" in err
+    assert "1 of 1 studies failed; see out/all.html" in err
     result = json.loads(out)
     assert [s["study"] for s in result["studies"]] == ["broken/study.toml"]
     rows = list(csv.DictReader((here / "out" / "all.csv").read_text().splitlines()))
@@ -297,7 +297,7 @@ def test_the_demo_tells_the_whole_story(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sample study and the diagnosis stand in; adding, history and the words are real."""
-    scene = ModuleType("frictrack.simulate.scene.scene_file")
+    scene = ModuleType("frictrack.simulate.scene")
 
     def sample_study(folder: Path) -> None:
         shutil.copytree(here, folder, ignore=shutil.ignore_patterns("frictrack_demo"))

@@ -273,7 +273,7 @@ def test_terminal_and_report_say_the_same():
     output.next_experiment(Console(file=out, width=200), STEPS)
     said = out.getvalue()
     assert "1. Film a run with half the mass: why" in said
-    assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said
+    assert "separates vibration from camera_shake or load_modulation; expected delta BIC 41" in said
     assert "2. No candidate run separates slope and spring" in said
     assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}

@@ -195,7 +195,7 @@ def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys):
     output.plan(Console(file=out, width=200), found)
     said = out.getvalue()
     assert "pairs left" in said
-    assert "presliding is not seen" in said
+    assert "presliding cannot be detected" in said
 
 
 def main_ok(argv):

@@ -528,7 +528,7 @@ def test_a_warning_reaches_stderr_and_the_json_of_a_command(
 def test_a_warning_heads_the_report(study_file: Path) -> None:
     edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
     session = Session(open_study(study_file))
-    assert session.report().read_text(encoding="utf-8").count("To be checked first:</b> mass = 350 has no unit") == 1
+    assert session.report().read_text(encoding="utf-8").count("Check first:</b> mass = 350 has no unit") == 1
     assert session.results().warnings == session.findings.messages
 
 

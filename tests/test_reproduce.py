@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 from typer.testing import CliRunner
 
-from frictrack.cli.other_commands import app
+from frictrack.cli.utility_commands import app
 from frictrack.effects import Path as Way
 from frictrack.errors import FrictrackError
 from frictrack.reproduce import FULL, QUICK, beam, eq8, laws, printed, recordings, series, statistics

@@ -265,7 +265,7 @@ def test_the_command_says_each_fault_in_one_line(study: Path, capsys: pytest.Cap
     assert left.value.code == 1
     out, err = capsys.readouterr()
     assert [line.split(":")[0] for line in out.splitlines()] == ["damage", "changed"]
-    assert err.endswith("frictrack: 2 fault(s) in 3 file(s); each line says what to do\n")
+    assert err.endswith("frictrack: 2 fault(s) in 3 file(s); each line above says what to do\n")
     with pytest.raises(SystemExit) as left:
         main(["verify", str(study), "--json"])
     assert left.value.code == 1

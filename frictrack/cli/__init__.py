@@ -1,4 +1,4 @@
-"""The command line: `frictrack COMMAND`. It computes nothing; it asks `flow` and shows what came."""
+"""Run the command line `frictrack COMMAND`. It computes nothing: it calls `flow` and prints the result."""
 
 from __future__ import annotations
 
@@ -8,13 +8,22 @@ from collections.abc import Sequence
 
 from frictrack.errors import FrictrackError
 
-# The matrices here are many and small: threads of the linear algebra would only wait for each other.
+# The matrices are many and small: several threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 the work failed, 2 it was asked for wrongly."""
-    from frictrack.cli import other_commands, study_commands  # noqa: F401, PLC0415 - so that importing this module costs nothing
+    """Run the command line and exit.
+
+    Exit codes: 0 success, 1 the work failed, 2 the command or the study file is wrong.
+
+    Parameters
+    ----------
+    argv
+        Arguments of the command line; those of the process if None.
+
+    """
+    from frictrack.cli import study_commands, utility_commands  # noqa: F401, PLC0415 - keeps this import fast
     from frictrack.cli.common import app  # noqa: PLC0415
 
     try:
@@ -22,9 +31,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     except FrictrackError as e:
         _fail(str(e), 2 if e.usage else 1)
     except OSError as e:
-        _fail(f"{e.filename or 'the system'}: {e.strerror or e}; what was finished before is kept", 1)
+        _fail(f"{e.filename or 'the system'}: {e.strerror or e}; finished results are kept", 1)
     except KeyboardInterrupt:
-        _fail("stopped; what was finished before is kept", 1)
+        _fail("stopped; finished results are kept", 1)
 
 
 def _fail(sentence: str, code: int) -> None:

@@ -1,4 +1,4 @@
-"""A batch as it goes: what is done, what is worked on, what failed, how fast."""
+"""Show the progress of a batch: finished studies, current tasks, failures, speed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rich.table import Table
 if TYPE_CHECKING:
     from frictrack.batch import BatchState
 
-MAX_LINES = 8  # of what is worked on, and of what failed
+MAX_LINES = 8  # of current tasks, and of failures
 
 
 @contextmanager
 def watch_batch() -> Iterator[Callable[[BatchState], None]]:
-    """A callable that shows how far a batch is: a table on a terminal, a line per study anywhere else."""
+    """Yield a callable that shows the state of a batch: a table on a terminal, else one line per study."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _LinePrinter()
@@ -36,7 +36,7 @@ def watch_batch() -> Iterator[Callable[[BatchState], None]]:
 
 
 class _LinePrinter:
-    """A line for every study that has ended."""
+    """Print a line for every study that has ended."""
 
     def __init__(self) -> None:
         self._told = 0
@@ -52,7 +52,7 @@ class _LinePrinter:
 
 
 def progress_table(state: BatchState) -> Table:
-    """The table of one moment."""
+    """Return the table of one state."""
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     ended = state.kept + len(state.done)
     pace = 60.0 * state.runs / max(state.seconds, 1e-9)
@@ -70,7 +70,7 @@ def progress_table(state: BatchState) -> Table:
 
 
 def relative_path(path: str) -> str:
-    """A path as seen from here, where it lies below."""
+    """Return a path relative to the current folder if it lies below it."""
     return path.removeprefix(f"{Path.cwd()}/")
 
 

@@ -1,4 +1,4 @@
-"""What a person reads of a blind benchmark: shares with their intervals, limits, and what was taken for what."""
+"""Print the score of a blind benchmark: shares with intervals, detection limits, confusions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHARES = (  # words, and where they stand
 
 
 def blind(out: Console, result: dict[str, Any]) -> None:
-    """All figures of `frictrack blind score`."""
+    """Print all figures of `frictrack blind score`."""
     out.print(_shares(result))
     one, where, time = result["one"], result["where"], result["seconds"]
     out.print(
@@ -67,6 +67,6 @@ def _limits(limits: dict[str, dict[str, float]]) -> Table:
 def _confusion(confusion: dict[str, dict[str, int]]) -> Table:
     made = table("hidden", "named first")
     for name, counts in confusion.items():
-        told = sorted(counts.items(), key=lambda pair: -pair[1])
-        made.add_row(name, ", ".join(f"{what} {count}" for what, count in told))
+        ordered = sorted(counts.items(), key=lambda pair: -pair[1])
+        made.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
     return made

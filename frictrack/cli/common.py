@@ -1,4 +1,4 @@
-"""What all commands share: the program, the words that many of them take, how a result is told."""
+"""Define what all commands share: the application, common arguments, sessions, printing of results."""
 
 from __future__ import annotations
 
@@ -15,23 +15,40 @@ if TYPE_CHECKING:
     from frictrack.flow import Session
 
 app = typer.Typer(
-    help="From a film of a sliding mass to a friction law, and to the physical effect that it lacks.",
+    help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 Study = Annotated[Path, typer.Argument(metavar="STUDY", help="study file (.toml), or a folder with a study.toml")]
-Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
-Seed = Annotated[int, typer.Option(help="of everything that is drawn at random")]
-Workers = Annotated[int | None, typer.Option(min=1, help="processes (all processors)")]
-Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="as `frictrack effects` names it")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout and nothing else")]
+Seed = Annotated[int, typer.Option(help="seed of all random numbers")]
+Workers = Annotated[int | None, typer.Option(min=1, help="number of processes (default: all processors)")]
+Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from frictrack.version import __version__  # noqa: PLC0415
+
+        sys.stdout.write(f"frictrack {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Define the options before the command."""
 
 
 @contextmanager
 def open_session(study: Path) -> Iterator[Session]:
-    """A study at work, its progress on stderr."""
+    """Open a study for work; progress is shown on stderr."""
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415 - `--help` need not wait for the science
     from frictrack.flow import Session, open_study  # noqa: PLC0415
 
@@ -41,7 +58,20 @@ def open_session(study: Path) -> Iterator[Session]:
 
 
 def print_result(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
-    """Print a result for a machine or a person; a person is told where it lies."""
+    """Print the result of a command, as JSON or as tables, and where the files are.
+
+    Parameters
+    ----------
+    result
+        The JSON of the command.
+    as_json
+        Print JSON.
+    show
+        Name of the function in `frictrack.cli.output` that prints the tables; empty for none.
+    where
+        The path that is printed last.
+
+    """
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return

@@ -1,4 +1,4 @@
-"""What was found in the records before they were used, as lines on the terminal."""
+"""Print the notes on the recordings."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-MAX_FINDINGS = 8  # in the records that the terminal shows
+MAX_FINDINGS = 8  # that the terminal shows
 
 
 def findings(out: Console, findings: list[dict[str, Any]]) -> None:
-    """What was found in the records before they were used; the rest of a long list is left to the report."""
+    """Print the notes on the recordings; the rest of a long list is left to the report."""
     for found in findings[:MAX_FINDINGS]:
         out.print(escape(f"{found['run']}: {found['words']}"))
     if (more := len(findings) - MAX_FINDINGS) > 0:

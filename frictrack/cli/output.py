@@ -1,4 +1,4 @@
-"""What a person at the bench reads: the same dictionaries that `--json` prints, as compact tables."""
+"""Print the results of the commands as tables; the dictionaries are those that `--json` prints."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ ERRORS = {
     "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
     "relative_force_error": ("relative force error", "force / %", 100.0),
     "reduced_chi2": ("reduced chi²", "chi²", 1.0),
-}  # key of `errors` -> words, column head with its unit, factor
-MAX_STUDIES = 100  # in the table of a batch; the page has more
+}  # key of `errors` -> description, column head with its unit, factor
+MAX_STUDIES = 100  # in the table of a batch; the page shows all
 NOT_IN_TABLE = (
     "reason",
     "smoothing",
@@ -42,7 +42,7 @@ NOT_IN_TABLE = (
 
 
 def fit(out: Console, result: dict[str, Any]) -> None:
-    """Parameters with deviations and units, then the errors."""
+    """Print the parameters with standard deviations and units, then the errors."""
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
@@ -53,21 +53,23 @@ def fit(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(line))
     if result.get("scale_error"):
         out.print(
-            f"the scale is known to {format_plain(100 * result['scale_error'], 2)} %, and so is every force above that "
-            "was told from acceleration: common to all runs of a camera, and not in the ±"
+            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, and so has every "
+            "force above that was computed from acceleration; this error is common to all runs of a camera and not "
+            "included in the ±"
         )
     own_motion(out, result)
     out.print(errors([("", result["errors"])]))
 
 
 def own_motion(out: Console, result: dict[str, Any]) -> None:
-    """How well the model itself tells each run, and its collisions by their impulse."""
+    """Print how precisely the model gives the motion of each run, and the collisions."""
     for row in result["per_run"]:
-        told = row.get("motion")
-        if told:
-            own, smooth = format_plain(told["sigma_a"], 2), format_plain(told["sigma_a_smoothed"], 2)
-            out.print(f"{escape(row['run'])}: the model tells a to ± {own} m/s², smoothing to ± {smooth} m/s²")
-            for note in told["notes"]:
+        motion = row.get("motion")
+        if motion:
+            model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
+            text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
+            out.print(f"{escape(row['run'])}: {text}")
+            for note in motion["notes"]:
                 out.print(f"  {escape(note)}")
     for c in result.get("collisions", []):
         share = None if c["relative_std"] is None else 100 * c["relative_std"]
@@ -76,21 +78,21 @@ def own_motion(out: Console, result: dict[str, Any]) -> None:
 
 
 def parameters(values: dict[str, Any]) -> Table:
-    """One row per parameter: value ± deviation, unit, and what is to be said of it."""
-    sure = any("interval" in p for p in values.values())
+    """Return a table with one row per parameter: value ± standard deviation, unit, remark."""
+    has_intervals = any("interval" in p for p in values.values())
     rejected = any("std_misfit" in p for p in values.values())
-    heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if sure else [])]
+    heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if has_intervals else [])]
     table = _table("parameter", "value", *heads, "")
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
-        cells = [interval(p)] if sure else []
+        cells = [interval(p)] if has_intervals else []
         wider = [format_plain(p.get("std_misfit"), 2)] if rejected else []
         table.add_row(escape(name), format_plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
     return table
 
 
 def interval(p: dict[str, Any]) -> str:
-    """An interval by profile or bootstrap, whose ends may be open."""
+    """Format an interval by profile or bootstrap; either end may be open."""
     low, high = p.get("interval") or (None, None)
     if low is None and high is None:
         return "any" if "interval" in p else ""
@@ -100,13 +102,13 @@ def interval(p: dict[str, Any]) -> str:
 
 
 def _mu(p: dict[str, Any]) -> str:
-    """The coefficient of friction beside newtons, where the normal load is known."""
+    """Format the coefficient of friction, if the normal load is known."""
     mu = p.get("mu")
     return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
-    """One row per error, one column per model."""
+    """Return a table with one row per error and one column per model."""
     columns = list(columns)
     table = _table("error", *(title for title, _ in columns), "unit")
     for key, cells in _errors([e for _, e in columns]).items():
@@ -116,7 +118,7 @@ def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
 
 
 def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """The errors that any of the models has, as texts, one per model."""
+    """Return the errors that any of the models has, as texts, one per model."""
     cells = {}
     for key, (*_, factor) in ERRORS.items():
         values = [e.get(key) for e in models]
@@ -126,13 +128,13 @@ def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
 
 
 def compare(out: Console, result: dict[str, Any]) -> None:
-    """Errors of every model, and where the current one fails."""
+    """Print the errors of every model, and where the current one fails."""
     history(out, result)
     fails_at(out, result["fails_at"])
 
 
 def history(out: Console, result: dict[str, Any]) -> None:
-    """Every model tried, in order, one row each."""
+    """Print every model tried, in order, one row each."""
     cells = _errors([model["errors"] for model in result["models"]])
     table = _table("model", *(ERRORS[key][1] for key in cells))
     for model, *values in zip(result["models"], *cells.values(), strict=True):
@@ -142,27 +144,27 @@ def history(out: Console, result: dict[str, Any]) -> None:
 
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
-    """Spans of time, place and velocity with their share of the error."""
+    """Print spans of time, position and velocity with their share of the misfit."""
     if not spans:
         return
     table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
     for s in spans:
         ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
         p = s.get("p")
-        sure = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
-        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", sure)
+        p_text = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
+        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", p_text)
     out.print(table)
 
 
 def _reach(ends: list[float]) -> str:
-    """Both ends of a span, with the digits that tell them apart."""
+    """Format both ends of a span, with as many digits as distinguish them."""
     size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
     digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
     return " to ".join(format_plain(end, digits) for end in ends)
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
-    """The verdict, the candidates, and the experiment that would settle it."""
+    """Print the verdict, the candidates, and the next experiment."""
     out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
@@ -189,8 +191,8 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:
-    """One row per candidate, best first; what differs from run to run is left to `--json`."""
-    table = _table("candidate", "parameters", "p", "delta BIC", "held out", "not told apart from")
+    """Return a table with one row per candidate, best first; values per run are left to `--json`."""
+    table = _table("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from")
     table.columns[0].no_wrap = True
     for c in found:
         shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
@@ -207,7 +209,7 @@ def candidates(found: list[dict[str, Any]]) -> Table:
 
 
 def importance(rows: list[dict[str, Any]]) -> Table:
-    """One row per effect: the share of the misfit that it explains alone and in sequence, and where to stop."""
+    """Return a table with the share of the misfit that each effect explains, alone and in sequence."""
     table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
     for row in rows:
         shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
@@ -228,20 +230,20 @@ def _with_unit(parameter: dict[str, Any]) -> str:
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:
-    """The error before and after an effect was added or removed."""
+    """Print the errors before and after an effect was added or removed."""
     out.print(parameters(result["parameters"]))
     out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))
 
 
 def run(out: Console, result: dict[str, Any]) -> None:
-    """The fit, then the diagnosis."""
+    """Print the fit, then the diagnosis."""
     fit(out, result["fit"])
     diagnose(out, result["diagnose"])
 
 
 def demo(out: Console, result: dict[str, Any]) -> None:
-    """The story in words."""
-    out.print("A sliding mass was filmed. This is what the study's first model leaves unexplained:")
+    """Print the steps of the demonstration."""
+    out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     diagnose(out, result["diagnose"])
     if result["add"]:
         out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
@@ -251,7 +253,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
-    """Every claim of the papers with its verdict."""
+    """Print every claim of the papers with its verdict."""
     for part in result["parts"]:
         out.print(f"[bold]{escape(part['title'])}[/bold]")
         for c in part["claims"]:
@@ -260,11 +262,11 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
     n = result["counts"]
     out.print(f"{n['holds']} claims hold, {n['fails']} do not, {n['open']} cannot be decided")
     if result["quick"]:
-        out.print("quick: few seeds, so no statistics")
+        out.print("quick run with few seeds: no statistics")
 
 
 def stages(out: Console, result: dict[str, Any]) -> None:
-    """One row per run of `motion`, `friction`, then what was found on the way."""
+    """Print one row per run of `motion` or `friction`, then the notes."""
     first = result["runs"][0]
     keys = [k for k in first if k not in NOT_IN_TABLE and not isinstance(first[k], dict | list)]
     table = _table(*(k.replace("_", " ") for k in keys))
@@ -281,21 +283,21 @@ def stages(out: Console, result: dict[str, Any]) -> None:
 
 def _happened(row: dict[str, Any]) -> list[str]:
     """What happened in a run, and what a plain low-pass would have cost."""
-    told = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
-    said = [", ".join(told)] if told else []
+    events = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
+    lines = [", ".join(events)] if events else []
     cutoff = row.get("cutoff")
     if cutoff:
         plain = format_plain(hypot(cutoff["noise"], cutoff["lost"]), 2)
-        said.append(
+        lines.append(
             f"error of {format_plain(cutoff['followed_apart'], 2)} {cutoff['unit']}; a plain low-pass at "
             f"{format_plain(cutoff['chosen_Hz'])} Hz would have {plain}"
         )
-        said += cutoff["warnings"]
-    return said
+        lines += cutoff["warnings"]
+    return lines
 
 
 def budget(out: Console, row: dict[str, Any]) -> None:
-    """Where the error of one run's friction force comes from, the total last, and what would make it smaller."""
+    """Print the error budget of one run's friction force, the total last, and what would make it smaller."""
     table = _table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
     for part in row["budget"]:
         unknown = part["source"] != "total" and part["size"] is None
@@ -307,7 +309,7 @@ def budget(out: Console, row: dict[str, Any]) -> None:
 
 
 def track(out: Console, result: dict[str, Any]) -> None:
-    """How well each film was measured: a table in px, then film by film what lies behind it."""
+    """Print how well each film was measured: a table in px, then details of each film."""
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
@@ -318,8 +320,8 @@ def track(out: Console, result: dict[str, Any]) -> None:
         table.add_row(*_measured(row))
     out.print(table)
     out.print(
-        "σ: standard deviation of a frame; backward: tracked from the end, rms difference; reference: noise of "
-        "something fixed, the live noise floor",
+        "σ: standard deviation per frame; backward: rms difference to tracking from the last frame; reference: noise "
+        "of the fixed reference",
         style="dim",
     )
     for row in result["runs"]:
@@ -329,7 +331,7 @@ def track(out: Console, result: dict[str, Any]) -> None:
 
 
 def _measured(row: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of one film."""
+    """Return the cells of one film."""
     locking = (row["peak_locking_px"], row["peak_locking_std_px"])
     shaking = "none" if row["shake_px"] == 0 else format_plain(row["shake_px"], 2)
     return (
@@ -346,7 +348,7 @@ def _measured(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _behind(row: dict[str, Any]) -> list[str]:
-    """What the table has no room for: time base, lost frames, findings, pictures."""
+    """Return the details of one film: time base, lost frames, notes, pictures."""
     audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
     lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
@@ -355,7 +357,7 @@ def _behind(row: dict[str, Any]) -> list[str]:
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:
-    """The library: what each effect adds, looks like, and is mistaken for."""
+    """Print what each effect adds, looks like, and is confused with."""
     table = _table("effect", "equation", "parameters", "looks like", "mistaken for", box=box.SQUARE, show_lines=True)
     for e in result["effects"]:
         units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
@@ -363,11 +365,11 @@ def effects(out: Console, result: dict[str, Any]) -> None:
         cells = e["name"], e["equation"], units, e["looks_like"], e["mistaken_for"]
         table.add_row(*(escape(text) for text in cells))
     out.print(table)
-    out.print("`frictrack add STUDY EFFECT` puts one into the model")
+    out.print("`frictrack add STUDY EFFECT` adds an effect to the model")
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
-    """One row per study, and what changes over the series."""
+    """Print one row per study, and trends over the series."""
     table = _table("study", "runs", "verdict", "missing", "failed because")
     for row in result["studies"][:MAX_STUDIES]:
         table.add_row(*(_cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
@@ -379,19 +381,19 @@ def batch(out: Console, result: dict[str, Any]) -> None:
     for trend in (one for one in result["trends"] if one["holds"]):
         change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
-        out.print(f"over the series {trend['name']} changes by {change}{unit}", markup=False)
+        out.print(f"over the series, {trend['name']} changes by {change}{unit}", markup=False)
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:
-    """One line per fault, then what was looked at."""
+    """Print one line per fault, then what was verified."""
     for fault in result["faults"]:
         out.print(f"{fault['kind']}: {fault['words']}", soft_wrap=True, markup=False)
     if old := result["without_checksums"]:
-        out.print(f"{len(old)} files of an earlier schema carry no checksums; whatever is written next adds them")
+        out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     for folder in result["at_work"]:
-        out.print(f"another frictrack is at work in {folder}", soft_wrap=True, markup=False)
+        out.print(f"another frictrack process is writing in {folder}", soft_wrap=True, markup=False)
     if result["sound"]:
-        out.print(f"{result['files']} files of results are sound")
+        out.print(f"{result['files']} result files are sound")
 
 
 def _cell(value: Any) -> str:

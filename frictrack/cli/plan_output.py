@@ -1,4 +1,4 @@
-"""What a person at the bench reads of what to do next: the next experiment, and a plan of runs."""
+"""Print the next experiment, and a plan of runs."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from rich.markup import escape
 from frictrack.cli.tables import table
 from frictrack.number_format import format_plain
 
-MAX_EXAMPLES = 2  # of a run, told as examples
+MAX_EXAMPLES = 2  # pairs that are named for a run
 
 
 def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
-    """The next experiment, best first, with the evidence to be expected."""
+    """Print the next experiments, best first, with the expected evidence."""
     if not steps:
         return
-    out.print("[bold]What would settle it[/bold]")
+    out.print("[bold]Next experiment[/bold]")
     for k, step in enumerate(steps, 1):
         out.print(f"  {k}. {escape(step['what'])}", soft_wrap=True)
-        told = _evidence(step)
-        if told:
-            out.print(f"     {told}", soft_wrap=True, style="dim")
+        evidence = _evidence(step)
+        if evidence:
+            out.print(f"     {evidence}", soft_wrap=True, style="dim")
 
 
 def _evidence(step: dict[str, Any]) -> str:
-    """What an experiment parts, and how well."""
+    """Describe which effects an experiment distinguishes, and how well."""
     if not step["separates"]:
         return ""
-    tells = step.get("tells", f"{', '.join(step['separates'])} apart")
-    return f"tells {tells}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
+    groups = step.get("tells", ", ".join(step["separates"]))
+    return f"separates {groups.removesuffix(' apart')}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
-    """The runs in order with what each adds, the pairs that stay, and what cannot be seen."""
+    """Print the runs in order with what each adds, the pairs that remain, and what cannot be detected."""
     for line in result["assumed"]:
         out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
-    rows = table("", "film", "parts", "pairs left", "for example")
+    rows = table("", "film", "separates", "pairs left", "for example")
     for k, run in enumerate(result["runs"], 1):
         some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
         example = "\n".join(" from ".join(pair) for pair in some)
@@ -47,7 +47,7 @@ def plan(out: Console, result: dict[str, Any]) -> None:
     if result["runs"]:
         out.print(rows)
     else:
-        out.print(f"no run of the menu parts any of the {result['pairs_before']} pairs that are open")
+        out.print(f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects")
     _open(out, result)
     _limits(out, result["detection_limits"])
 
@@ -55,16 +55,17 @@ def plan(out: Console, result: dict[str, Any]) -> None:
 def _open(out: Console, result: dict[str, Any]) -> None:
     for one in result["left"]:
         pair = " and ".join(one["effects"])
-        out.print(f"[bold]{pair}[/bold] stay together: {escape(one['why'])}; {escape(one['settle'])}", soft_wrap=True)
+        what = f"[bold]{pair}[/bold] cannot be separated: {escape(one['why'])}; {escape(one['settle'])}"
+        out.print(what, soft_wrap=True)
     for one in result["unseen"]:
-        what = f"[bold]{one['effect']}[/bold] is not seen: {escape(one['why'])}; {escape(one['settle'])}"
+        what = f"[bold]{one['effect']}[/bold] cannot be detected: {escape(one['why'])}; {escape(one['settle'])}"
         out.print(what, soft_wrap=True)
     for name, why in result["not_planned"].items():
-        out.print(f"{name} was not looked at: it {escape(why)}", style="dim", soft_wrap=True)
+        out.print(f"{name} was not planned for: it {escape(why)}", style="dim", soft_wrap=True)
 
 
 def _limits(out: Console, limits: dict[str, Any]) -> None:
-    rows = table("effect", "smallest size seen", "at")
+    rows = table("effect", "detection limit", "at")
     for name, limit in limits.items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
         size = limit["reason"] if limit["value"] is None else f"{format_plain(limit['value'], 2)} {unit}".rstrip()

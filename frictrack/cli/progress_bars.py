@@ -1,4 +1,4 @@
-"""Progress bars on stderr."""
+"""Show progress bars on stderr."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from frictrack.flow import Progress as Callback
 
-OWN_BAR = ("studies", "runs")  # these keep a bar of their own; below them, one bar says what is being done
+OWN_BAR = ("studies", "runs")  # each has its own bar; one more bar shows the current work
 
 
 @contextmanager
 def progress_bars() -> Iterator[Callback]:
-    """A callable ``progress(done, total, what)`` that draws what it is told; the bars go when all is done."""
+    """Yield a callable ``progress(done, total, what)`` that draws bars; they disappear when the block ends."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     tasks: dict[str, TaskID] = {}
     console = Console(stderr=True)

@@ -1,4 +1,4 @@
-"""The commands on one study. Each brings up to date what it rests on, shows it, and says where it is."""
+"""Define the commands on one study. Each updates what it depends on, prints the result and where the files are."""
 
 from __future__ import annotations
 
@@ -19,13 +19,17 @@ if TYPE_CHECKING:
 @app.command()
 def run(
     paths: Annotated[list[Path], typer.Argument(metavar="STUDY | RECORDING...", help="a study file, or recordings")],
-    mass: Annotated[str | None, typer.Option(help='of the slider, "0.35kg"; with recordings')] = None,
-    scale: Annotated[str | None, typer.Option(help='"0.5mm/px"; with recordings')] = None,
-    fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; with recordings")] = None,
+    mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
+    scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"; only with recordings')] = None,
+    fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Every stage, then fit, compare, diagnose, report. Bare recordings get a study.toml in this folder."""
+    """Measure, fit, compare, diagnose and write the report.
+
+    Reads a study file and its recordings. With recordings instead of a study file, it first writes study.toml in the
+    current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
+    """
     path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
     with open_session(path) as session:
         result = session.run(seed)
@@ -33,7 +37,7 @@ def run(
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
-    """The study file that is meant, written from bare recordings where these are given."""
+    """Return the study file; if recordings are given, write one."""
     from frictrack.flow import start_study  # noqa: PLC0415
     from frictrack.study import TABLES  # noqa: PLC0415
 
@@ -43,7 +47,9 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
         if len(paths) > 1:
             raise FrictrackError("expected one study file; `frictrack batch` runs several", usage=True)
         if given:
-            raise FrictrackError(f"expected no --{given[0]} beside a study file, it stands in it", usage=True)
+            raise FrictrackError(
+                f"expected no --{given[0]} together with a study file; set {given[0]} in the file", usage=True
+            )
         return one
     if one.is_dir() and not given:
         raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
@@ -51,7 +57,7 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ("mass",)) if key not in given]
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
-        raise FrictrackError(f"expected {' and '.join(lacking)} beside recordings, as in {example}", usage=True)
+        raise FrictrackError(f"expected {' and '.join(lacking)} together with recordings, as in {example}", usage=True)
     return start_study(Path("study.toml"), paths, keys).path
 
 
@@ -59,7 +65,10 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")], as_json: Json = False
 ) -> None:
-    """Write a commented study file from a folder of recordings."""
+    """Write a commented study file for a folder of recordings.
+
+    Reads the names of the recordings. Writes study.toml into the folder, which must not exist yet.
+    """
     from frictrack.study import find_recordings, write_study  # noqa: PLC0415
 
     found = find_recordings(folder)
@@ -77,10 +86,16 @@ def _measure(stage: str, study: Path, as_json: bool) -> None:
 @app.command()
 def track(
     study: Study,
-    overlay: Annotated[bool, typer.Option("--overlay", help="write each film with what was tracked in it")] = False,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="also write each film with the tracked positions drawn into it")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Follow the slider through every film; a contact sheet shows whether that went well."""
+    """Track the slider in every film.
+
+    Reads the films. Writes the tracks into the run's .h5 file, and a contact sheet per film that shows whether the
+    tracking went well.
+    """
     with open_session(study) as session:
         result = session.measure("track", overlay=overlay)
     print_result(result, as_json, "track", session.study.output)
@@ -88,32 +103,48 @@ def track(
 
 @app.command()
 def motion(study: Study, as_json: Json = False) -> None:
-    """Displacement, velocity and acceleration of every run."""
+    """Compute displacement, velocity and acceleration of every run.
+
+    Reads the films or tables. Writes the motion into the run's .h5 file.
+    """
     _measure("motion", study, as_json)
 
 
 @app.command()
 def friction(study: Study, as_json: Json = False) -> None:
-    """The friction force of every run, and the section it is judged on."""
+    """Compute the friction force and the free section of every run.
+
+    Reads the films or tables, and the drive. Writes the force into the run's .h5 file.
+    """
     _measure("friction", study, as_json)
 
 
 @app.command()
-def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
+def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study,
-    model: Annotated[str | None, typer.Option(help="a model (tustin, atm1:2) or a comma list of effects")] = None,
-    search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,
-    over: Annotated[
-        Literal["all", "nonlinear"] | None, typer.Option(help="what a global search looks for (all)")
+    model: Annotated[
+        str | None, typer.Option(help="a model (tustin, atm1:2), or effects separated by commas (default: the current)")
     ] = None,
-    domain: Annotated[Literal["displacement", "force"] | None, typer.Option(help="what is compared")] = None,
-    per: Annotated[Literal["group"] | None, typer.Option(help="one set of parameters per group of runs")] = None,
-    seed: Annotated[int | None, typer.Option(help="of all that is drawn at random (0)")] = None,
-    profile: Annotated[bool, typer.Option("--profile", help="95 % intervals by profile likelihood")] = False,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="95 % intervals by so many parametric draws")] = 0,
+    search: Annotated[Search | None, typer.Option(help="search method (default: varpro)")] = None,
+    over: Annotated[
+        Literal["all", "nonlinear"] | None, typer.Option(help="parameters of a global search (default: all)")
+    ] = None,
+    domain: Annotated[
+        Literal["displacement", "force"] | None,
+        typer.Option(help="quantity that is fitted (default: displacement; force if friction was measured)"),
+    ] = None,
+    per: Annotated[Literal["group"] | None, typer.Option(help="fit one set of parameters per group of runs")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of all random numbers (default: 0)")] = None,
+    profile: Annotated[bool, typer.Option("--profile", help="compute 95 % intervals by profile likelihood")] = False,
+    bootstrap: Annotated[
+        int, typer.Option(metavar="N", help="compute 95 % intervals by N parametric bootstrap draws")
+    ] = 0,
     as_json: Json = False,
 ) -> None:
-    """Fit the current model, or another one that becomes the current one."""
+    """Fit the current model, or make another one current.
+
+    Reads the measured runs; missing stages are computed first. Writes the model into study.h5.
+    """
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
@@ -122,7 +153,10 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
 
 @app.command()
 def compare(study: Study, as_json: Json = False) -> None:
-    """Error of every model tried, and where the current one fails."""
+    """Compare the errors of all models tried.
+
+    Shows where the current model fails. Reads the models in study.h5. Writes the comparison into study.h5.
+    """
     with open_session(study) as session:
         result = session.compare()
     print_result(result, as_json, "compare", session.path)
@@ -130,7 +164,10 @@ def compare(study: Study, as_json: Json = False) -> None:
 
 @app.command()
 def diagnose(study: Study, seed: Seed = 0, as_json: Json = False) -> None:
-    """Which effect is missing."""
+    """Find the effect that the current model lacks.
+
+    Reads the runs and the current model. Writes the diagnosis into study.h5.
+    """
     with open_session(study) as session:
         result = session.diagnose(seed)
     print_result(result, as_json, "diagnose", session.path)
@@ -144,19 +181,28 @@ def _edit(how: Callable[[Session], dict[str, Any]], study: Path, as_json: bool) 
 
 @app.command()
 def add(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
-    """Fit again with one effect more; the error before and after."""
+    """Add one effect to the current model and fit again.
+
+    Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
+    """
     _edit(lambda session: session.add(effect, seed), study, as_json)
 
 
 @app.command()
 def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
-    """Fit again with one effect less; the error before and after."""
+    """Remove one effect from the current model and fit again.
+
+    Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
+    """
     _edit(lambda session: session.remove(effect, seed), study, as_json)
 
 
 @app.command()
 def history(study: Study, as_json: Json = False) -> None:
-    """Every model tried, in order, with its errors."""
+    """List every model tried, in order, with its errors.
+
+    Reads study.h5; outdated models are fitted again and stored.
+    """
     with open_session(study) as session:
         result = session.history()
     print_result(result, as_json, "history", session.path)
@@ -164,7 +210,11 @@ def history(study: Study, as_json: Json = False) -> None:
 
 @app.command()
 def plan(study: Study, as_json: Json = False) -> None:
-    """Which runs to film so that the effects can be told apart; needs mass, fps and scale, and no film."""
+    """Plan which runs to film so that the effects can be told apart.
+
+    Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
+    plan.html.
+    """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import open_study  # noqa: PLC0415
     from frictrack.flow import plan as make  # noqa: PLC0415
@@ -177,10 +227,13 @@ def plan(study: Study, as_json: Json = False) -> None:
 @app.command()
 def report(
     study: Study,
-    pdf: Annotated[bool, typer.Option("--pdf", help="print it to report.pdf as well")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="also print the page to report.pdf")] = False,
     as_json: Json = False,
 ) -> None:
-    """One page that shows it all."""
+    """Write one page with all results.
+
+    Reads all results; missing ones are computed first. Writes report.html.
+    """
     with open_session(study) as session:
         path = session.report()
     files = {"report": str(path)}
@@ -195,10 +248,13 @@ def report(
 @app.command()
 def export(
     study: Study,
-    to: Annotated[Literal["csv", "xlsx"], typer.Option(help="kind of file")] = "csv",
+    to: Annotated[Literal["csv", "xlsx"], typer.Option(help="file format")] = "csv",
     as_json: Json = False,
 ) -> None:
-    """Curves, parameters and errors as plain tables."""
+    """Export curves, parameters and errors as plain tables.
+
+    Reads all results; missing ones are computed first. Writes CSV files, or one Excel workbook.
+    """
     from frictrack.export import write  # noqa: PLC0415
 
     with open_session(study) as session:
@@ -209,10 +265,16 @@ def export(
 
 @app.command()
 def effects(
-    study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="whose own formulas are listed too")] = None,
+    study: Annotated[
+        Path | None, typer.Argument(metavar="[STUDY]", help="study whose own effects are listed, too")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """The library: equations, parameters with units, what an effect looks like and is mistaken for."""
+    """List the effects that a model can have.
+
+    Shows equation, parameters with units, what an effect looks like and what it is confused with. Reads the study file
+    if one is given. Writes nothing.
+    """
     from frictrack.effects import catalogue  # noqa: PLC0415
     from frictrack.flow import open_study, user_effects  # noqa: PLC0415
 
@@ -222,12 +284,15 @@ def effects(
 
 @app.command()
 def render(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="what slides, and how it is filmed")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="the film to write")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="description of the slide and the camera")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="film to be written")],
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """A synthetic recording with its truth."""
+    """Render a synthetic film whose true motion is known.
+
+    Reads the scene file. Writes the film and the true values beside it.
+    """
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
     render_scene(scene, out, seed=seed)
@@ -237,13 +302,21 @@ def render(
 @app.command("app")
 def workbench(
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
-    host: Annotated[str, typer.Option(help="address on which it is served; 0.0.0.0 for other machines")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="of the page")] = 5006,
-    token: Annotated[str | None, typer.Option(help="word that the page asks for (a new one each time)")] = None,
-    name: Annotated[list[str] | None, typer.Option(help="further host name of the page, as behind a proxy")] = None,
+    host: Annotated[
+        str, typer.Option(help="address of the server; 0.0.0.0 makes it reachable from other machines")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="port of the server")] = 5006,
+    token: Annotated[str | None, typer.Option(help="password of the page (default: a new one each time)")] = None,
+    name: Annotated[
+        list[str] | None, typer.Option(help="additional host name of the page, for example behind a proxy")
+    ] = None,
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
 ) -> None:
-    """The workbench: the whole loop on a local page. Without a study it makes one from recordings."""
+    """Open the workbench: the whole analysis on a local web page.
+
+    Reads and writes the study file and its results. Without a study file, it makes one from the recordings in the
+    folder.
+    """
     try:
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
     except ModuleNotFoundError as e:

@@ -1,4 +1,4 @@
-"""Cells and tables of what a person reads at the terminal."""
+"""Make the tables that are printed to the terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rich.table import Table
 
 
 def table(*headers: str, **style: Any) -> Table:
-    """An empty table under some headers, without a box unless one is asked for."""
+    """Return an empty table with headers, without a box by default."""
     made = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
     for header in headers:
         made.add_column(header, overflow="fold")

@@ -124,7 +124,7 @@ def _summary(models: TriedModels, group: str) -> Any:
 def run_results(pipeline: RunPipeline) -> RunResults:
     """Read all stored stages of one run, with its notes, quality and error budget."""
     done = {name: pipeline.get(name) for name in pipeline.stages if pipeline.is_current(name)}
-    seen = _quality(done)
+    quality = _quality(done)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
     notes += sensor_summary(pipeline)["notes"]
     return RunResults(
@@ -140,8 +140,8 @@ def run_results(pipeline: RunPipeline) -> RunResults:
         track=done.get("track"),
         tracks=done.get("tracks", {}),
         sensors=done["sensors"],
-        quality=seen,
-        budget=run_budget(pipeline, seen),
+        quality=quality,
+        budget=run_budget(pipeline, quality),
         role=pipeline.run.role,
         group=pipeline.run.group,
         settings={k: pipeline.as_written(v) for k, v in pipeline.run if v not in (None, "", {}, [])},

@@ -1,4 +1,4 @@
-"""The commands that work on many studies, or on none: batch, verify, blind, reproduce, demo."""
+"""Define the commands on many studies, or on none: batch, verify, demo, reproduce, blind."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from frictrack.errors import FrictrackError
 def batch(
     paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
     workers: Workers = None,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster that does it")] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="what is written, without an ending")] = Path(
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="address of a Dask scheduler whose workers are used")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="path of the output files, without suffix")] = Path(
         "frictrack_batch"
     ),
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Run many studies side by side: a table of all runs, what changes over the series, what failed and why.
+    """Run many studies in parallel.
 
-    Begun again, it does what is missing or has changed.
+    Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv, .html and .jsonl
+    with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
     """
     from frictrack.batch import batch as run_all  # noqa: PLC0415
     from frictrack.cli.batch_progress import watch_batch  # noqa: PLC0415
@@ -34,17 +37,18 @@ def batch(
     print_result(result, as_json, "batch", result["output"])
     if result["failed"]:
         failed = {one["study"] for one in result["failed"]}
-        raise FrictrackError(
-            f"something failed in {len(failed)} of {len(result['studies'])} studies; {result['output']} says why"
-        )
+        raise FrictrackError(f"{len(failed)} of {len(result['studies'])} studies failed; see {result['output']}")
 
 
 @app.command()
 def verify(
-    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="studies, results, or folders of them")],
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="study files, results, or folders with them")],
     as_json: Json = False,
 ) -> None:
-    """Find silent damage: checksums, schema, where results come from, and whether recordings are still the same."""
+    """Verify that stored results are undamaged and up to date.
+
+    Reads study files, results and recordings. Writes nothing. Exits with 1 if there are faults.
+    """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import verify as look  # noqa: PLC0415
 
@@ -53,12 +57,15 @@ def verify(
     print_result(result, as_json, "verify")
     if not result["sound"]:
         n = len(result["faults"])
-        raise FrictrackError(f"{n} fault(s) in {result['files']} file(s); each line says what to do")
+        raise FrictrackError(f"{n} fault(s) in {result['files']} file(s); each line above says what to do")
 
 
 @app.command()
 def demo(seed: Seed = 0, as_json: Json = False) -> None:
-    """The whole loop on a sample study, in ./frictrack_demo."""
+    """Run the whole analysis on a sample study.
+
+    Writes the study and its results into ./frictrack_demo.
+    """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import demo as show_it  # noqa: PLC0415
 
@@ -69,14 +76,18 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
 
 @app.command()
 def reproduce(
-    quick: Annotated[bool, typer.Option("--quick", help="few seeds: everything runs, nothing is proved")] = False,
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder for page, figures, tables and JSON")] = Path(
+    quick: Annotated[bool, typer.Option("--quick", help="use few seeds: a test run without statistics")] = False,
+    out: Annotated[Path, typer.Option("-o", "--out", help="folder of the page, figures, tables and JSON")] = Path(
         "frictrack_reproduce"
     ),
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Tables and figures of both papers again: printed values beside ours, and which claims hold."""
+    """Reproduce the tables and figures of both papers.
+
+    Compares the printed values with those computed here and checks every claim. Reads nothing. Writes a page, figures,
+    tables and JSON.
+    """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.reproduce import reproduce as make  # noqa: PLC0415
 
@@ -85,23 +96,27 @@ def reproduce(
     print_result(result, as_json, "reproduce", result["page"])
 
 
-blind = typer.Typer(help="Studies with a sealed truth: how surely is what they hide named?", no_args_is_help=True)
+blind = typer.Typer(
+    help="Test the diagnosis on simulated studies with hidden effects.",
+    no_args_is_help=True,
+)
 app.add_typer(blind, name="blind", rich_help_panel=None)
-Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their seal")]
+Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their sealed truth")]
 
 
 @blind.command()
 def make(
     out: Blind,
-    n: Annotated[int | None, typer.Option("--n", help="how many studies (420; 40 of films)")] = None,
-    film: Annotated[bool, typer.Option("--film", help="as rendered films, through tracking")] = False,
+    n: Annotated[int | None, typer.Option("--n", help="number of studies (default: 420, or 40 with --film)")] = None,
+    film: Annotated[bool, typer.Option("--film", help="write rendered films, which are tracked")] = False,
     workers: Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Write studies, and seal what they hide: one effect, none, two, or one that the library does not know.
+    """Write simulated studies and seal the effects that they hide.
 
-    Of 420: 200, 100, 60 and 60. Of 40 films: 20 with one effect, 10 with none, 10 with a fault of the measurement.
+    A study hides one effect, none, two, or one that the library does not have (of 420: 200, 100, 60 and 60). Of 40
+    films, 20 hide one effect, 10 none, and 10 a fault of the measurement. Writes the studies and the sealed truth.
     """
     from frictrack.blind import make as written  # noqa: PLC0415
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
@@ -113,7 +128,11 @@ def make(
 
 @blind.command()
 def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = False) -> None:
-    """Diagnose every study, add what is named, open the seal and count. Goes on where it was interrupted."""
+    """Diagnose the blind studies, open the seal and count.
+
+    Reads the studies; adds the effects that are named. Writes score.json. An interrupted run continues where it
+    stopped.
+    """
     from frictrack.blind import score as scored  # noqa: PLC0415
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
 
