@@ -138,9 +138,9 @@ def _cache_folder(url: str) -> Path:
 def _delete_oldest(root: Path) -> None:
     """Delete the least recently used files above `MAX_CACHE_BYTES`."""
     files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
-    held = sorted(files, key=lambda path: path.stat().st_mtime)
-    total = sum(path.stat().st_size for path in held)
-    for path in held:
+    oldest_first = sorted(files, key=lambda path: path.stat().st_mtime)
+    total = sum(path.stat().st_size for path in oldest_first)
+    for path in oldest_first:
         if total <= MAX_CACHE_BYTES:
             return
         total -= path.stat().st_size

@@ -107,8 +107,8 @@ class _BatchOutput:
                 "tables": [str(path) for path in files],
             }
         )
-        drawn = [trend.drawn() for trend in found]
-        output = write_campaign(result, drawn, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
+        plots = [trend.to_plot() for trend in found]
+        output = write_campaign(result, plots, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
         return result | {"output": str(output)}
 
     def _rows(self) -> list[dict[str, Any]]:

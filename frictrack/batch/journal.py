@@ -38,8 +38,8 @@ class Journal:
             Seed of the diagnoses.
 
         """
-        held = self._lines()
-        kept = ((path, held.get(str(path))) for path in studies)
+        outcomes = self._lines()
+        kept = ((path, outcomes.get(str(path))) for path in studies)
         return {path: done for path, done in kept if done and done.seed == seed and are_unchanged(done.files)}
 
     def append(self, done: StudyOutcome) -> None:
@@ -73,15 +73,15 @@ class Journal:
             return {}
         except OSError as e:
             raise FrictrackError(f"cannot read {self.path}: {e.strerror or e}") from e
-        held = {}
+        outcomes = {}
         for line in lines:
             try:
                 raw = json.loads(line)
                 if raw.pop("version") == __version__:
-                    held[raw["study"]] = StudyOutcome(**raw)
+                    outcomes[raw["study"]] = StudyOutcome(**raw)
             except (ValueError, TypeError, KeyError, AttributeError):
                 continue  # incomplete or not ours: the study is run again
-        return held
+        return outcomes
 
 
 def _ended(path: Path) -> bool:

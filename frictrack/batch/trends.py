@@ -80,7 +80,7 @@ class Trend:
         """Standard deviation of the change."""
         return self.slope_std * float(self.at[-1] - self.at[0])
 
-    def drawn(self) -> dict[str, Any]:
+    def to_plot(self) -> dict[str, Any]:
         """Return everything that the page draws."""
         keys = ("holds", "change", "change_std")
         return {**vars(self), "along": self.axis, **{key: getattr(self, key) for key in keys}}

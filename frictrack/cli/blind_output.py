@@ -46,27 +46,27 @@ def blind(out: Console, result: dict[str, Any]) -> None:
 
 
 def _shares(result: dict[str, Any]) -> Table:
-    made = table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
+    rows = table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
     for words, (group, key) in SHARES:
         one = result[group][key]
         if one["of"]:
             low, high = (100 * q for q in one["interval"])
-            made.add_row(
+            rows.add_row(
                 words, str(one["hits"]), str(one["of"]), format_plain(100 * one["share"], 3), f"{low:.1f}-{high:.1f}"
             )
-    return made
+    return rows
 
 
 def _limits(limits: dict[str, dict[str, float]]) -> Table:
-    made = table("detection limit over the ideal detector's", "median", "largest", "studies")
+    rows = table("detection limit over the ideal detector's", "median", "largest", "studies")
     for name, one in limits.items():
-        made.add_row(name, format_plain(one["median"], 3), format_plain(one["largest"], 3), str(one["of"]))
-    return made
+        rows.add_row(name, format_plain(one["median"], 3), format_plain(one["largest"], 3), str(one["of"]))
+    return rows
 
 
 def _confusion(confusion: dict[str, dict[str, int]]) -> Table:
-    made = table("hidden", "named first")
+    rows = table("hidden", "named first")
     for name, counts in confusion.items():
         ordered = sorted(counts.items(), key=lambda pair: -pair[1])
-        made.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
-    return made
+        rows.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
+    return rows

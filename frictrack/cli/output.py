@@ -214,8 +214,8 @@ def importance(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
         unit = "um" if "heldout_rms_after_um" in row else "N"
-        held = row[f"heldout_rms_after_{unit}"]
-        after = "" if held is None else f"{format_plain(held)} {unit.replace('u', 'µ')}"
+        rms = row[f"heldout_rms_after_{unit}"]
+        after = "" if rms is None else f"{format_plain(rms)} {unit.replace('u', 'µ')}"
         table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
     return table
 

@@ -29,8 +29,8 @@ def _evidence(step: dict[str, Any]) -> str:
     """Describe which effects an experiment distinguishes, and how well."""
     if not step["separates"]:
         return ""
-    groups = step.get("tells", ", ".join(step["separates"]))
-    return f"separates {groups.removesuffix(' apart')}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
+    groups = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
+    return f"separates {groups}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:

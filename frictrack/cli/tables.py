@@ -9,7 +9,7 @@ from rich.table import Table
 
 def table(*headers: str, **style: Any) -> Table:
     """Return an empty table with headers, without a box by default."""
-    made = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
+    new = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
     for header in headers:
-        made.add_column(header, overflow="fold")
-    return made
+        new.add_column(header, overflow="fold")
+    return new

@@ -69,9 +69,9 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         run = pipeline.run
         rectangle, frame = resolve_target(opened, run.target, run.template or 0)
         where = run.target if is_polygon(run.target) else rectangle
-        drawn = Areas(where, run.exclude, run.obstacles)
-        pipeline.lesson = learn_target(opened, drawn, template=frame, progress=pipeline.progress)
-        return track(opened, drawn, template=frame, known=pipeline.lesson, progress=pipeline.progress)
+        areas = Areas(where, run.exclude, run.obstacles)
+        pipeline.lesson = learn_target(opened, areas, template=frame, progress=pipeline.progress)
+        return track(opened, areas, template=frame, known=pipeline.lesson, progress=pipeline.progress)
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
@@ -96,8 +96,8 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
     found: dict[str, Track] = {}
     with pipeline.open_film() as opened:
         for name, target in pipeline.run.targets.items():
-            drawn = tracking.Areas(target, obstacles=pipeline.run.obstacles)
-            found[name] = tracking.track(opened, drawn, name=name, progress=pipeline.progress)
+            areas = tracking.Areas(target, obstacles=pipeline.run.obstacles)
+            found[name] = tracking.track(opened, areas, name=name, progress=pipeline.progress)
         found |= _reference_track(opened, track, pipeline)
         tracking.contact_sheet(
             opened, track, contact_sheet_path(pipeline.study, pipeline.run.name), tuple(found.values())
@@ -110,14 +110,13 @@ def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) ->
     from frictrack.tracking import find_reference, track  # noqa: PLC0415
     from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
-    wanted = pipeline.run.reference
-    if wanted == "none":
+    given = pipeline.run.reference
+    if given == "none":
         return {}
-    if wanted != "auto":
-        made = track(opened, wanted, name=REFERENCE, progress=pipeline.progress)
-        return {
-            REFERENCE: _without_covered_frames(replace(made, notes=()), target)
-        }  # what is to be said of the film, the target says
+    if given != "auto":
+        reference = track(opened, given, name=REFERENCE, progress=pipeline.progress)
+        # Notes on the film stand in the target's track already.
+        return {REFERENCE: _without_covered_frames(replace(reference, notes=()), target)}
     rectangle = find_reference(opened, target)
     if rectangle is None:
         return {}
@@ -134,14 +133,14 @@ def _without_covered_frames(reference: Track, target: Track) -> Track:
     (x, y, w, h), (_, _, width, height) = reference.target, target.target
     near_x = np.abs(target.x_px - x - (w - 1) / 2) < (w + width) / 2
     near_y = np.abs(target.y_px - y - (h - 1) / 2) < (h + height) / 2
-    over = near_x & near_y
-    if not np.any(over):
+    covered = near_x & near_y
+    if not np.any(covered):
         return reference
-    gone = np.where(over, np.nan, 0.0)
-    columns = {c: q + gone for c in MEASURED if (q := getattr(reference, c)) is not None}
-    reason = np.where(over & reference.found, REASON_COVERED, reference.reason)
+    mask = np.where(covered, np.nan, 0.0)
+    columns = {c: q + mask for c in MEASURED if (q := getattr(reference, c)) is not None}
+    reason = np.where(covered & reference.found, REASON_COVERED, reference.reason)
     note = (
-        f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, where camera shake is not "
+        f"the target passes over the fixed reference in {np.count_nonzero(covered)} frames, where camera shake is not "
         "measured; choose a rectangle outside its path"
     )
     return replace(reference, **columns, reason=reason, notes=(*reference.notes, note))
@@ -160,21 +159,21 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
     last = int(np.flatnonzero(whole)[-1])
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
-    def followed() -> Track:
+    def follow() -> Track:
         known: TargetModel = pipeline.lesson or _learn_again(opened, forward)
-        drawn = Areas(rectangle, obstacles=forward.obstacles)
-        return track(opened, drawn, template=last, known=known, name=BACKWARD, progress=pipeline.progress)
+        areas = Areas(rectangle, obstacles=forward.obstacles)
+        return track(opened, areas, template=last, known=known, name=BACKWARD, progress=pipeline.progress)
 
-    made = _track_or_none(followed)
-    return {} if made is None else {BACKWARD: replace(made, picture=None, notes=())}
+    backward = _track_or_none(follow)
+    return {} if backward is None else {BACKWARD: replace(backward, picture=None, notes=())}
 
 
 def _learn_again(opened: Recording, track: Track) -> TargetModel:
     """Learn the template again for a track that was stored by an earlier process."""
     from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
 
-    drawn = Areas(track.outline or track.target, track.exclude, track.obstacles)
-    return learn_target(opened, drawn, template=track.template)
+    areas = Areas(track.outline or track.target, track.exclude, track.obstacles)
+    return learn_target(opened, areas, template=track.template)
 
 
 def _track_or_none(make: Callable[[], Track]) -> Track | None:
@@ -202,11 +201,11 @@ def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
     run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
     of_target = [isinstance(one, dict) and "target" in one for one in several]
-    made = [
+    maps = [
         plane_map("1 mm/px" if later else one, lens=run.lens, film=pipeline.recording, axis=run.axis)
         for one, later in zip(several, of_target, strict=True)
     ]
-    return made[0] if len(made) == 1 and not any(of_target) else None
+    return maps[0] if len(maps) == 1 and not any(of_target) else None
 
 
 def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Track]) -> Displacement:
@@ -220,23 +219,25 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
     plane = plane_before_tracking(pipeline) or plane_map(
         run.scale, lens=run.lens, track=track, film=pipeline.recording, axis=run.axis
     )
-    seen = aligned(track, anchor.get("track")) if anchor else track
-    least = min_shake_px(run)
-    clean, notes, numbers = correct_track(seen, tracks, clocked=pipeline.get("recording").clocked, least=least)
+    target_track = aligned(track, anchor.get("track")) if anchor else track
+    min_shake = min_shake_px(run)
+    clean, notes, numbers = correct_track(
+        target_track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake
+    )
     unseen = (NOTE_NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
-    made = calibrate(
+    displacement = calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
         plane,
         axis=run.axis,
         origin_px=run.origin_px,
         x_offset=run.x_offset,
     )
-    made = screened(made, numbers)
-    made = made.rows(made.span)
-    left = residual_shake(tracks.get(REFERENCE), least)
-    if left is None or made.pixel_pitch is None:
-        return made
-    return replace(made, shake=(left[0], left[1] * made.pixel_pitch))
+    displacement = screened(displacement, numbers)
+    displacement = displacement.rows(displacement.span)
+    residual = residual_shake(tracks.get(REFERENCE), min_shake)
+    if residual is None or displacement.pixel_pitch is None:
+        return displacement
+    return replace(displacement, shake=(residual[0], residual[1] * displacement.pixel_pitch))
 
 
 def min_shake_px(run: RunTable) -> float:

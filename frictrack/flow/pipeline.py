@@ -182,9 +182,10 @@ class RunPipeline:
 
     def changed_keys(self) -> list[str]:
         """Return the keys of the study file whose values have changed since the stored stages were computed."""
-        held = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
+        provenances = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
         pairs = (
-            (json.loads(provenance.settings), to_builtins(self.settings(name))) for name, provenance in held.items()
+            (json.loads(provenance.settings), to_builtins(self.settings(name)))
+            for name, provenance in provenances.items()
         )
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 

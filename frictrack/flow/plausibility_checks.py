@@ -204,8 +204,8 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
     tables = {_run_name(table): table for table in raw.get("run", [])}
     for run in (run for run in study.runs if not run.plausible):
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
-        held = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
-        bare = frozenset(key for key, value in held.items() if _lacks_unit(value))
+        values = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
+        bare = frozenset(key for key, value in values.items() if _lacks_unit(value))
         for found in implausible_entries(_entered_numbers(run, bare)):
             yield found if own[found.kind] is not None else replace(found, run="")
 

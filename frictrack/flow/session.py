@@ -423,8 +423,8 @@ class Session:
 
     def _last_seed(self) -> int:
         """Return the seed of the last diagnosis."""
-        held = store.provenance(self.path, "diagnosis")
-        return int(json.loads(held.settings)["seed"]) if held else 0
+        provenance = store.provenance(self.path, "diagnosis")
+        return int(json.loads(provenance.settings)["seed"]) if provenance else 0
 
     def _update_papers_route(self) -> tuple[str, ...]:
         """Bring the fit by the papers' route up to date, or return a note why there is none.

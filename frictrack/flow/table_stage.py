@@ -92,7 +92,7 @@ def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     pitch, relative = parse_scale(run.scale) if run.scale is not None else (None, 0.0)
-    seen = screened(
+    displacement = screened(
         Displacement(
             t=data.t,
             x=data.x + run.x_offset,
@@ -107,55 +107,61 @@ def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement
         ),
         table.numbers,
     )
-    seen = _with_jitter_noise(seen)
-    return replace(seen, sigma_x=_table_sigma(seen)) if np.all(np.isnan(seen.sigma_x)) else seen
+    displacement = _with_jitter_noise(displacement)
+    return (
+        replace(displacement, sigma_x=_table_sigma(displacement))
+        if np.all(np.isnan(displacement.sigma_x))
+        else displacement
+    )
 
 
-def _with_jitter_noise(seen: Displacement) -> Displacement:
+def _with_jitter_noise(displacement: Displacement) -> Displacement:
     """Return a displacement with larger standard deviations if its samples jitter although the time stamps are even."""
-    if len(seen) < MIN_ROWS or not is_even(seen.t):
-        return seen
-    interval = float(np.median(np.diff(seen.t)))
-    late, still = unevenness(seen.t, seen.x, _max_resolved_speed(seen))
-    if not late:
-        return seen
-    stated = np.isfinite(seen.sigma_x)
-    at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
-    moved = late * np.abs(robust_speed(seen.t, seen.x))
+    if len(displacement) < MIN_ROWS or not is_even(displacement.t):
+        return displacement
+    interval = float(np.median(np.diff(displacement.t)))
+    jitter, at_rest_noise = unevenness(displacement.t, displacement.x, _max_resolved_speed(displacement))
+    if not jitter:
+        return displacement
+    stated = np.isfinite(displacement.sigma_x)
+    at_rest = np.where(stated, displacement.sigma_x, max(at_rest_noise, rounding_noise(displacement.resolution)))
+    moved = jitter * np.abs(robust_speed(displacement.t, displacement.x))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
-        return seen
+        return displacement
     note = (
         f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
-        f"{100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
+        f"{100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
         "deviations grow with it"
     )
-    return replace(seen, sigma_x=np.hypot(at_rest, moved), notes=(*seen.notes, note))
+    return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
 
 
 def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
     """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
     even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
-    late = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
-    if not late:
+    jitter = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
+    if not jitter:
         return ()
-    share = 100 * late / float(np.median([np.median(np.diff(d.t)) for d in even]))
+    share = 100 * jitter / float(np.median([np.median(np.diff(d.t)) for d in even]))
     return (
         f"the noise of the runs grows with their speed, as if samples jittered by {share:.2g} % of the interval (rms) "
         "although their time stamps are even, or the picture were blurred",
     )
 
 
-def _max_resolved_speed(seen: Displacement) -> float:
+def _max_resolved_speed(displacement: Displacement) -> float:
     """Return the speed of half a pixel or half a step per sample, m/s; rounding errors grow with the speed below it."""
-    return 0.5 * max(seen.pixel_pitch or 0.0, seen.resolution) / float(np.median(np.diff(seen.t)))
+    return (
+        0.5 * max(displacement.pixel_pitch or 0.0, displacement.resolution) / float(np.median(np.diff(displacement.t)))
+    )
 
 
-def _table_sigma(seen: Displacement) -> Array:
+def _table_sigma(displacement: Displacement) -> Array:
     """Return the white noise (n,) of a table without standard deviations; at least that of rounding."""
-    x = seen.x
+    x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, seen.valid)[0]), rounding_noise(seen.resolution))
+    sigma = max(float(noise_level(x, displacement.valid)[0]), rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 

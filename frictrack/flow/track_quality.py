@@ -28,7 +28,7 @@ MIN_DIRECTION_SIGMAS = 0.5  # between forward and backward tracking, in standard
 
 
 def correct_track(
-    track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
+    track: Track, tracks: dict[str, Track], *, clocked: bool, min_shake: float = 0.0
 ) -> tuple[Track, tuple[str, ...], Rows]:
     """Subtract camera shake from a track, correct its times and describe what was found.
 
@@ -42,7 +42,7 @@ def correct_track(
         The other tracks by name; see `make_further_tracks`.
     clocked
         Whether the camera wrote time stamps.
-    least
+    min_shake
         Smallest shake that is subtracted, px rms.
 
     Returns
@@ -57,7 +57,7 @@ def correct_track(
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
-    clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, least=least)
+    clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
     notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean, ()).notes)
     notes += (*rotation_note(clean), *lost_frames_note(clean))
     rows = np.arange(len(track)) if clocked else kept_rows(len(track), slips)
@@ -84,7 +84,7 @@ def lost_frames_note(track: Track) -> tuple[str, ...]:
 
 
 def _corrected_track(
-    track: Track, reference: Track | None, *, clocked: bool, least: float = 0.0
+    track: Track, reference: Track | None, *, clocked: bool, min_shake: float = 0.0
 ) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
     """Return the track without shake and with true times, notes on shake, and the faults of the times.
 
@@ -97,7 +97,7 @@ def _corrected_track(
         track = correct_times(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
         track, reference = correct_times(track, found), None if reference is None else correct_times(reference, found)
-    return *subtract_shake(track, reference, least), found
+    return *subtract_shake(track, reference, min_shake), found
 
 
 def _minus_reference(track: Track, reference: Track | None) -> Track:
@@ -114,14 +114,14 @@ def _minus_reference(track: Track, reference: Track | None) -> Track:
     )
 
 
-def residual_shake(reference: Track | None, least: float) -> tuple[float, float, str] | None:
+def residual_shake(reference: Track | None, min_shake: float) -> tuple[float, float, str] | None:
     """Return the camera shake that may be left in the displacement.
 
     Parameters
     ----------
     reference
         Track of the fixed reference, if there is one.
-    least
+    min_shake
         Smallest shake that is subtracted, px rms.
 
     Returns
@@ -132,7 +132,7 @@ def residual_shake(reference: Track | None, least: float) -> tuple[float, float,
     """
     if reference is None:
         return None
-    used = estimate_shake(reference, least)
+    used = estimate_shake(reference, min_shake)
     if used.detected:
         reason = "error of the reference's movement, which was subtracted"
         return used.frequency or 0.0, float(used.sigma[0]), reason

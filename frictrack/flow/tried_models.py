@@ -185,8 +185,10 @@ class TriedModels:
     @property
     def current_group(self) -> str | None:
         """The group that is marked as current in the store; None if no model was tried."""
-        held = (group for group in reversed(self.groups) if store.attributes(self.path, f"models/{group}")["current"])
-        return next(held, None)
+        current = (
+            group for group in reversed(self.groups) if store.attributes(self.path, f"models/{group}")["current"]
+        )
+        return next(current, None)
 
     def current(self) -> tuple[str, FitRequest]:
         """Return group and request of the current model.
@@ -386,17 +388,17 @@ def model_results(path: Path, group: str) -> ModelResults:
     """
     inside = group if group == "papers" else f"models/{group}"
     with store.snapshot(path):
-        held = store.read(path, inside)
+        stored = store.read(path, inside)
         curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
         return ModelResults(
             name=group,
-            equation=held["equation"],
+            equation=stored["equation"],
             summary=merge_uncertainty(
-                json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))
+                json.loads(stored["summary"]), json.loads(stored.get("certainty", {}).get("summary", "{}"))
             ),
             curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
             motion=tuple(store.read(path, f"{inside}/motion/{name}", ModelledMotion) for name in motion),
-            current=bool(held["current"]),
-            diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
-            figures=held.get("diagnosis", {}).get("figures", {}),
+            current=bool(stored["current"]),
+            diagnosis=json.loads(stored["diagnosis"]["summary"]) if "diagnosis" in stored else None,
+            figures=stored.get("diagnosis", {}).get("figures", {}),
         )

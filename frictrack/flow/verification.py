@@ -216,12 +216,12 @@ def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances
         if found := _GROUP.fullmatch(name):
             other = path.parent / found[1] if found[1] else path
             try:
-                held = provenances(other).get(found[2]) if other.exists() else None
+                provenance = provenances(other).get(found[2]) if other.exists() else None
             except FrictrackError:
                 continue  # reported for that file
-            if held is None:
+            if provenance is None:
                 yield Fault(path, full, f"was made from {name}, which is not there", RUN_AGAIN, "missing")
-            elif held.key != key:
+            elif provenance.key != key:
                 yield Fault(path, full, f"was made from {name}, which was made again since", RUN_AGAIN, "outdated")
 
 

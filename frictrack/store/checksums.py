@@ -20,13 +20,13 @@ CHECKSUM = "sha256"
 
 def add_checksums(item: h5py.Group | h5py.Dataset) -> str:
     """Write the missing checksums of an object and everything in it; return the checksum of the object."""
-    held = item.attrs.get(CHECKSUM)
-    if held is None:
+    stored = item.attrs.get(CHECKSUM)
+    if stored is None:
         if isinstance(item, h5py.Group):
             for _, child in members(item):
                 add_checksums(child)
-        held = item.attrs[CHECKSUM] = _checksum(item)
-    return str(held)
+        stored = item.attrs[CHECKSUM] = _checksum(item)
+    return str(stored)
 
 
 def drop_checksums(file: h5py.File, name: str) -> None:
@@ -60,13 +60,13 @@ def wrong_checksums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None
         check_visited_once(item, met)
         for name in item if isinstance(item, h5py.Group) else ():
             yield from _wrong_child(item, name, met)
-        held, found = item.attrs.get(CHECKSUM), _checksum(item)
+        stored, found = item.attrs.get(CHECKSUM), _checksum(item)
     except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
         yield item.name, f"cannot be read ({' '.join(str(e).split())})"
         return
-    if held is None:
+    if stored is None:
         yield item.name, "has no checksum, frictrack did not write it"
-    elif held != found:
+    elif stored != found:
         yield item.name, "holds something else than was written (its checksum is another one)"
 
 

@@ -157,6 +157,6 @@ def _toml_item(value: Any) -> Any:
     """Convert a value; a dictionary becomes an inline table."""
     if not isinstance(value, Mapping):
         return tomlkit.item(value)
-    made = tomlkit.inline_table()
-    made.update({key: _toml_item(part) for key, part in value.items()})
-    return made
+    inline = tomlkit.inline_table()
+    inline.update({key: _toml_item(part) for key, part in value.items()})
+    return inline

@@ -178,10 +178,10 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
     bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values, []
-    came = series.iloc[int(bad[0])]
+    value = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
-    said = f"expected numbers below {MAX_VALUE:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
-    return values, [f'{said} in "{series.name}" but got {str(came)[:40]} in row {bad[0] + 1}{more}']
+    expected = f"expected numbers below {MAX_VALUE:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
+    return values, [f'{expected} in "{series.name}" but got {str(value)[:40]} in row {bad[0] + 1}{more}']
 
 
 def _time_faults(t: Array) -> list[str]:
