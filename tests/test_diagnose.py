@@ -112,7 +112,7 @@ def test_one_run_names_a_group_where_it_cannot_single_out(hidden):
     assert found.verdict == "ambiguous"
     group = {found.best.effect, *found.best.indistinguishable_from}
     assert group - {"viscous_modulation"} == {"vibration", "camera_shake", "load_modulation"}  # at a speed that lasts
-    assert any("one run alone" in remark for remark in found.remarks)
+    assert any("single run:" in remark for remark in found.remarks)
 
 
 def test_one_run_in_one_direction_cannot_miss_a_slope():
@@ -121,7 +121,7 @@ def test_one_run_in_one_direction_cannot_miss_a_slope():
     assert found.undetermined[0].what == "drag"  # one short run would not show a tenth of the friction
     limit = found.detection_limits["slope"]
     assert limit["value"] is None
-    assert limit["reason"] == "the fitted law absorbs it whatever its size"
+    assert limit["reason"] == "the fitted model absorbs it whatever its size"
 
 
 def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():

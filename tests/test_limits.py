@@ -24,7 +24,7 @@ def left_of(columns: np.ndarray) -> float:
 def test_further_coefficients_hide_what_they_can_in_whatever_unit(rng, unit):
     columns = rng.normal(size=(50, 3)) @ rng.normal(size=(3, 3)) * [1.0, unit, 1.0 / unit]
     gram = (columns.T @ columns)[None]
-    gain, square = detection_limits._of_first(gram, np.einsum("gkk->gk", gram))
+    gain, square = detection_limits._first_coefficient_gain(gram, np.einsum("gkk->gk", gram))
     assert gain[0] == pytest.approx(left_of(columns), rel=1e-8)
     assert square[0] == pytest.approx(columns[:, 0] @ columns[:, 0])
 
@@ -32,7 +32,7 @@ def test_further_coefficients_hide_what_they_can_in_whatever_unit(rng, unit):
 def test_an_amplitude_is_judged_at_the_phase_that_shows_least(rng):
     columns = rng.normal(size=(50, 2))
     gram = (columns.T @ columns)[None]
-    gain, _ = detection_limits._of_phase(gram, np.einsum("gkk->gk", gram))
+    gain, _ = detection_limits._wave_gain(gram, np.einsum("gkk->gk", gram))
     phases = np.linspace(0, np.pi, 20001)
     seen = np.sum((columns @ [np.cos(phases), np.sin(phases)]) ** 2, axis=0)
     assert gain[0] == pytest.approx(seen.min(), rel=1e-6)

@@ -164,7 +164,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     imitation = fit([*LAW, "load_modulation"], start.runs)
     told = find_simpler_model(start.solution, imitation.solution, repeated("v"))
     assert told["decisive"]
-    assert told["words"].startswith("a force of speed alone explains more with ")
+    assert told["words"].startswith("a force that depends only on speed explains more with ")
     assert told["formulas"][0]["axis"] == "v"
     worth = information_criterion(start.solution) - information_criterion(imitation.solution)
     assert told["formulas"][0]["delta_bic"] > 10 + worth
@@ -184,7 +184,7 @@ def test_fewer_numbers_say_the_same_as_all_frames(fits):
     solution = fits["magnet"].solution
     left = compress_residual(solution)
     push = [1e-3 * np.sin(2 * np.pi * p.x / 0.1)[:, None] for p in left.paths]
-    told = left.trace(push)[:, 0]
+    told = left.traces_of(push)[:, 0]
     whole = []
     for r in solution.responses:
         g = -1e-3 * np.sin(2 * np.pi * r.motion.x / 0.1)[:, None] / r.piece.mass
@@ -199,8 +199,10 @@ def test_fewer_numbers_say_the_same_as_all_frames(fits):
 def test_shapes_are_written_as_they_are_evaluated():
     u = np.linspace(0.1, 2.0, 7)
     by_name = {s.name: s for s in SHAPES}
-    assert by_name["logarithm"].evaluated(u, [0.3])[0] == pytest.approx(np.log(1 + u / 0.3))
-    assert by_name["pair"].evaluated(u, [1.0, 0.5])[0] == pytest.approx((u - 1) / 0.5 / (1 + ((u - 1) / 0.5) ** 2) ** 2)
+    assert by_name["logarithm"].columns_at(u, [0.3])[0] == pytest.approx(np.log(1 + u / 0.3))
+    assert by_name["pair"].columns_at(u, [1.0, 0.5])[0] == pytest.approx(
+        (u - 1) / 0.5 / (1 + ((u - 1) / 0.5) ** 2) ** 2
+    )
     grid = by_name["wave"].on_grid(u, [(1.0,), (2.5,)])
     assert grid[1][:, 1] == pytest.approx(np.cos(5 * np.pi * u))
 
@@ -214,8 +216,8 @@ def test_the_law_is_taken_out_of_every_trace(fits):
     """What the law could make by itself leaves nothing beside it."""
     solution = fits["joint"].solution
     left = compress_residual(solution)
-    assert np.linalg.norm(left.trace([np.sign(p.v)[:, None] * p.load for p in left.paths])) < 1e-2 * np.linalg.norm(
-        np.concatenate([m @ (np.sign(p.v) * p.load) for m, p in zip(left.maps, left.paths, strict=True)])
+    assert np.linalg.norm(left.traces_of([np.sign(p.v)[:, None] * p.load for p in left.paths])) < 1e-2 * np.linalg.norm(
+        np.concatenate([m @ (np.sign(p.v) * p.load) for m, p in zip(left.force_maps, left.paths, strict=True)])
     )
     assert refine(solution.problem, solution.p, solution.starts, tau=solution.tau).chi2 == pytest.approx(
         solution.chi2, rel=1e-3

@@ -175,7 +175,7 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
     found = assess_repeatability(patched[1], np.random.default_rng(0))
     assert found.best.axis == "x"
     assert found.best.of == 4
-    assert found.words.startswith("The failure repeats at the same place in ")
+    assert found.words.startswith("The misfit repeats at the same place in ")
     assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence", "holds"}
     assert {a["axis"] for a in found.summary()} == {"x", "t", "v", "phase"}
 
@@ -183,14 +183,14 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
 def test_blows_at_moments_of_their_own_do_not_repeat(blown):
     found = assess_repeatability(blown[1], np.random.default_rng(0))
     assert found.best is None
-    assert found.words.startswith("The failure does not repeat from run to run")
+    assert found.words.startswith("The misfit does not repeat from run to run")
 
 
 def test_one_run_cannot_tell_whether_a_failure_repeats():
     runs = lacking("patch", PATCH, specs=FOUR[:1])
     found = assess_repeatability(fit(LAW, runs).solution, np.random.default_rng(0))
     assert found.summary() == []
-    assert found.words.startswith("One run cannot tell")
+    assert found.words.startswith("One run cannot show")
 
 
 def test_words_say_which_axes_these_runs_hardly_part():
@@ -200,8 +200,8 @@ def test_words_say_which_axes_these_runs_hardly_part():
         AxisRepeatability("v", 0.1, 0.5, 0, 6, evidence=20.0),
     ]
     assert describe_axes(axes) == (
-        "The failure repeats at the same place in 5 of 6 runs: it belongs to the course. "
-        "These runs hardly tell this from the same time since release; another speed would."
+        "The misfit repeats at the same place in 5 of 6 runs: it depends on the position along the course. "
+        "These runs hardly distinguish it from the same time since release; a run at another speed would."
     )
 
 
@@ -211,7 +211,7 @@ def test_what_the_runs_show_too_little_of_is_left_open():
         AxisRepeatability("x", 0.1, 0.5, 0, 6, evidence=-5.0),
     ]
     assert describe_axes(axes).startswith("Whether the failure repeats from run to run cannot be told")
-    assert describe_axes([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
+    assert describe_axes([replace(a, evidence=-40.0) for a in axes]).startswith("The misfit does not repeat")
 
 
 def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
@@ -220,7 +220,10 @@ def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
         AxisRepeatability("t", 0.3, 0.2, 1, 5, evidence=-90.0),
     ]
     assert axes[0].holds
-    assert describe_axes(axes) == "The failure repeats at the same place in 5 of 5 runs: it belongs to the course."
+    assert (
+        describe_axes(axes)
+        == "The misfit repeats at the same place in 5 of 5 runs: it depends on the position along the course."
+    )
 
 
 def test_a_slow_force_of_speed_is_told_from_one_of_every_run():

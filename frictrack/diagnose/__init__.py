@@ -1,4 +1,4 @@
-"""Which effect is missing, how sure, and what would settle it."""
+"""Diagnose a fit: which effect the model lacks, how certain that is, and which experiment would settle it."""
 
 from __future__ import annotations
 

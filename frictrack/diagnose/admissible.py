@@ -1,4 +1,4 @@
-"""Judge whether a fitted candidate is physically plausible: what imitates the misfit is no cause."""
+"""Judge whether a fitted candidate is physically plausible."""
 
 from __future__ import annotations
 
@@ -13,17 +13,30 @@ MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an eff
 
 
 def objection(solution: Solution, effect: Effect) -> str:
-    """Return why a fitted effect cannot be the cause, or "" where nothing speaks against it.
+    """Return why a fitted effect cannot be the cause.
 
-    The effect's own check (`Effect.plausible`) must pass in at least one run where it acts, and at least one of its
-    sizes must exceed three of its own standard deviations, in the shape that was found: a narrow strong patch and a
-    wide weak one trade places, and yet something is there.
+    The effect's own check (`Effect.plausible`) must pass in at least one run where it acts. At least one of its sizes
+    must exceed three standard deviations with its shape held: a narrow strong patch and a wide weak one are
+    interchangeable, although a patch is there.
+
+    Parameters
+    ----------
+    solution
+        The fit with the effect.
+    effect
+        The effect.
+
+    Returns
+    -------
+    str
+        Empty if there is no objection.
+
     """
     return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
 
 
 def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str:
-    """Return the effect's own objection to its fitted values, where it stands in every run in which it acts."""
+    """Return the effect's own objection to its fitted values, if it holds in every run in which it acts."""
     if effect.plausible is None:
         return ""
     found = []
@@ -37,6 +50,7 @@ def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str
 
 
 def _insignificant(solution: Solution, effect: Effect) -> str:
+    """Objection that no size of the effect is significant."""
     layout = solution.problem.layout
     sizes = {p.name: p.unit for p in effect.parameters if p.linear or p.role == "depth"}
     at = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and s.parameter in sizes]
@@ -55,7 +69,7 @@ def _insignificant(solution: Solution, effect: Effect) -> str:
 
 
 def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
-    """Standard deviations of some unknowns while the others of their effect are held."""
+    """Standard deviations of some parameters while the others of their effect are held."""
     layout = solution.problem.layout
     free = [i for i, s in enumerate(layout.slots) if s.effect != effect.name or i in at]
     rows = np.vstack([solution.jac, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])

@@ -1,9 +1,14 @@
-"""What a fitted law leaves, in few numbers: forces along the runs and the trace that each would leave beside the law.
+"""Compress the residual of a fit to few numbers, and map forces along the runs to their traces in them.
 
-A force moves the mass, and integrated twice its fine detail is below the camera's noise. So every piece is described
-by the answers of its motion to a few splines in time, made orthonormal: the noise stays white, a run of a thousand
-frames becomes a hundred numbers, and a trial force costs one small product. The law's own columns, friction levels
-held by their scatter, are taken out of all of it at once (Golub & Pereyra 1973).
+Fine detail of a force is below the camera's noise after double integration. Each piece is described by the responses of
+its motion to a few splines in time, orthonormalised: the noise stays white, a thousand frames become a hundred numbers,
+and a trial force costs one small product. The model's own columns, with friction levels held by their scatter, are
+projected out of all of it.
+
+References
+----------
+Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432.
+
 """
 
 from __future__ import annotations
@@ -31,107 +36,157 @@ Force = Callable[[Path], Array]  # along one piece (n,): columns (n, k), N
 
 @dataclass(frozen=True)
 class CompressedResidual:
-    """The residual (M,) beside the law, and for every piece how a force at its points becomes such numbers.
+    """The compressed residual of a fit, and the maps from forces to their traces in it.
 
-    `paths` and `maps` (m_i, n_i) by piece; `rows` its points among its frames, `shifts` (m_i, frames) the same for a
-    shift of the picture, m, `curves` (frames, m_i) the displacements, m, that are one such number each; `runs` its run;
-    `taken` (M, P) and `share` (P,) take the law out.
+    Parameters
+    ----------
+    paths
+        Path of every piece at the n_i points where a force is read.
+    force_maps
+        Map (m_i, n_i) from a force at these points to its trace, by piece.
+    rows
+        Rows of the points among the frames of the piece.
+    shift_maps
+        Map (m_i, frames) from a shift of the picture, m, by piece.
+    displacement_basis
+        Displacement (frames, m_i) per component, m, by piece.
+    runs
+        Index of the run, by piece.
+    model_directions, model_shares
+        Directions (M, P) of the model and the shares (P,) that it removes.
+    residual
+        The compressed residual, (M,).
+    n_frames
+        Number of frames.
+    excess
+        Chi-squared above its expectation.
+    leakage
+        Largest share of the square of a model column that the projection leaves.
+
     """
 
     paths: list[Path]
-    maps: list[Array]
+    force_maps: list[Array]
     rows: list[Rows]
-    shifts: list[Array]
-    curves: list[Array]
+    shift_maps: list[Array]
+    displacement_basis: list[Array]
     runs: list[int]
-    taken: Array
-    share: Array
-    left: Array
+    model_directions: Array
+    model_shares: Array
+    residual: Array
     n_frames: int
     excess: float  # chi-squared above its expectation
-    blur: float = 0.0  # share of its square that the law's own force leaves of itself, told in so few numbers
+    leakage: float = 0.0  # share of its square that the law's own force leaves of itself, told in so few numbers
 
-    def beside(self, rows: Array) -> Array:
-        """Numbers (M, k) with what the law takes of them taken out."""
-        return np.asarray(rows - self.taken @ (self.share[:, None] * (self.taken.T @ rows)))
+    def project_out_model(self, traces: Array) -> Array:
+        """Project the model out of traces (M, k)."""
+        return np.asarray(
+            traces - self.model_directions @ (self.model_shares[:, None] * (self.model_directions.T @ traces))
+        )
 
-    def trace(self, columns: Sequence[Array]) -> Array:
-        """What forces (n_i, k) along every piece leave beside the law, (M, k)."""
-        return self.beside(np.concatenate([m @ c for m, c in zip(self.maps, columns, strict=True)]))
+    def traces_of(self, columns: Sequence[Array]) -> Array:
+        """Traces of forces, with the model projected out.
 
-    def gathered(self, of: Callable[[Path], Array]) -> Array:
-        """A series along all pieces, end to end."""
+        Parameters
+        ----------
+        columns
+            Forces (n_i, k) at the points of every piece, N.
+
+        Returns
+        -------
+        ndarray, shape (M, k)
+
+        """
+        return self.project_out_model(np.concatenate([m @ c for m, c in zip(self.force_maps, columns, strict=True)]))
+
+    def concatenate(self, of: Callable[[Path], Array]) -> Array:
+        """Evaluate a function of the path on all pieces, concatenated, (N,)."""
         return np.concatenate([of(path) for path in self.paths])
 
-    def cut(self, columns: Array) -> list[Array]:
-        """The opposite: columns (N, k) along all pieces, piece by piece."""
+    def split_by_piece(self, columns: Array) -> list[Array]:
+        """Split columns (N, k) along all pieces by piece."""
         return np.split(columns, np.cumsum([len(p.t) for p in self.paths])[:-1])
 
 
 def compress_residual(solution: Solution, without: str = "") -> CompressedResidual:
-    """The residual of a fitted law in few numbers; `without` names an effect whose force counts as residual."""
+    """Compress the residual of a fit.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+    without
+        Name of an effect whose force counts as residual.
+
+    Returns
+    -------
+    CompressedResidual
+
+    """
     responses, layout = solution.responses, solution.problem.layout
-    each = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
-    parts = [_reduced(solution, r, each) for r in responses]
+    per_piece = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
+    parts = [_compress_piece(solution, r, per_piece) for r in responses]
     jac, data = solution.jac, solution.random_effect_data()
-    own = np.array([slot.effect == without for slot in layout.slots])
-    data = data + jac[:, own] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[own]
-    known = np.array(prior_jacobian(layout, solution.p))
-    jac[:, own], known[:, own] = 0.0, 0.0
-    basis = jacobian_basis(jac, layout.levels, known)
+    removed = np.array([slot.effect == without for slot in layout.slots])
+    data = data + jac[:, removed] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[removed]
+    prior_jac = np.array(prior_jacobian(layout, solution.p))
+    jac[:, removed], prior_jac[:, removed] = 0.0, 0.0
+    basis = jacobian_basis(jac, layout.levels, prior_jac)
     starts = np.cumsum([0, *(len(r.r) for r in responses)])
     on_law = []
-    left = []
+    projected = []
     for (q, *_), a, b in zip(parts, starts[:-1], starts[1:], strict=True):
-        left.append(q.T @ data[a:b])
+        projected.append(q.T @ data[a:b])
         on_law.append(q.T @ basis.u[a:b])
-    taken, share = _root(np.concatenate(on_law), basis.shrink(solution.tau))
+    model_directions, model_shares = _square_root(np.concatenate(on_law), basis.shrink(solution.tau))
     on_basis = basis.u.T @ data
     chi2 = float(data @ data - on_basis @ basis.shrink(solution.tau) @ on_basis)
     free = len(data) - 2 * len(responses) - basis.u.shape[1]
-    whole = np.concatenate(left)
-    found = CompressedResidual(
+    on_traces = np.concatenate(projected)
+    compressed = CompressedResidual(
         paths=[path for _, path, *_ in parts],
-        maps=[m for _, _, m, _ in parts],
+        force_maps=[m for _, _, m, _ in parts],
         rows=[rows for *_, rows in parts],
-        shifts=[r.piece.whitened_transposed(q).T for (q, *_), r in zip(parts, responses, strict=True)],
-        curves=[r.piece.coloured(q) for (q, *_), r in zip(parts, responses, strict=True)],
+        shift_maps=[r.piece.whitened_transposed(q).T for (q, *_), r in zip(parts, responses, strict=True)],
+        displacement_basis=[r.piece.coloured(q) for (q, *_), r in zip(parts, responses, strict=True)],
         runs=[r.piece.run for r in responses],
-        taken=taken,
-        share=share,
-        left=whole - taken @ (share * (taken.T @ whole)),
+        model_directions=model_directions,
+        model_shares=model_shares,
+        residual=on_traces - model_directions @ (model_shares * (model_directions.T @ on_traces)),
         n_frames=solution.problem.n_frames,
         excess=chi2 - free,
     )
-    return replace(found, blur=_blur(found, solution, without))
+    return replace(compressed, leakage=_leakage(compressed, solution, without))
 
 
-def _blur(left: CompressedResidual, solution: Solution, without: str) -> float:
-    """The largest share of the square of a column of the law that is left of it beside the law."""
+def _leakage(compressed: CompressedResidual, solution: Solution, without: str) -> float:
+    """Largest share of the square of a model column that the projection leaves."""
     layout = solution.problem.layout
     made = [
         layout.model.force_columns(p, layout.values(solution.p, r)[0])
-        for p, r in zip(left.paths, left.runs, strict=True)
+        for p, r in zip(compressed.paths, compressed.runs, strict=True)
     ]
     shares = [0.0]
     for name in made[0].keys() - {without}:
-        rows = np.concatenate([m @ own[name] for m, own in zip(left.maps, made, strict=True)])
+        rows = np.concatenate([m @ own[name] for m, own in zip(compressed.force_maps, made, strict=True)])
         whole = np.sum(rows**2, axis=0)
-        shares += (np.sum(left.beside(rows) ** 2, axis=0)[whole > 0] / whole[whole > 0]).tolist()
+        shares += (np.sum(compressed.project_out_model(rows) ** 2, axis=0)[whole > 0] / whole[whole > 0]).tolist()
     return max(shares)
 
 
-def _root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
-    """Directions (M, P) and shares (P,) with which I - u S u' is the square of I - w c w'."""
+def _square_root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
+    """Directions (M, P) and shares (P,) such that (I - u S u')^2 = I - w c w'."""
     q, upper = np.linalg.qr(on_law)
     values, vectors = np.linalg.eigh(upper @ shrink @ upper.T)
     return q @ vectors, 1 - np.sqrt(1 - np.clip(values, 0.0, 1.0))
 
 
-def _reduced(solution: Solution, response: PieceResponse, each: int) -> tuple[Array, Path, Array, Rows]:
-    """Orthonormal traces (n, m) of one piece, its path at the points where a force is read, and the map to them."""
+def _compress_piece(
+    solution: Solution, response: PieceResponse, max_components: int
+) -> tuple[Array, Path, Array, Rows]:
+    """Orthonormal traces (n, m) of one piece, its path at the points of a force, the map to the traces, and rows."""
     piece = response.piece
-    count = max(min(len(piece.t) // 3, each), MIN_COMPONENTS_PER_PIECE)
+    count = max(min(len(piece.t) // 3, max_components), MIN_COMPONENTS_PER_PIECE)
     knots = _knots(piece.t[0], piece.t[-1], count)
     nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, SPLINE_DEGREE).toarray()
     _, edges = response.linear.respond(-nodes / piece.mass, np.zeros((2, count)))
@@ -143,7 +198,7 @@ def _reduced(solution: Solution, response: PieceResponse, each: int) -> tuple[Ar
     rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS_PER_SPLINE * count).round().astype(int))
     read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, SPLINE_DEGREE).toarray())
     back = (s[keep, None] * vt[keep]) * scale
-    return u[:, keep], _read(solution, response, rows), back @ read, rows
+    return u[:, keep], _path_at_rows(solution, response, rows), back @ read, rows
 
 
 def _knots(first: float, last: float, count: int) -> Array:
@@ -151,12 +206,12 @@ def _knots(first: float, last: float, count: int) -> Array:
     return np.concatenate([[first] * SPLINE_DEGREE, inner, [last] * SPLINE_DEGREE])
 
 
-def _read(solution: Solution, response: PieceResponse, rows: Rows) -> Path:
-    """The path of one piece at some of its frames."""
+def _path_at_rows(solution: Solution, response: PieceResponse, rows: Rows) -> Path:
+    """Path of one piece at some of its frames."""
     piece, motion = response.piece, response.motion
     _, level = solution.problem.layout.values(solution.p, piece.run)
     whole = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
     n = len(piece.t)
     series = vars(whole).items()
-    here: dict[str, Any] = {k: q[rows] for k, q in series if isinstance(q, np.ndarray) and q.shape == (n,)}
-    return replace(whole, **here)
+    at_rows: dict[str, Any] = {k: q[rows] for k, q in series if isinstance(q, np.ndarray) and q.shape == (n,)}
+    return replace(whole, **at_rows)

@@ -1,4 +1,4 @@
-"""Detection limits: the smallest effect that would be called missing in 95 of 100 repeats."""
+"""Compute detection limits: the smallest effect that would be called missing in 95 of 100 repeats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.stats import ncx2
 
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
-from frictrack.diagnose.null_distribution import Ensemble
+from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit.linearised import MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.records import Array
@@ -19,24 +19,59 @@ MIN_RELATIVE_GAIN = 1e-3  # of the usual gain: less belongs to a place, speed or
 
 
 def noncentrality(threshold: float, freedom: int) -> float:
-    """Non-centrality of chi-squared with `freedom` degrees that exceeds the threshold with probability `POWER`."""
+    """Non-centrality at which chi-squared exceeds a threshold with probability `POWER`.
+
+    Parameters
+    ----------
+    threshold
+        The threshold.
+    freedom
+        Degrees of freedom.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> round(noncentrality(3.84, 1), 1)  # (1.96 + 1.645)^2
+    13.0
+
+    """
     return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-9, 1e6))
 
 
 def detection_limit(
-    scanned: ScannedCandidate, draws: Ensemble, critical: float
+    scanned: ScannedCandidate, draws: NullEnsemble, critical: float
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Limit at the least favourable setting that the runs visit, as the JSON has it, and the curve over all settings.
+    """Detection limit of one effect.
 
-    The first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of the
-    whole search; phases and further coefficients at their worst.
+    It is the first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of
+    the whole search; phases and further coefficients are at their least favourable.
+
+    Parameters
+    ----------
+    scanned
+        The effect's scans.
+    draws
+        Data and draws of the null hypothesis.
+    critical
+        Critical excess of the whole search.
+
+    Returns
+    -------
+    limit : dict
+        JSON: value, unit and setting at the least favourable setting that the runs visit.
+    curve : dict of ndarray
+        Settings and limit at all G grid points, (G,).
+
     """
-    found = scanned.scans[0]
-    family = found.grid
+    first_scan = scanned.scans[0]
+    family = first_scan.grid
     threshold = scanned.quantile + critical
     if len(scanned.scans) > 1:
         threshold += 2 * np.log(len(draws.series.data))
-    per_amplitude = _unit_gain(found, draws.left)
+    per_amplitude = _unit_gain(first_scan, draws.residual_projector)
     needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
     visited = per_amplitude > MIN_RELATIVE_GAIN * np.median(per_amplitude)
@@ -46,41 +81,41 @@ def detection_limit(
     at = {p.name: family.point(worst)[p.name] for p in scanned.effect.nonlinear if p.scan is not None}
     curve = dict(zip(family.names, family.values.T, strict=True)) | {"limit": needed}
     value = float(needed[worst]) if np.isfinite(needed[worst]) else None
-    reason = None if value is not None else "the fitted law absorbs it whatever its size"
+    reason = None if value is not None else "the fitted model absorbs it whatever its size"
     return {"value": value, "unit": unit, "at": at, "power": POWER, "reason": reason}, curve
 
 
-def _unit_gain(found: CandidateScan, left: Array) -> Array:
-    """Expected likelihood ratio of every form at size one, the rest at its least favourable, (G,)."""
-    schur, full = found.schur(left), found.full()
-    of_block = _of_phase if _is_wave(found.grid.effect) else _of_first
+def _unit_gain(scan: CandidateScan, projector: Array) -> Array:
+    """Expected likelihood ratio of every grid point at size one, other coefficients least favourable, (G,)."""
+    schur, full = scan.schur(projector), scan.full()
+    of_block = _wave_gain if _is_wave(scan.grid.effect) else _first_coefficient_gain
     gains = []
-    for i in range(0, schur.shape[1], found.grid.k):
-        mine = slice(i, i + found.grid.k)
+    for i in range(0, schur.shape[1], scan.grid.k):
+        mine = slice(i, i + scan.grid.k)
         least, whole = of_block(schur[:, mine, mine], full[:, mine])
         gains.append(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0))  # less is rounding
     return np.asarray(np.sum(gains, axis=0))
 
 
-def _of_phase(schur: Array, full: Array) -> tuple[Array, Array]:
-    """Gain per amplitude (G,) of coefficients that are quadratures of one, and the square of the columns."""
+def _wave_gain(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain per amplitude (G,) of sine and cosine coefficients, and the square of the columns."""
     return np.asarray(np.linalg.eigvalsh(schur)[:, 0], dtype=np.float64), full.sum(axis=1)
 
 
-def _of_first(schur: Array, full: Array) -> tuple[Array, Array]:
-    """Gain (G,) per unit of the first coefficient, the others hiding what they can of it; and its column's square."""
+def _first_coefficient_gain(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain (G,) per unit of the first coefficient beside the others, and the square of its column."""
     rest = schur[:, 1:, 1:]
     if not rest.shape[1]:
         return schur[:, 0, 0], full[:, 0]
     size = np.sqrt(np.maximum(full[:, 1:], 1e-300))
     unit = rest / size[:, :, None] / size[:, None, :]
     across = schur[:, 1:, 0] / size
-    hidden = np.einsum(
+    absorbed = np.einsum(
         "gi,gij,gj->g", across, np.linalg.pinv(unit, rcond=MIN_UNEXPLAINED_SHARE, hermitian=True), across
     )
-    return schur[:, 0, 0] - hidden, full[:, 0]
+    return schur[:, 0, 0] - absorbed, full[:, 0]
 
 
 def _is_wave(effect: Effect) -> bool:
-    """Whether the coefficients of a scan are quadratures of one size; or, of a lag, what it makes of other effects'."""
+    """Whether coefficients are sine and cosine of one size, or changes that a lag makes to other effects."""
     return any(p.role == "phase" and p.free for p in effect.nonlinear) or (bool(effect.modifies) and not effect.sized)

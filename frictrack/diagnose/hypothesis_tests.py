@@ -1,4 +1,4 @@
-"""Is anything missing, and is it this? p-values for the whole search, from the draws."""
+"""Test whether a model lacks anything, and which effect: p-values for the whole search from null draws."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import dct
 
 from frictrack import effects
-from frictrack.diagnose.null_distribution import Ensemble
+from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidate
@@ -25,7 +25,20 @@ COMMON_SCALE_QUANTILE = 0.99  # quantile of its own null at which every candidat
 
 @dataclass(frozen=True)
 class ScannedCandidate:
-    """One candidate effect scanned over data and draws: its statistic above its own null quantile, (D,)."""
+    """One candidate effect scanned over data and draws.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    scans
+        Its scans; one per run for events.
+    statistic
+        Best gain of chi-squared for data and draws, (D,).
+    quantile
+        Quantile of its own null distribution, which puts candidates on a common scale.
+
+    """
 
     effect: Effect
     scans: list[CandidateScan]
@@ -34,13 +47,26 @@ class ScannedCandidate:
 
     @property
     def excess(self) -> Array:
-        """Statistic on the common scale."""
+        """Statistic above its own null quantile, (D,)."""
         return self.statistic - self.quantile
 
 
 @dataclass(frozen=True)
 class SearchTests:
-    """Lack of fit and every candidate, calibrated for the whole search."""
+    """Lack of fit and all candidates, calibrated for the whole search.
+
+    Parameters
+    ----------
+    p_lack_of_fit
+        p-value of the lack-of-fit test.
+    scanned
+        The scanned candidates.
+    p
+        p-value of every candidate.
+    critical
+        Excess that a search exceeds by chance with probability ``ALPHA / 2``.
+
+    """
 
     p_lack_of_fit: float
     scanned: list[ScannedCandidate]
@@ -49,40 +75,54 @@ class SearchTests:
 
 
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
-    """Every effect that could enter the model, under the name it would have there; and by name why another cannot.
+    """List the effects that could enter a model.
 
-    `own` are effects beside the library's, or some of these as a study sets them. One that takes the place of others,
-    such as LuGre, is another law and no missing cause.
+    An effect that replaces others, such as LuGre, is another model and no candidate.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    own
+        Effects beside the library's, or library effects with settings of the study.
+
+    Returns
+    -------
+    found : list of Effect
+        Under the names that they would have in the model.
+    excluded : dict of str
+        Why other effects cannot enter, by name.
+
     """
     own = list(own)
     model, paths = solution.problem.model, [p.path for p in solution.problem.pieces]
-    taken = frozenset().union(*(e.replaces for e in model.effects))
+    replaced = frozenset().union(*(e.replaces for e in model.effects))
     kinds = {e.kind for e in model.effects}
-    found, barred = [], {}
+    found, excluded = [], {}
     for kind in effects.known(own).values():
-        if kind.name != kind.kind or kind.replaces or kind.kind in taken:
+        if kind.name != kind.kind or kind.replaces or kind.kind in replaced:
             continue
-        if (kind.name in model and not _may_repeat(kind)) or (kind.modifies and not kinds & kind.modifies):
+        if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kinds & kind.modifies):
             continue
         if kind.acts_on == "measurement" and is_measured_friction(solution.problem):
             continue
         effect = effects.get(model.next_instance(kind.name), own)
-        if why := effect.lacks(paths) or _loose_end(effect, model) or _one_way(effect, solution):
-            barred[effect.name] = why
+        if why := effect.lacks(paths) or _missing_tie(effect, model) or _needs_reversal(effect, solution):
+            excluded[effect.name] = why
         else:
             found.append(effect)
-    return found, barred
+    return found, excluded
 
 
-def _loose_end(effect: Effect, model: Model) -> str:
-    """Why an effect cannot enter a model alone: it is tied to one that is not there; "" where it can."""
+def _missing_tie(effect: Effect, model: Model) -> str:
+    """Why an effect cannot enter alone: it is tied to one that the model lacks; "" if it can."""
     if ties_are_resolved(effect, model.effects):
         return ""
     return f"{effect.name} follows an effect that the model does not have"
 
 
-def _one_way(effect: Effect, solution: Solution) -> str:
-    """Why a memory that stands for itself cannot be told: along one way it is a spring, or a running-in."""
+def _needs_reversal(effect: Effect, solution: Solution) -> str:
+    """Why an effect with memory is not identifiable: in one direction it equals a spring or running-in; "" if it is."""
     if effect.modifies or not (effect.memory and effect.turns):
         return ""
     pieces = solution.problem.pieces
@@ -92,36 +132,52 @@ def _one_way(effect: Effect, solution: Solution) -> str:
     return f"{effect.name} needs a run that reverses; let the mass swing to and fro"
 
 
-def _may_repeat(effect: Effect) -> bool:
-    """Whether a second cause of the kind would be another one: a line, a moment or a place on the course of its own."""
+def _can_occur_twice(effect: Effect) -> bool:
+    """Whether a second effect of the kind is a different cause: another line, time or place."""
     places = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
     own = any(p.role == "phase" or p.per_run for p in effect.parameters)
     return (own or places) and any(p.scan is not None and p.free for p in effect.parameters)
 
 
-def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> SearchTests:
-    """Test the fitted model for lack of fit and for every effect of the library."""
+def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> SearchTests:
+    """Test a fitted model for lack of fit and for every candidate.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    draws
+        Data and draws of the null hypothesis.
+    library
+        The candidates.
+
+    Returns
+    -------
+    SearchTests
+
+    """
     made = map_in_threads(lambda e: _scan(solution, draws, e), library)
     scanned = [s for s in made if s is not None]
-    tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
-    p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}
+    max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
+    p = {s.effect.name: _p_value(max_excess[1:], s.excess[0]) for s in scanned}
     return SearchTests(
         p_lack_of_fit=lack_of_fit(draws),
         scanned=scanned,
         p=p,
-        critical=float(np.quantile(tallest[1:], 1 - ALPHA / 2)),
+        critical=float(np.quantile(max_excess[1:], 1 - ALPHA / 2)),
     )
 
 
-def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> ScannedCandidate | None:
+def _scan(solution: Solution, draws: NullEnsemble, effect: Effect) -> ScannedCandidate | None:
+    """Scan one candidate; None if it has no settings to scan. Events of single runs each pay a penalty."""
     made = candidate_grids(draws.law, effect_for_scan(solution, effect))
     if not made:
         return None
     scans = [scan_candidate(draws.law, family, draws.series) for family in made]
     tops = np.stack([s.max_gains for s in scans])
     if len(made) > 1:  # events of single runs: each must pay its price
-        price = EVENT_PENALTY * np.log(solution.problem.n_frames)
-        statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)
+        penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
+        statistic = np.maximum(np.sum(np.maximum(tops - penalty, 0.0), axis=0), tops.max(axis=0) - penalty)
     else:
         statistic = tops[0]
     quantile = float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE))
@@ -129,14 +185,30 @@ def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> ScannedCandida
 
 
 def _p_value(null: Array, value: float) -> float:
+    """Share of the null values, this one included, that reach a value."""
     return float((1 + np.sum(null >= value)) / (len(null) + 1))
 
 
-def lack_of_fit(draws: Ensemble) -> float:
-    """Adaptive Neyman smooth test of the residuals against the measured noise (Fan 1996), calibrated by the draws.
+def lack_of_fit(draws: NullEnsemble) -> float:
+    """Test the residuals for lack of fit against the measured noise.
 
-    The residual of every piece is cosine-transformed; energies are summed up to a growing order, and the order
-    that stands out most is taken, in data and draws alike.
+    The residual of every piece is cosine-transformed. Energies are summed up to growing orders, and the order that
+    deviates most is taken, in data and draws alike.
+
+    Parameters
+    ----------
+    draws
+        Data and draws of the null hypothesis.
+
+    Returns
+    -------
+    float
+        p-value.
+
+    References
+    ----------
+    Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test.
+
     """
     residual = draws.residuals()
     energy = []

@@ -1,4 +1,4 @@
-"""Rivals: effects whose best fit predicts the same data."""
+"""Compare fitted models: Bayesian information criterion, and the expected separation of two rivals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,24 @@ MAX_CHI2_NEAR = 40.0  # measured difference beyond which the expected one is not
 
 
 def expected_separation(best: Solution, rival: Solution) -> float:
-    """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
+    """Expected difference of the objective if one model is true and a rival is fitted to its predictions.
+
+    Parameters
+    ----------
+    best
+        The model taken to be true.
+    rival
+        The other one.
+
+    Returns
+    -------
+    float
+
+    References
+    ----------
+    Hunter & Reiner (1965), Technometrics 7, 307-323; Atkinson & Fedorov (1975), Biometrika 62, 57-70.
+
+    """
     ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
     problem = rival.problem.rebuild(rival.problem.layout, pieces)
@@ -28,9 +45,23 @@ def expected_separation(best: Solution, rival: Solution) -> float:
 
 
 def information_criterion(solution: Solution) -> float:
-    """Bayesian information criterion with the levels integrated out (Schwarz 1978); smaller is better.
+    """Bayesian information criterion with the friction levels integrated out; smaller is better.
 
-    The likelihood is not the restricted one: laws of other fixed effects could not be compared by that.
+    The likelihood is not the restricted one, which cannot compare models with different fixed effects.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+
+    Returns
+    -------
+    float
+
+    References
+    ----------
+    Schwarz (1978), Ann. Stat. 6, 461-464.
+
     """
     layout = solution.problem.layout
     spread = 0.0
@@ -41,5 +72,5 @@ def information_criterion(solution: Solution) -> float:
 
 
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
-    """What the unknowns of a law cost, its levels apart."""
+    """Penalty of BIC for the parameters of a model without its friction levels."""
     return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))

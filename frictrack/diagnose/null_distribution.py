@@ -1,8 +1,13 @@
-"""What the data would look like if nothing were missing: parametric bootstrap draws through the same pipeline.
+"""Draw data of the null hypothesis that the fitted model is complete (parametric bootstrap).
 
-A draw is white noise of the measured level, what a tracker is off by slowly, what may be left of a camera shake, and
-levels scattering by the fitted spread, seen through the linearised model. Its noise level and its spread are estimated
-again, as they were for the data, so that both uncertainties enter every p-value.
+A draw is white noise of the measured level plus slow tracker errors, remaining camera shake and friction levels
+scattering by the fitted spread, all seen through the linearised model. Noise level and spread are estimated again for
+every draw, as they were for the data, so that both uncertainties enter every p-value.
+
+References
+----------
+Efron & Tibshirani (1993), An Introduction to the Bootstrap, section 6.5.
+
 """
 
 from __future__ import annotations
@@ -30,21 +35,32 @@ TAU_GRID = np.geomspace(2e-4, 0.32, 13)
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble:
-    """The data (first column) and the draws beside it, ready for any candidate; `shrinks` go with the spreads."""
+class NullEnsemble:
+    """Data (first column) and draws, ready to be scanned for any candidate.
+
+    Parameters
+    ----------
+    law
+        The linearised model.
+    series
+        Data and draws, grouped by their spread of friction levels.
+    shrinks
+        Shrinkage matrix for each spread.
+
+    """
 
     law: LinearisedModel
     series: ScannedSeries
     shrinks: list[Array]
 
     @property
-    def left(self) -> Array:
-        """What the law leaves of coordinates at the data's own spread, (L, L)."""
+    def residual_projector(self) -> Array:
+        """Projector of the model's residual at the data's own spread, (L, L)."""
         mine = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
         return self.series.residual_projectors[mine]
 
     def residuals(self) -> Float32Array:
-        """What the refitted bare model leaves of the data and of every draw, (N, D)."""
+        """Residuals of the refitted model for the data and every draw, (N, D)."""
         out = self.series.data.copy()
         u, coordinates = self.law.basis.u.astype(np.float32), self.law.basis_coordinates.T @ self.series.coordinates
         for columns, shrink in zip(self.series.groups, self.shrinks, strict=True):
@@ -52,20 +68,35 @@ class Ensemble:
         return out
 
 
-def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Ensemble:
-    """Draws of the null hypothesis that the fitted model is the whole truth."""
+def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:
+    """Draw data of the null hypothesis that the fitted model is complete.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    rng
+        Random generator.
+    draws
+        Number of draws.
+
+    Returns
+    -------
+    NullEnsemble
+
+    """
     law = linearise(solution)
-    seen, basis = law.solution, law.basis
+    fitted, basis = law.solution, law.basis
     data = np.empty((len(basis.u), 1 + draws), dtype=np.float32)
-    data[:, 0] = seen.random_effect_data()
+    data[:, 0] = fitted.random_effect_data()
     _fill_noise(law, data[:, 1:], rng)
-    levels = seen.problem.layout.levels
+    levels = fitted.problem.layout.levels
     if basis.random:
-        scatter = seen.tau * rng.standard_normal((len(levels), draws))
-        data[:, 1:] += (seen.jac[:, levels] @ scatter).astype(np.float32)
-    own = law.coordinates(data)
-    taus = np.append(TAU_GRID, seen.tau) if basis.random else np.array([1.0])
-    on_basis = law.basis_coordinates.T @ own
+        scatter = fitted.tau * rng.standard_normal((len(levels), draws))
+        data[:, 1:] += (fitted.jac[:, levels] @ scatter).astype(np.float32)
+    coordinates = law.coordinates(data)
+    taus = np.append(TAU_GRID, fitted.tau) if basis.random else np.array([1.0])
+    on_basis = law.basis_coordinates.T @ coordinates
     profile = np.stack([basis.misfit(on_basis, np.zeros(1 + draws), tau) + basis.logdet(tau) for tau in taus])
     best = np.argmin(profile, axis=0)
     # draws of one spread side by side, those of the data's own first
@@ -73,23 +104,23 @@ def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_D
     used = list(dict.fromkeys(best[order].tolist()))
     ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
     groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
-    none = slice(0, 0)
+    empty = slice(0, 0)
     series = ScannedSeries(
         np.ascontiguousarray(data[:, order]),
-        own[:, order],
+        coordinates[:, order],
         [law.residual_projector(tau) for tau in taus],
-        [groups.get(t, none) for t in range(len(taus))],
+        [groups.get(t, empty) for t in range(len(taus))],
         profile[:, order],
     )
-    return Ensemble(law, series, [basis.shrink(tau) for tau in taus])
+    return NullEnsemble(law, series, [basis.shrink(tau) for tau in taus])
 
 
 def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generator) -> None:
-    """White noise (N, D) of every run over its own estimated level, starts removed, in place."""
+    """Fill in noise (N, D) over its estimated level, run by run, with initial conditions projected out."""
     out[...] = rng.standard_normal(out.shape, dtype=np.float32)
     for run in law.runs:
         mine = [i for i, s in enumerate(law.pieces) if s.run == run]
-        level = _level([law.pieces[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
+        level = _noise_level([law.pieces[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
         for i in mine:
             e = out[law.rows[i]]
             e /= level
@@ -117,7 +148,20 @@ def _whitened(piece: Piece, errors: Float32Array) -> Float32Array:
 
 
 def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
-    """Errors (n, D) of rms one that are as large in every octave from a few frames to the whole piece."""
+    """Slow errors of rms one, equally large in every octave from a few frames to the whole piece.
+
+    Parameters
+    ----------
+    shape
+        Frames and draws, (n, D).
+    rng
+        Random generator.
+
+    Returns
+    -------
+    ndarray, shape (n, D)
+
+    """
     waves, size = np.zeros(shape, dtype=np.float32), slow_spectrum(shape[0]).astype(np.float32)
     waves[1 : 1 + len(size)] = size[:, None] * rng.standard_normal((len(size), shape[1]), dtype=np.float32)
     errors: Float32Array = idct(waves, axis=0, norm="ortho")
@@ -125,33 +169,67 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Arra
 
 
 def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> Float32Array:
-    """Errors (n, D) of rms one on the average that repeat from pixel to pixel, at places (n,) in px.
+    """Peak-locking errors of rms one on average, periodic in the pixel.
 
-    Where the target goes a whole number of pixels per frame, or stops, they change slowly.
+    They change slowly where the target moves a whole number of pixels per frame, or stops.
+
+    Parameters
+    ----------
+    place
+        Positions, px, (n,).
+    draws
+        Number of draws D.
+    rng
+        Random generator.
+
+    Returns
+    -------
+    ndarray, shape (n, D)
+
     """
     return (random_tones(place, draws, rng) + random_tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
 
 
 def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Generator) -> Float32Array:
-    """Errors (n, D) in m of places (n,) that are rounded to multiples of a step, their origin at random.
+    """Errors of positions rounded to multiples of a step, with random origin.
 
-    While a mass is slower than a step per frame they are alike from frame to frame: no white noise (Widrow & Kollar
-    2008, Quantization Noise, section 20).
+    While a mass moves less than a step per frame they are equal from frame to frame, so they are not white.
+
+    Parameters
+    ----------
+    place
+        Positions, m, (n,).
+    step
+        Rounding step, m.
+    draws
+        Number of draws D.
+    rng
+        Random generator.
+
+    Returns
+    -------
+    ndarray, shape (n, D)
+        Errors, m.
+
+    References
+    ----------
+    Widrow & Kollar (2008), Quantization Noise, section 20.
+
     """
     at = place[:, None] / step + rng.uniform(0.0, 1.0, (1, draws))
     errors: Float32Array = (step * (np.round(at) - at)).astype(np.float32)
     return errors
 
 
-def random_tones(turns: Array, draws: int, rng: np.random.Generator) -> Float32Array:
-    """Tones (n, D) of rms one on the average and any phase, at so many `turns` (n,)."""
-    waves = np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1).astype(np.float32)
+def random_tones(cycles: Array, draws: int, rng: np.random.Generator) -> Float32Array:
+    """Sinusoids of rms one on average and random phase, (n, D), at phases `cycles` (n,)."""
+    waves = np.stack([np.cos(2 * np.pi * cycles), np.sin(2 * np.pi * cycles)], axis=1).astype(np.float32)
     return waves @ rng.standard_normal((2, draws), dtype=np.float32)
 
 
-def _level(frames: list[Rows], noise: list[Float32Array]) -> Array:
-    """Level (D,) of white noise (n, D) in the pieces of a run, estimated as that of the data is."""
-    whole = {k: [_neighbours(f, k) for f in frames] for k in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
+def _noise_level(frames: list[Rows], noise: list[Float32Array]) -> Array:
+    """Level (D,) of white noise (n, D) in the pieces of a run, estimated like that of the data."""
+    whole = {k: [_consecutive(f, k) for f in frames] for k in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
     many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
     order = difference_order(many, few)
     total = np.zeros(noise[0].shape[1])
@@ -161,7 +239,7 @@ def _level(frames: list[Rows], noise: list[Float32Array]) -> Array:
     return np.asarray(np.sqrt(total / max(many if order == DIFFERENCE_ORDER else few, 1) / difference_variance(order)))
 
 
-def _neighbours(frames: Rows, order: int) -> Mask:
-    """Which differences of an order have nothing but neighbouring frames."""
+def _consecutive(frames: Rows, order: int) -> Mask:
+    """Which differences of an order use only consecutive frames."""
     step = int(np.median(np.diff(frames)))  # of a series of which only every so many frames count
     return np.asarray(frames[order:] - frames[:-order] == order * step)

@@ -1,4 +1,4 @@
-"""Prefer simple laws: few non-linear parameters at equal evidence, pairs of smooth forces before flexible ones."""
+"""Prefer simple models: few non-linear parameters at equal evidence, pairs of smooth forces before flexible ones."""
 
 from __future__ import annotations
 
@@ -23,39 +23,62 @@ from frictrack.fit.uncertainty import dispersion
 
 
 def is_smooth(effect: Effect) -> bool:
-    """Whether an effect is a force whose free parameters are all linear and common to the runs: drag, spring, slope."""
+    """Whether an effect is a force whose free parameters are linear and common to the runs (drag, spring, slope)."""
     free = [p for p in effect.parameters if p.free]
     plain = bool(free) and all(p.linear and not p.per_run for p in free)
     return plain and effect.acts_on == "force" and not effect.modifies and not effect.memory
 
 
 def simplest_candidate(near: Sequence[RefinedCandidate]) -> RefinedCandidate:
-    """The candidate with the fewest non-linear parameters among those whose evidence equals that of the first.
+    """Return the candidate with the fewest non-linear parameters among those with the evidence of the first.
 
-    Differences of the criterion count in units of the dispersion of the best law: while much remains unexplained, a
-    flexible effect gains by imitating it.
+    Differences of BIC count in units of the dispersion of the best model, because a flexible effect imitates what
+    remains unexplained.
+
+    Parameters
+    ----------
+    near
+        Candidates, best first.
+
+    Returns
+    -------
+    RefinedCandidate
+
     """
     best = near[0]
-    even = [t for t in near if best.delta_bic - t.delta_bic < MAX_BIC_BARE_MENTION * dispersion(best.law)]
-    return min(even, key=lambda t: sum(p.free for p in t.effect.nonlinear))
+    equal = [t for t in near if best.delta_bic - t.delta_bic < MAX_BIC_BARE_MENTION * dispersion(best.law)]
+    return min(equal, key=lambda t: sum(p.free for p in t.effect.nonlinear))
 
 
-def stronger_of_smooth_pair(last: Round, best: RefinedCandidate) -> RefinedCandidate | None:
-    """The stronger of two smooth effects that together explain as much as one flexible one; None where none do.
+def stronger_of_smooth_pair(tested: Round, best: RefinedCandidate) -> RefinedCandidate | None:
+    """Return the stronger of two smooth effects that together explain as much as a flexible one.
 
-    It is asked only while the law misses much: a flexible effect then imitates the sum of plain ones.
+    It is used only while much misfit remains: a flexible effect then imitates the sum of smooth ones.
+
+    Parameters
+    ----------
+    tested
+        The last round.
+    best
+        Its best candidate.
+
+    Returns
+    -------
+    RefinedCandidate or None
+        None if no pair explains as much.
+
     """
-    frames = last.solution.problem.n_frames
-    if is_smooth(best.effect) or last.solution.chi2 < STRONG_MISFIT_CHI2 * frames:
+    frames = tested.solution.problem.n_frames
+    if is_smooth(best.effect) or tested.solution.chi2 < STRONG_MISFIT_CHI2 * frames:
         return None
-    law = last.draws.law
-    smooth = [s.effect for s in last.tests.scanned if is_smooth(s.effect)]
-    alone = {e.name: try_linear_effects(law, [e]) for e in smooth}
-    pairs = {both: try_linear_effects(law, both) for both in combinations(smooth, 2)}
+    law = tested.draws.law
+    smooth = [s.effect for s in tested.tests.scanned if is_smooth(s.effect)]
+    single = {e.name: try_linear_effects(law, [e]) for e in smooth}
+    pairs = {pair: try_linear_effects(law, pair) for pair in combinations(smooth, 2)}
     if not pairs:
         return None
-    both, trial = min(
-        pairs.items(), key=lambda item: item[1].misfit + parameter_penalty(item[1].layout, last.solution.problem)
+    pair, trial = min(
+        pairs.items(), key=lambda item: item[1].misfit + parameter_penalty(item[1].layout, tested.solution.problem)
     )
     try:
         found = simulate_trial(law, trial)
@@ -63,36 +86,36 @@ def stronger_of_smooth_pair(last: Round, best: RefinedCandidate) -> RefinedCandi
         return None
     if information_criterion(found) > information_criterion(best.law) + MAX_BIC_BARE_MENTION * dispersion(best.law):
         return None
-    stronger = min(both, key=lambda e: alone[e.name].misfit)
-    return _member(last, stronger, alone[stronger.name], best.p)
+    stronger = min(pair, key=lambda e: single[e.name].misfit)
+    return _candidate_from_pair(tested, stronger, single[stronger.name], best.p)
 
 
-def _member(last: Round, effect: Effect, trial: CandidateTrial, p: float) -> RefinedCandidate | None:
-    """One effect of a pair as a candidate; the pair as a whole has passed with `p`."""
-    there = next((t for t in last.tried if t.effect.name == effect.name and t.solution is not None), None)
-    if there is not None:
-        return replace(there, p=min(there.p, p))
+def _candidate_from_pair(tested: Round, effect: Effect, trial: CandidateTrial, p: float) -> RefinedCandidate | None:
+    """One effect of a pair as a candidate; the pair has passed with `p`."""
+    existing = next((t for t in tested.tried if t.effect.name == effect.name and t.solution is not None), None)
+    if existing is not None:
+        return replace(existing, p=min(existing.p, p))
     try:
-        law = simulate_trial(last.draws.law, trial)
+        law = simulate_trial(tested.draws.law, trial)
     except FrictrackError:
         return None
-    gain = information_criterion(last.solution) - information_criterion(law)
-    return RefinedCandidate(effect, law, gain, p, linear_trial=(last.draws.law, trial))
+    gain = information_criterion(tested.solution) - information_criterion(law)
+    return RefinedCandidate(effect, law, gain, p, linear_trial=(tested.draws.law, trial))
 
 
-def explained_shares(last: Round, tried: Sequence[RefinedCandidate]) -> dict[str, float]:
-    """Share of the misfit beyond the noise that every candidate explains by itself, by name."""
-    misfit = baseline_misfit(last.draws.law)
-    excess = max(misfit - last.solution.problem.n_frames, 1e-300)
+def explained_shares(tested: Round, tried: Sequence[RefinedCandidate]) -> dict[str, float]:
+    """Share of the misfit above the noise that every candidate explains alone, by name."""
+    misfit = baseline_misfit(tested.draws.law)
+    excess = max(misfit - tested.solution.problem.n_frames, 1e-300)
     out = {}
     for t in tried:
-        if t.linear_trial is not None and t.linear_trial[0] is last.draws.law:
+        if t.linear_trial is not None and t.linear_trial[0] is tested.draws.law:
             out[t.effect.name] = min(max((misfit - t.linear_trial[1].misfit) / excess, 0.0), 1.0)
     return out
 
 
 def nested_models(found: Sequence[RefinedCandidate]) -> list[Solution | None]:
-    """The laws with the first effect found, the first two, and so on; None where one cannot be followed."""
+    """Models with the first effect found, the first two, and so on; None where one cannot be integrated."""
     if not found:
         return []
     out: list[Solution | None] = [found[-1].law]

@@ -1,7 +1,7 @@
 """Compute what the runs could have shown: the power that a verdict of completeness needs.
 
-A law is called complete only where each basic effect, at a tenth of the mean friction, would have been seen. What these
-runs cannot show, and parameters of the law that they do not determine, leave the verdict undetermined.
+A model is called complete only if each basic effect, at a tenth of the mean friction, would have been detected. Effects
+that the runs cannot show, and parameters that they do not determine, make the verdict undetermined.
 """
 
 from __future__ import annotations
@@ -28,11 +28,21 @@ NOT_ESTIMATED = ("fixed", "tied")  # reasons for which a parameter has no deviat
 
 @dataclass(frozen=True)
 class Undetermined:
-    """One thing that these runs leave open: an effect below its detection limit, or a parameter of the law.
+    """One thing that the runs leave open: an effect below its detection limit, or a parameter.
 
-    `limit` is the smallest size that would have been seen, rms over the mean friction; None where no size would be, or
-    for a parameter. `uncertainty` is a coefficient's deviation over the mean friction, where that leaves the law itself
-    open. `settled_by` says which record would settle it.
+    Parameters
+    ----------
+    what
+        Effect or parameter.
+    why
+        Reason.
+    settled_by
+        Measurement that would settle it.
+    limit
+        Smallest detectable size, rms over the mean friction; None if there is none, or for a parameter.
+    uncertainty
+        Standard deviation of a coefficient over the mean friction, if that leaves the model itself open.
+
     """
 
     what: str
@@ -42,25 +52,40 @@ class Undetermined:
     uncertainty: float | None = None
 
     def summary(self) -> dict[str, Any]:
-        """Entry of the JSON `find_undetermined`."""
+        """Return the entry of the JSON `undetermined`."""
         return {"what": self.what, "why": self.why, "settled_by": self.settled_by, "limit_over_friction": self.limit}
 
 
 def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
-    """List what the runs of a fit leave open; `curves` hold the detection limits over all settings, by effect."""
+    """List what the runs of a fit leave open.
+
+    Parameters
+    ----------
+    fit
+        The fit.
+    first
+        First round of the search.
+    curves
+        Detection limits over all settings, by effect.
+
+    Returns
+    -------
+    list of Undetermined
+
+    """
     friction = mean_friction(first)
-    found = [*_parameters(fit), *_vague(fit, first, friction)]
+    found = [*_undetermined_parameters(fit), *_uncertain_coefficients(fit, first, friction)]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
         if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
             limit = limit_as_force(first, scanned, curves[name]["limit"]) / friction
             if not limit <= MIN_DETECTABLE_SHARE:
-                found.append(_unseen(name, limit, scanned.effect.confirm))
+                found.append(_undetectable(name, limit, scanned.effect.confirm))
     return found
 
 
 def mean_friction(first: Round) -> float:
-    """Mean size of the friction force of a fitted law over its frames, N."""
+    """Mean size of the friction force of a fitted model over its frames, N."""
     forces = []
     for strip in first.draws.law.pieces:
         forces.append(np.abs(strip.problem.model.force(strip.path, strip.values)))
@@ -68,24 +93,36 @@ def mean_friction(first: Round) -> float:
 
 
 def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> float:
-    """Smallest force that would have been seen, N rms, at the middle setting of an effect's scan.
+    """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms.
 
-    The middle is that of the logarithm of every scanned parameter: a line at a tenth of the highest frequency.
+    Parameters
+    ----------
+    first
+        First round of the search.
+    scanned
+        The effect's scans.
+    limits
+        Its detection limits at all grid points, (G,).
+
+    Returns
+    -------
+    float
+
     """
     family = scanned.scans[0].grid
-    g = _middle(family.values)
-    raw = [_raw(s, family, g) for s in first.draws.law.pieces]
-    unit = float(np.sqrt(np.mean(np.concatenate(raw) ** 2)))
+    g = _middle_row(family.values)
+    unit_forces = [_unit_force(s, family, g) for s in first.draws.law.pieces]
+    unit = float(np.sqrt(np.mean(np.concatenate(unit_forces) ** 2)))
     return float(limits[g]) * unit
 
 
-def _raw(strip: LinearisedPiece, family: Any, g: int) -> Array:
+def _unit_force(strip: LinearisedPiece, family: Any, g: int) -> Array:
     """Force of one unit of the first coefficient along one piece, N."""
     return np.asarray(family.raw_columns(strip, family.values[g : g + 1])[0, 0])
 
 
-def _middle(values: Array) -> int:
-    """Row of grid points (G, d) that is nearest to their middle, in logarithms where all are positive."""
+def _middle_row(values: Array) -> int:
+    """Row of grid points (G, d) nearest to their middle, in logarithms if all are positive."""
     if not values.shape[1]:
         return 0
     scale = np.log(values) if np.all(values > 0) else values
@@ -94,29 +131,29 @@ def _middle(values: Array) -> int:
     return int(np.argmin(np.sum(away**2, axis=1)))
 
 
-def _parameters(fit: Fit) -> Sequence[Undetermined]:
-    """Parameters of the law that the runs do not determine, those for the same reason together.
+def _undetermined_parameters(fit: Fit) -> Sequence[Undetermined]:
+    """Parameters that the runs do not determine, grouped by reason.
 
-    The form of an effect whose size is known leaves nothing open: how long a blow shorter than a frame lasted, say.
+    The shape of an effect whose size is significant leaves nothing open, such as the duration of a short blow.
     """
     groups: dict[str, list[str]] = {}
-    sized = _sized(fit)
+    sized = _significant_effects(fit)
     for address, found in fit.parameters.items():
         shared = "[" not in address and address.split(".")[0] not in sized
         if shared and found.value is None and found.reason and not found.reason.startswith(NOT_ESTIMATED):
             groups.setdefault(found.reason, []).append(address)
-    return [Undetermined(" and ".join(names), *_split(reason)) for reason, names in groups.items()]
+    return [Undetermined(" and ".join(names), *_split_advice(reason)) for reason, names in groups.items()]
 
 
-def _sized(fit: Fit) -> set[str]:
-    """Effects of the law of which a coefficient, in one run at least, exceeds three of its deviations."""
+def _significant_effects(fit: Fit) -> set[str]:
+    """Effects with a coefficient that exceeds three standard deviations in at least one run."""
     heads = {f"{e.name}.{p.name}": e.name for e in fit.model.effects for p in e.linear}
     there = ((heads.get(address.split("[")[0]), found) for address, found in fit.parameters.items())
     return {name for name, found in there if name and found.is_significant(MIN_SIGNIFICANCE)}
 
 
-def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
-    """Coefficients of the friction law whose deviation is a tenth of the mean friction or more."""
+def _uncertain_coefficients(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
+    """Coefficients of the friction law whose standard deviation is a tenth of the mean friction or more."""
     for effect in first.solution.problem.model.effects:
         for k, p in enumerate(effect.linear):
             found = fit.parameters.get(f"{effect.name}.{p.name}")
@@ -131,16 +168,17 @@ def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
                 yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm, uncertainty=share)
 
 
-def _split(reason: str) -> tuple[str, str]:
-    """A reason and the advice that it ends with."""
+def _split_advice(reason: str) -> tuple[str, str]:
+    """Split a reason from the advice at its end."""
     why, _, advice = reason.rpartition(": ")
     return (why, advice) if why else (reason, "")
 
 
-def _unseen(name: str, limit: float, confirm: str) -> Undetermined:
+def _undetectable(name: str, limit: float, confirm: str) -> Undetermined:
+    """Entry of an effect that would not have been detected."""
     if not np.isfinite(limit):
-        return Undetermined(name, "the fitted law takes it up whatever its size", confirm)
+        return Undetermined(name, "the fitted model absorbs it whatever its size", confirm)
     times = limit / MIN_DETECTABLE_SHARE
-    why = f"only from {100 * limit:.2g} % of the mean friction on would it have been seen"
+    why = f"it would have been detected only above {100 * limit:.2g} % of the mean friction"
     how = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
     return Undetermined(name, why, how if times < MAX_NOISE_FACTOR else confirm, limit)

@@ -1,4 +1,4 @@
-"""One test of one law: draws, every candidate scanned, those that stand out refined, the best of them simulated."""
+"""Run one round of the search: draw, scan every candidate, refine the significant ones and simulate the best."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from frictrack.diagnose.model_selection import (
     information_criterion,
     parameter_penalty,
 )
-from frictrack.diagnose.null_distribution import Ensemble, draw_ensemble
+from frictrack.diagnose.null_distribution import NullEnsemble, draw_null_ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -52,7 +52,26 @@ Notify = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RefinedCandidate:
-    """A candidate refined on top of a law: in simulation, or, where it is far behind, along the motion alone."""
+    """A candidate refined on top of a model.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    solution
+        The simulated fit; None if it is too far behind to be simulated.
+    delta_bic
+        Fall of BIC.
+    p
+        p-value for the whole search.
+    indistinguishable_from
+        Effects whose best fit predicts the same data.
+    objection
+        Why it cannot be the cause; empty if it can.
+    linear_trial
+        The linearised model and the candidate's fit along the measured motion.
+
+    """
 
     effect: Effect
     solution: Solution | None
@@ -66,48 +85,80 @@ class RefinedCandidate:
 
     @property
     def law(self) -> Solution:
-        """The law with it, simulated."""
+        """The simulated fit."""
         assert self.solution is not None
         return self.solution
 
 
 @dataclass(frozen=True)
 class Round:
-    """One test of one model: the draws, the tests, and the candidates refined, best first."""
+    """One test of one model.
+
+    Parameters
+    ----------
+    solution
+        The model.
+    draws
+        Data and draws of the null hypothesis.
+    tests
+        Lack of fit and candidates.
+    tried
+        Refined candidates, best first.
+    excluded
+        Effects that could not be tried, with the reason.
+
+    """
 
     solution: Solution
-    draws: Ensemble
+    draws: NullEnsemble
     tests: SearchTests
     tried: list[RefinedCandidate]
-    barred: dict[str, str]  # effects that could not be tried, and why
+    excluded: dict[str, str]  # effects that could not be tried, and why
 
     @property
     def leaves_misfit(self) -> bool:
-        """Whether the law leaves more than noise."""
+        """Whether the misfit is significant."""
         return self.tests.p_lack_of_fit < ALPHA / 2
 
     @property
     def passing(self) -> list[RefinedCandidate]:
-        """Plausible candidates that pass by themselves, simulated, best first."""
+        """Plausible candidates that are significant and simulated, best first."""
         return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution and not t.objection]
 
 
-def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, tell: Notify) -> Round:
-    """Test a law for everything that it could lack."""
-    tell("drawing what nothing missing looks like")
-    draws = draw_ensemble(solution, rng)
-    tell("trying every effect of the library")
-    library, barred = list_candidates(solution, own)
+def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
+    """Test a model for every effect that it may lack.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    own
+        Effects beside the library's.
+    rng
+        Random generator.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    Round
+
+    """
+    notify("drawing data of the null hypothesis")
+    draws = draw_null_ensemble(solution, rng)
+    notify("scanning every effect of the library")
+    library, excluded = list_candidates(solution, own)
     tests = run_tests(solution, draws, library)
     data = draws.series.coordinates[:, 0]
-    tell("refining what stands out")
-    trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
-    found = _simulated(draws.law, solution, deepen_trials(draws.law, trials), tests.p)
-    return Round(solution, draws, tests, found, barred)
+    notify("refining significant candidates")
+    trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
+    found = _simulate_promising(draws.law, solution, deepen_trials(draws.law, trials), tests.p)
+    return Round(solution, draws, tests, found, excluded)
 
 
-def _standing(tests: SearchTests) -> list[ScannedCandidate]:
-    """Candidates that stand out by themselves, or rise nearly as high as the best; the best two in any case."""
+def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
+    """Select candidates that are significant, or nearly as good as the best; at least the best two."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
     top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < ALPHA / 2 else np.inf
     near = [
@@ -117,22 +168,26 @@ def _standing(tests: SearchTests) -> list[ScannedCandidate]:
 
 
 def _near_margin(effect: Effect, top: float) -> float:
-    """How far below the best a candidate may rise and still explain as much: scans show some as less than they are."""
+    """How far below the best a candidate may scan and still explain as much; scans underrate effects with memory."""
     return max(MAX_CHI2_NEAR, top / 2) if effect.memory or effect.modifies else MAX_CHI2_NEAR
 
 
-def _simulated(
-    law: LinearisedModel, solution: Solution, trials: list[CandidateTrial], p: dict[str, float], least: float = -np.inf
+def _simulate_promising(
+    law: LinearisedModel,
+    solution: Solution,
+    trials: list[CandidateTrial],
+    p: dict[str, float],
+    min_evidence: float = -np.inf,
 ) -> list[RefinedCandidate]:
-    """Trials in order of their evidence, simulated as far as they are near the best, or near the `least` of use."""
+    """Simulate trials in order of their evidence while they are near the best and above `min_evidence`."""
     own, misfit = information_criterion(solution), baseline_misfit(law)
-    promised = {t.effect.name: misfit - t.misfit - _paid(law, t.layout) for t in trials}
+    promised = {t.effect.name: misfit - t.misfit - _extra_penalty(law, t.layout) for t in trials}
     out: list[RefinedCandidate] = []
     for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
         name = t.effect.name
         candidate = RefinedCandidate(t.effect, None, promised[name], p[name], linear_trial=(law, t))
         candidate = replace(candidate, objection=physical_objection(t.layout, t.p, t.effect))
-        if not candidate.objection and _is_worth(out, candidate, least):
+        if not candidate.objection and _is_worth_simulating(out, candidate, min_evidence):
             try:
                 simulated = simulate_trial(law, t)
                 candidate = replace(candidate, solution=simulated, delta_bic=own - information_criterion(simulated))
@@ -143,39 +198,55 @@ def _simulated(
     return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
 
 
-def _is_worth(done: list[RefinedCandidate], new: RefinedCandidate, least: float) -> bool:
-    """Whether a trial is worth a simulation: what may be as good as the best so far, and as the `least` of use."""
-    known = [t.delta_bic for t in done if t.solution is not None and not t.objection]
-    near = new.delta_bic > MIN_BIC_RATIO_SIMULATED * max([least, *known]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED
-    return near and new.p < ALPHA / 2 and len(known) < MAX_CANDIDATES_SIMULATED
+def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, min_evidence: float) -> bool:
+    """Whether a trial may be as good as the best so far, and as `min_evidence`."""
+    simulated_gains = [t.delta_bic for t in done if t.solution is not None and not t.objection]
+    near = (
+        new.delta_bic
+        > MIN_BIC_RATIO_SIMULATED * max([min_evidence, *simulated_gains]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED
+    )
+    return near and new.p < ALPHA / 2 and len(simulated_gains) < MAX_CANDIDATES_SIMULATED
 
 
-def _paid(law: LinearisedModel, layout: ParameterLayout) -> float:
-    """What the unknowns beyond those of the bare law cost."""
+def _extra_penalty(law: LinearisedModel, layout: ParameterLayout) -> float:
+    """BIC penalty for the parameters beyond those of the bare model."""
     return parameter_penalty(layout, law.solution.problem) - parameter_penalty(
         law.solution.problem.layout, law.solution.problem
     )
 
 
 def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> tuple[str, ...]:
-    """Name the effects whose best fit to what `best` predicts differs by less than `MIN_CHI2_SEPARATED`.
+    """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
 
-    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation. Whether one
-    stands out by itself is not asked: the true cause may stand out less than its double.
+    An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. A rival need not be
+    significant by itself: the true cause may be less significant than its imitation.
+
+    Parameters
+    ----------
+    best
+        The candidate.
+    others
+        All candidates of its round.
+
+    Returns
+    -------
+    tuple of str
+        Names of the rivals.
+
     """
     true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
     near = [t for t in near if best.delta_bic - t.delta_bic < 2 * MIN_CHI2_SEPARATED * unit]
-    return tuple(t.effect.name for t in near if _stands_for(t, best, true, unit))
+    return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))
 
 
-def _stands_for(
+def _explains_as_much(
     other: RefinedCandidate, best: RefinedCandidate, true: tuple[LinearisedModel, CandidateTrial] | None, unit: float
 ) -> bool:
     """Whether another effect explains what the best one does, and would if that were true.
 
-    `unit` is what a difference of chi-squared is counted in: while misfit remains, more than one.
+    `unit` is the dispersion in which chi-squared is counted: above one while misfit remains.
     """
     if other.solution is not None:
         near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
@@ -189,88 +260,100 @@ def _stands_for(
 
 
 def review_found(
-    start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], tell: Notify
+    start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
 ) -> list[RefinedCandidate]:
-    """Effects found one after the other on top of the law at the `start`, each looked at again beside all the others.
+    """Test every effect found again beside all others.
 
-    One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
-    two plainer ones, and what could stand in its place is named. Several of one kind are found again as one: the
-    first was placed while another effect was still missing. The law of the last one has them all. While a law leaves
-    far more than noise, it only loses what is needless.
+    An unnecessary effect is removed. An effect that was a mixture of several gives way to what explains more, also to
+    two simpler ones, and its rivals are named. Several effects of one kind are searched again as one, because the
+    first was placed while another was missing. While the misfit is large, effects are only removed.
+
+    Parameters
+    ----------
+    start
+        The model before the search.
+    found
+        Effects found, in order; the last one's fit contains them all.
+    own
+        Effects beside the library's.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    list of RefinedCandidate
+
     """
     kept = list(found)
     for old in found:
-        kin = [k.effect.name for k in kept if k.effect.kind == old.effect.kind]
+        same_kind = [k.effect.name for k in kept if k.effect.kind == old.effect.kind]
         whole, name = kept[-1].law, old.effect.name
-        if len(kept) < 2 and _unknowns(whole, name) <= MAX_UNKNOWNS_SIMPLE:
+        if len(kept) < 2 and _count_unknowns(whole, name) <= MAX_UNKNOWNS_SIMPLE:
             break
-        tell(f"looking at {name} again")
+        notify(f"testing {name} again")
         try:
             rest = remove_effect(whole, name)
         except FrictrackError:  # without it there is no law that could be followed
             continue
         if rest.objective > start.objective + MIN_CHI2_SEPARATED:  # it has more to explain with: it has run away
             continue
-        worth = information_criterion(rest) - information_criterion(whole)
-        if worth <= 0 and len(kept) > 1:
+        evidence = information_criterion(rest) - information_criterion(whole)
+        if evidence <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
-        elif whole.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * whole.problem.n_frames and name == kin[-1]:
-            kept = _replaced(kept, kin, rest, own)
+        elif whole.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * whole.problem.n_frames and name == same_kind[-1]:
+            kept = _exchange_effect(kept, same_kind, rest, own)
     return kept
 
 
-def _replaced(
-    kept: list[RefinedCandidate], kin: list[str], rest: Solution, own: Sequence[Effect]
+def _exchange_effect(
+    kept: list[RefinedCandidate], same_kind: list[str], rest: Solution, own: Sequence[Effect]
 ) -> list[RefinedCandidate]:
-    """What was found, after everything was tried in the place of one effect, or of the several of its kind.
-
-    `rest` is the law without the last of them.
-    """
-    whole, old = kept[-1].law, next(k for k in kept if k.effect.name == kin[0])
+    """Try every effect in place of one, or of several of its kind; `rest` is the model without the last of them."""
+    whole, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
     try:
-        for name in kin[:-1]:
+        for name in same_kind[:-1]:
             rest = remove_effect(rest, name)
     except FrictrackError:
         return kept
-    worth = information_criterion(rest) - information_criterion(whole)
-    tried_again = _alternatives(rest, own, old, least=worth)
+    evidence = information_criterion(rest) - information_criterion(whole)
+    tried_again = _alternatives(rest, own, old, min_evidence=evidence)
     best = tried_again[0]
-    if not _is_better(best, old, worth):
-        if len(kin) > 1:
+    if not _is_better(best, old, evidence):
+        if len(same_kind) > 1:
             return kept
-        best = replace(old, solution=whole, delta_bic=worth)
+        best = replace(old, solution=whole, delta_bic=evidence)
     best = replace(best, indistinguishable_from=find_rivals(best, tried_again))
     pair = _split_in_two(best, tried_again, own)
     new = pair or [best]
-    at = next(i for i, k in enumerate(kept) if k.effect.name == kin[0])
-    later = [k for k in kept[at:] if k.effect.name not in kin]
+    at = next(i for i, k in enumerate(kept) if k.effect.name == same_kind[0])
+    later = [k for k in kept[at:] if k.effect.name not in same_kind]
     return _with_law([*kept[:at], *new, *later], new[-1].law)
 
 
-def _is_better(best: RefinedCandidate, old: RefinedCandidate, worth: float) -> bool:
-    """Whether what was found anew may stand for what was `worth` so much: at once where it is of the same kind."""
+def _is_better(best: RefinedCandidate, old: RefinedCandidate, evidence: float) -> bool:
+    """Whether a new candidate may replace one of given evidence; for the same kind a small gain suffices."""
     if best.solution is None:
         return False
     if best.effect.kind == old.effect.kind:
-        return best.delta_bic > worth + MAX_BIC_BARE_MENTION
-    clearly = best.delta_bic >= worth + MIN_CHI2_SEPARATED
+        return best.delta_bic > evidence + MAX_BIC_BARE_MENTION
+    clearly = best.delta_bic >= evidence + MIN_CHI2_SEPARATED
     return clearly and best.law.objective <= MAX_CHI2_PER_FRAME_TRUSTED * best.law.problem.n_frames
 
 
-def _unknowns(law: Solution, name: str) -> int:
-    """How many unknowns an effect brings into a law."""
+def _count_unknowns(law: Solution, name: str) -> int:
+    """Number of parameters that an effect adds to a model."""
     return sum(s.effect == name for s in law.problem.layout.slots)
 
 
 def _split_in_two(
     best: RefinedCandidate, others: Sequence[RefinedCandidate], own: Sequence[Effect]
 ) -> list[RefinedCandidate]:
-    """Two plain effects that explain decisively more than one that is not; none where there are none.
+    """Two simple effects that explain decisively more than one flexible one; empty if there are none.
 
-    An effect free in every run, such as a wave with its own phases, may imitate the sum of two that are not.
+    An effect that is free in every run, such as a wave with phases per run, may imitate the sum of two simple ones.
     """
     found: list[RefinedCandidate] = []
-    if _unknowns(best.law, best.effect.name) <= MAX_UNKNOWNS_SIMPLE:
+    if _count_unknowns(best.law, best.effect.name) <= MAX_UNKNOWNS_SIMPLE:
         return found
     top = information_criterion(best.law) - MIN_CHI2_SEPARATED
     runs = len(best.law.problem.layout.run_names)
@@ -290,21 +373,21 @@ def _split_in_two(
 
 
 def _is_simple(effect: Effect, runs: int) -> bool:
-    """Whether an effect brings few unknowns, and none that remembers, whose motion takes long to follow."""
+    """Whether an effect has few parameters and no memory."""
     return (
         not effect.memory and sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= MAX_UNKNOWNS_SIMPLE
     )
 
 
 def _simulated_law(tried: RefinedCandidate) -> Solution:
-    """The law with a candidate, which may have been left along the motion."""
+    """The simulated fit with a candidate."""
     if tried.solution is None and tried.linear_trial is not None:
         return simulate_trial(*tried.linear_trial)
     return tried.law
 
 
 def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandidate]:
-    """The last of the effects found stands for the whole law."""
+    """Let the last effect found hold the whole fit."""
     return [*found[:-1], replace(found[-1], solution=law)]
 
 
@@ -313,12 +396,9 @@ def _alternatives(
     own: Sequence[Effect],
     old: RefinedCandidate,
     which: Callable[[Effect], bool] = lambda effect: True,
-    least: float = -np.inf,
+    min_evidence: float = -np.inf,
 ) -> list[RefinedCandidate]:
-    """Everything that could stand where an effect was taken out, best first; nothing is drawn again.
-
-    What does not promise about the `least` evidence that is of use is not simulated.
-    """
+    """All effects that could replace one that was removed, best first, without new draws."""
     law = linearise(rest)
     series = measured_series(law)
     data: Array = series.coordinates[:, 0]
@@ -328,9 +408,9 @@ def _alternatives(
         scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
         trials.append(try_effect(law, e, scans, data))
     p = dict.fromkeys((t.effect.name for t in trials), old.p)
-    return _simulated(law, rest, deepen_trials(law, trials), p, least)
+    return _simulate_promising(law, rest, deepen_trials(law, trials), p, min_evidence)
 
 
 def refine_fully(best: RefinedCandidate) -> RefinedCandidate:
-    """The same effect, its law refined to its end."""
+    """Refine the fit of a candidate until it converges."""
     return replace(best, solution=refine_to_end(best.law))

@@ -174,12 +174,12 @@ def _conclude_search(fit: Fit, search: _Search, auxiliary: AuxiliarySignals | No
     def progress(what: str) -> None:
         notify(MAX_ROUNDS, MAX_ROUNDS, what)
 
-    progress("weighing what was found")
+    progress("comparing the effects found")
     start, first, last, found, generators = search.start, search.first, search.last, search.found, search.generators
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
-    progress("looking at where the law fails")
+    progress("finding where the model fails")
     findings = (
         KnownFindings(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else KnownFindings()
     )
@@ -254,7 +254,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]
         detection_limits=limits,
         undetermined=undetermined if verdict in ("complete", "undetermined") else [],
         importance=_importance(first, found, listed, heldout),
-        remarks=_remarks(fit, first.barred),
+        remarks=_remarks(fit, first.excluded),
         figures=curves,
     )
 
@@ -420,10 +420,10 @@ def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str
     return limits, curves
 
 
-def _describe_barred(barred: dict[str, str]) -> list[str]:
+def _describe_excluded(excluded: dict[str, str]) -> list[str]:
     """Say in one sentence which effects could not be tried, grouped by reason."""
     by_reason: dict[str, list[str]] = {}
-    for name, why in barred.items():
+    for name, why in excluded.items():
         by_reason.setdefault(why.removeprefix(f"{name} "), []).append(name)
     reasons = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in by_reason.items()]
     return [f"not tried: {'; '.join(reasons)}"] if reasons else []
@@ -435,19 +435,19 @@ def _plural(why: str, count: int) -> str:
     return why if count == 1 else f"{verb.removesuffix('s')} {rest}"
 
 
-def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
+def _remarks(fit: Fit, excluded: dict[str, str]) -> list[str]:
     """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
-    out = _describe_barred(barred)
+    out = _describe_excluded(excluded)
     if fit.measured:
         return out + measured_friction.remarks(
             fit.solution, fit.runs, measured_friction.weight_by_noise(fit.solution)[1]
         )
     if len(fit.runs) == 1:
-        out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
+        out.append("single run: slope, a cable and Coulomb friction cannot be distinguished")
     if any(run.has_incline for run in fit.runs):
         out.append(
-            "on an incline Coulomb friction and gravity act alike while the mass slides one way: with a nominal scale, "
-            "mass or angle only changes of the force along the run mean anything"
+            "on an incline, Coulomb friction and gravity act alike while the mass slides one way: with a nominal "
+            "scale, mass or angle, only changes of the force along the run are meaningful"
         )
     out.append(
         "a constant error of scale, frame rate or mass is absorbed exactly: "

@@ -1,8 +1,8 @@
-"""Whether a force of one variable with few numbers, the same in all runs, explains as much as what was found.
+"""Compare the effects found with a force of one variable that has few parameters common to all runs.
 
-Effects with numbers of their own in every run can imitate much. Where such were found though the failure repeats along
-one axis, or where a smooth force over one axis is likelier than all that was found, formulas are sought. The library
-wins ties: only a formula that is decisively better, its search paid for, says that the cause is none of the library.
+Effects with parameters of their own in every run can imitate much. Formulas are sought if such effects were found
+though the misfit repeats over one axis, or if a smooth force over one axis is more likely than all that was found. Ties
+go to the library: a formula must be decisively better, with a penalty for its search.
 """
 
 from __future__ import annotations
@@ -23,45 +23,58 @@ from frictrack.fit.least_squares import Solution
 
 
 def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability) -> dict[str, Any] | None:
-    """A plain force that explains as much as the effects found beyond the law of `start`, or None.
+    """Find a force of one variable that explains as much as the effects found.
 
-    As `unexplained_force`, with `words`, and `decisive` where it explains more, its search paid for.
+    Parameters
+    ----------
+    start
+        The model before the search.
+    found
+        The model with the effects found.
+    repeats
+        Whether the misfit repeats, and over which axis.
+
+    Returns
+    -------
+    dict or None
+        As `unexplained_force`, with `words`, and `decisive` if it explains more, with a penalty for its search.
+
     """
-    worth = information_criterion(start) - information_criterion(found)
-    if not _is_worth_searching(start, found, repeats, worth):
+    evidence = information_criterion(start) - information_criterion(found)
+    if not _is_worth_searching(start, found, repeats, evidence):
         return None
-    told = unexplained_force(start)
-    if not told["formulas"]:
+    unexplained = unexplained_force(start)
+    if not unexplained["formulas"]:
         return None
-    first = told["formulas"][0]
-    ahead = first["delta_bic"] - worth
+    first = unexplained["formulas"][0]
+    advantage = first["delta_bic"] - evidence
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
-    if ahead < -MAX_DELTA_BIC_EQUAL or first["unknowns"] >= added:
+    if advantage < -MAX_DELTA_BIC_EQUAL or first["unknowns"] >= added:
         return None
-    decisive = ahead > MIN_CHI2_SEPARATED + _search_penalty(told["axes"])
-    return told | {"decisive": decisive, "words": _words(first, added, decisive=decisive)}
+    decisive = advantage > MIN_CHI2_SEPARATED + _search_penalty(unexplained["axes"])
+    return unexplained | {"decisive": decisive, "words": _words(first, added, decisive=decisive)}
 
 
-def _is_worth_searching(start: Solution, found: Solution, repeats: Repeatability, worth: float) -> bool:
-    """Whether a formula is worth a search."""
+def _is_worth_searching(start: Solution, found: Solution, repeats: Repeatability, evidence: float) -> bool:
+    """Whether formulas should be searched."""
     own = {s.effect for s in found.problem.layout.slots if s.run is not None}
     several = len({p.run for p in start.problem.pieces}) > 1
-    imitated = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
-    along = repeats.best
-    if imitated and along is not None and along.axis in AXIS_SYMBOLS:
+    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
+    best_axis = repeats.best
+    if may_imitate and best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
-    return smooth_forces(compress_residual(start))[0].gain > worth + MIN_CHI2_SEPARATED
+    return smooth_forces(compress_residual(start))[0].gain > evidence + MIN_CHI2_SEPARATED
 
 
 def _search_penalty(axes: int) -> float:
-    """What the best of so many forms gains by having been sought."""
+    """Penalty for the best of many forms and axes (Bonferroni)."""
     return 2 * float(np.log(len(SHAPES) * max(axes, 1)))
 
 
 def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
     much, than = ("more", "than") if decisive else ("as much", "as")
-    count = "one number" if first["unknowns"] == 1 else f"{first['unknowns']} numbers"
+    count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
     return (
-        f"a force of {AXES[first['axis']].name} alone explains {much} with {count}, the same in all runs, "
-        f"{than} what was found with {added}: {first['formula']}"
+        f"a force that depends only on {AXES[first['axis']].name} explains {much} with {count}, common to all runs, "
+        f"{than} the effects found with {added}: {first['formula']}"
     )

@@ -1,8 +1,13 @@
-"""Axes along which a force may repeat, and the smooth force over each that is most likely.
+"""Find the most likely smooth force over place, time since release, speed, or phase of an oscillating motion.
 
-The force is a Gaussian process over place, time since release, speed, or the phase of a motion to and fro, seen where
-the noise is white: through the motion that it makes, beside the law and the scatter of its levels. Size and length of
-the process are those of the highest restricted likelihood (Rasmussen & Williams 2006, ch. 5).
+The force is a Gaussian process (Matern 5/2) on spline coefficients, compared through its trace in the compressed
+residual, with the model and the scatter of its friction levels projected out. Amplitude and length maximise the
+restricted likelihood.
+
+References
+----------
+Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, ch. 5.
+
 """
 
 from __future__ import annotations
@@ -18,8 +23,8 @@ from frictrack.effects import Path
 from frictrack.records import Array
 
 N_SPLINES = 60  # over an axis
-LENGTHS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # of the axis, over which a force is alike
-SIZES = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-squared asks for
+LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # of the axis, over which a force is alike
+SIZE_RATIOS = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-squared asks for
 JITTER = 1e-8
 N_CURVE_POINTS = 81  # of the curve
 MIN_LOAD_RATIO = 1.2  # ratio of loads beyond which runs differ in their load
@@ -28,20 +33,46 @@ MIN_REVERSALS = 2  # times that a motion must turn back to have a phase
 
 @dataclass(frozen=True)
 class Axis:
-    """Along what a force may repeat: `of` a path (n,), and what multiplies it there, as a study file writes it."""
+    """A variable over which a force may repeat.
+
+    Parameters
+    ----------
+    name
+        Its name: "x", "t", "v" or "phase".
+    of
+        Function from a path to the variable, (n,).
+    factor
+        Factor on the force along the path, as in a study file: "L * s", "s" or "".
+
+    """
 
     name: str
     of: Callable[[Path], Array]
     factor: str  # "L * s", "s" or ""
 
     def times(self, path: Path) -> Array:
-        """The factor along a path, (n,)."""
+        """Factor on the force along a path, (n,)."""
         return np.ones_like(path.t) if not self.factor else path.s * (path.load if "L" in self.factor else 1.0)
 
 
 @dataclass(frozen=True)
 class SmoothForce:
-    """The most likely smooth force over one axis: places (k,), force and its deviation (k,), N; its evidence."""
+    """The most likely smooth force over one axis.
+
+    Parameters
+    ----------
+    axis
+        The axis.
+    gain
+        Twice the rise of the log restricted likelihood.
+    at, force, sigma
+        Values of the axis, force and its standard deviation N, (k,).
+    share
+        Share of the chi-squared above its expectation.
+    length
+        Correlation length, in the unit of the axis.
+
+    """
 
     axis: Axis
     gain: float  # twice the rise of the log restricted likelihood
@@ -52,72 +83,91 @@ class SmoothForce:
     length: float  # over which the force is alike, in the unit of the axis
 
 
-def smooth_forces(left: CompressedResidual) -> list[SmoothForce]:
-    """The most likely force over every axis, the most likely axis first."""
-    return sorted((_smooth(left, axis) for axis in candidate_axes(left)), key=lambda s: -s.gain)
+def smooth_forces(compressed: CompressedResidual) -> list[SmoothForce]:
+    """Find the most likely smooth force over every axis.
+
+    Parameters
+    ----------
+    compressed
+        The compressed residual.
+
+    Returns
+    -------
+    list of SmoothForce
+        Largest gain first.
+
+    """
+    return sorted((_smooth(compressed, axis) for axis in candidate_axes(compressed)), key=lambda s: -s.gain)
 
 
-def gain_of_separate_curves(left: CompressedResidual) -> float:
-    """The same gain where every run has a smooth force of its own over time, alike in size and length alone."""
-    t = left.gathered(lambda p: p.t)
+def gain_of_separate_curves(compressed: CompressedResidual) -> float:
+    """Gain if every run has its own smooth force over time, with common amplitude and length."""
+    t = compressed.concatenate(lambda p: p.t)
     knots = _knots(float(t.min()), float(t.max()))
     design = BSpline.design_matrix(t, knots, SPLINE_DEGREE).toarray()
-    of = np.repeat(left.runs, [len(p.t) for p in left.paths])
-    seen = np.hstack([left.trace(left.cut(design * (of == run)[:, None])) for run in sorted(set(left.runs))])
-    gram, pull, span = seen.T @ seen, seen.T @ left.left, float(np.ptp(t))
-    each = np.eye(len(set(left.runs)))
-    roots: list[Array] = [np.asarray(np.kron(each, _root(knots, span * length)), np.float64) for length in LENGTHS]
-    return max(_likeliest(gram, pull, root)[0] for root in roots)
+    of = np.repeat(compressed.runs, [len(p.t) for p in compressed.paths])
+    traces = np.hstack(
+        [
+            compressed.traces_of(compressed.split_by_piece(design * (of == run)[:, None]))
+            for run in sorted(set(compressed.runs))
+        ]
+    )
+    gram, pull, span = traces.T @ traces, traces.T @ compressed.residual, float(np.ptp(t))
+    identity = np.eye(len(set(compressed.runs)))
+    roots: list[Array] = [
+        np.asarray(np.kron(identity, _covariance_root(knots, span * length)), np.float64) for length in LENGTH_RATIOS
+    ]
+    return max(_most_likely(gram, pull, root)[0] for root in roots)
 
 
-def candidate_axes(left: CompressedResidual) -> list[Axis]:
-    """Axes that these runs can tell apart; the phase is that of a motion that turns back again and again."""
+def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
+    """Axes that these runs can distinguish; a phase needs a motion that reverses repeatedly."""
     named: dict[str, Callable[[Path], Array]] = {"x": lambda p: p.x, "t": lambda p: p.t, "v": lambda p: p.speed}
-    if min(_turns(left, run) for run in set(left.runs)) >= MIN_REVERSALS:
-        named["phase"] = _phase_of(left)
-    loads = [p.load for p in left.paths]
-    one_way = np.ptp(left.gathered(lambda p: p.s)) == 0
+    if min(_count_reversals(compressed, run) for run in set(compressed.runs)) >= MIN_REVERSALS:
+        named["phase"] = _phase_function(compressed)
+    loads = [p.load for p in compressed.paths]
+    one_way = np.ptp(compressed.concatenate(lambda p: p.s)) == 0
     factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if max(loads) > MIN_LOAD_RATIO * min(loads) else [])
     return [Axis(name, of, factor) for name, of in named.items() for factor in factors]
 
 
-def _turns(left: CompressedResidual, run: int) -> int:
-    """How often a run turns back."""
-    s = np.concatenate([p.s for p, r in zip(left.paths, left.runs, strict=True) if r == run])
+def _count_reversals(compressed: CompressedResidual, run: int) -> int:
+    """Number of reversals of a run."""
+    s = np.concatenate([p.s for p, r in zip(compressed.paths, compressed.runs, strict=True) if r == run])
     return int(np.sum(np.diff(s[s != 0]) != 0))
 
 
-def _phase_of(left: CompressedResidual) -> Callable[[Path], Array]:
-    """Phase of a motion to and fro, rad: 0 at its middle on the way up, pi/2 at its upper end."""
-    x, v = left.gathered(lambda p: p.x), left.gathered(lambda p: p.v)
+def _phase_function(compressed: CompressedResidual) -> Callable[[Path], Array]:
+    """Phase of an oscillating motion, rad: 0 at its middle going up, pi/2 at its upper end."""
+    x, v = compressed.concatenate(lambda p: p.x), compressed.concatenate(lambda p: p.v)
     middle, reach, fast = (x.max() + x.min()) / 2, np.ptp(x) / 2, np.abs(v).max()
     return lambda p: np.arctan2((p.x - middle) / reach, p.v / fast)
 
 
-def _smooth(left: CompressedResidual, axis: Axis) -> SmoothForce:
+def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     """The most likely process over one axis."""
-    u = left.gathered(axis.of)
+    u = compressed.concatenate(axis.of)
     low, high = float(u.min()), float(u.max())
     span = max(high - low, 1e-12)
     knots = _knots(low, high)
     design = BSpline.design_matrix(np.clip(u, low, high), knots, SPLINE_DEGREE).toarray()
-    factor = left.gathered(axis.times)
-    seen = left.trace(left.cut(design * factor[:, None]))
-    gram, pull = seen.T @ seen, seen.T @ left.left
+    factor = compressed.concatenate(axis.times)
+    traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
+    gram, pull = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
-    tried = [_likeliest(gram, pull, _root(knots, span * length)) for length in LENGTHS]
-    best = int(np.argmax([t[0] for t in tried]))
-    gain, mean, root = tried[best]
+    fits = [_most_likely(gram, pull, _covariance_root(knots, span * length)) for length in LENGTH_RATIOS]
+    best = int(np.argmax([t[0] for t in fits]))
+    gain, mean, root = fits[best]
     spread = root @ root.T
-    show = BSpline.design_matrix(grid, knots, SPLINE_DEGREE).toarray()
+    basis = BSpline.design_matrix(grid, knots, SPLINE_DEGREE).toarray()
     return SmoothForce(
         axis=axis,
         gain=gain,
         at=grid,
-        force=show @ mean,
-        sigma=np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", show, spread, show), 0.0)),
-        share=_share(left, seen @ mean),
-        length=span * float(LENGTHS[best]),
+        force=basis @ mean,
+        sigma=np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", basis, spread, basis), 0.0)),
+        share=_share(compressed, traces @ mean),
+        length=span * float(LENGTH_RATIOS[best]),
     )
 
 
@@ -127,19 +177,19 @@ def _knots(low: float, high: float) -> Array:
     )
 
 
-def _root(knots: Array, length: float) -> Array:
-    """Square root (m, m) of the covariance of spline coefficients, alike over `length` (Matern 5/2)."""
+def _covariance_root(knots: Array, length: float) -> Array:
+    """Square root (m, m) of the Matern 5/2 covariance of spline coefficients of a given length."""
     centres = np.array([knots[i + 1 : i + SPLINE_DEGREE + 1].mean() for i in range(N_SPLINES)])
     z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
     return np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES))
 
 
-def _likeliest(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Array]:
-    """Gain, mean (m,) and a root of the covariance (m, m) of the coefficients at the most likely size."""
+def _most_likely(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Array]:
+    """Gain, mean (m,) and root of the covariance (m, m) of the coefficients at the most likely amplitude."""
     values, vectors = np.linalg.eigh(root.T @ gram @ root)
     values = np.maximum(values, 0.0)
     g = vectors.T @ (root.T @ pull)
-    sizes = SIZES[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
+    sizes = SIZE_RATIOS[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
     gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
     best = int(np.argmax(gains))
     shrunk = sizes[best] / (1 + sizes[best] * values)
@@ -147,7 +197,7 @@ def _likeliest(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Arr
     return float(gains[best]), basis @ (shrunk * g), basis * np.sqrt(shrunk)
 
 
-def _share(left: CompressedResidual, fitted: Array) -> float:
-    """Part of the chi-squared above the noise that a trace (M,) takes away."""
-    gone = float(left.left @ left.left - np.sum((left.left - fitted) ** 2))
-    return float(np.clip(gone / max(left.excess, gone, 1e-300), 0.0, 1.0))
+def _share(compressed: CompressedResidual, fitted: Array) -> float:
+    """Share of the chi-squared above its expectation that a trace (M,) removes."""
+    gone = float(compressed.residual @ compressed.residual - np.sum((compressed.residual - fitted) ** 2))
+    return float(np.clip(gone / max(compressed.excess, gone, 1e-300), 0.0, 1.0))

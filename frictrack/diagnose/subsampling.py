@@ -1,4 +1,4 @@
-"""Search long records in bounded time: on some of very many segments, and on every few of very many frames."""
+"""Limit the time of a search in long records: use some of the segments, and every few of the frames."""
 
 from __future__ import annotations
 
@@ -19,68 +19,92 @@ MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest 
 
 
 def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
-    """The law refined on so many pieces as a search can look at, and in words what was left out; "" where nothing."""
+    """Refit the model on at most `MAX_PIECES` pieces.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+
+    Returns
+    -------
+    solution : Solution
+    remark : str
+        What was left out; empty if nothing was.
+
+    """
     pieces = solution.problem.pieces
     if len(pieces) <= MAX_PIECES:
         return solution, ""
-    kept = _spread(pieces)
-    problem = solution.problem.rebuild(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
+    kept = _evenly_spaced(pieces)
+    problem = solution.problem.rebuild(_limit_spans(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
     some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
     return some, (
-        f"a long record: {len(kept)} of its {len(pieces)} segments were looked at, spread evenly; "
-        "what happens once in between is not seen"
+        f"long record: {len(kept)} of its {len(pieces)} segments were searched, evenly spaced; "
+        "a single event between them is not detected"
     )
 
 
 def subsample_frames(solution: Solution) -> tuple[Solution, str]:
-    """Return the law compared at every few frames of very many, and in words what that means; "" where all are kept.
+    """Compare the model with every few frames of a long record; the fit itself is not repeated.
 
-    The law itself was fitted to all frames.
+    Parameters
+    ----------
+    solution
+        The fit to all frames.
+
+    Returns
+    -------
+    solution : Solution
+    remark : str
+        What that means for the search; empty if all frames are kept.
+
     """
     every = _stride(solution)
     if every <= 1:
         return solution, ""
-    pieces = [_every(p, every) for p in solution.problem.pieces]
+    pieces = [_thin_piece(p, every) for p in solution.problem.pieces]
     layout = solution.problem.layout
     coarse = replace(layout, spans=tuple(replace(s, fps=s.fps / every) for s in layout.spans))
     problem = solution.problem.rebuild(coarse, pieces)
-    held = np.zeros(len(solution.p), dtype=bool)
-    some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
+    fixed = np.zeros(len(solution.p), dtype=bool)
+    some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=fixed, max_steps=0)
     return some, (
-        f"a long record: the search looked at every {every}th of its frames, so a line above "
-        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz is not looked for; the fit uses all of them"
+        f"long record: the search used every {every}th of its frames, so lines above "
+        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz are not sought; the fit uses all frames"
     )
 
 
 def _stride(solution: Solution) -> int:
-    """Every how manyth frame is looked at; longer records know more lines apart, which every frame is held against."""
+    """Step between the frames used: longer records resolve more lines, and each line is compared with every frame."""
     frames, longest = solution.problem.n_frames, max(len(p.t) for p in solution.problem.pieces)
     return max(-(-frames // MAX_FRAMES), math.ceil(math.sqrt(frames * MAX_FREQUENCY_RATIO * longest / MAX_WORK)))
 
 
-def _every(piece: Piece, every: int) -> Piece:
-    """A piece with every few of its frames alone, its panels from one to the next."""
+def _thin_piece(piece: Piece, every: int) -> Piece:
+    """A piece with every few of its frames."""
     rows = slice(None, None, every)
     angle = None if piece.angle is None else piece.angle[rows]
     kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
     return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
 
 
-def _coarser(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:
-    """The same unknowns, scanned in time no finer than the time looked at can tell.
+def _limit_spans(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:
+    """The same parameters, scanned only as finely as the duration used can resolve.
 
-    Segments far apart know many more frequencies apart than so few frames can judge: one always fits by chance.
+    Distant segments separate many more frequencies than so few frames can test: one would always fit by chance.
     """
-    seen = [sum(float(np.ptp(pieces[i].t)) for i in kept if pieces[i].run == r) for r in range(len(layout.spans))]
-    spans = [replace(s, duration=min(s.duration, time)) for s, time in zip(layout.spans, seen, strict=True)]
+    duration = [sum(float(np.ptp(pieces[i].t)) for i in kept if pieces[i].run == r) for r in range(len(layout.spans))]
+    spans = [replace(s, duration=min(s.duration, time)) for s, time in zip(layout.spans, duration, strict=True)]
     return replace(layout, spans=tuple(spans))
 
 
-def _spread(pieces: Sequence[Piece]) -> list[int]:
-    """Places of pieces spread evenly over every run, at least one of each.
+def _evenly_spaced(pieces: Sequence[Piece]) -> list[int]:
+    """Indices of pieces spread evenly over every run, at least one of each.
 
-    Those at the beginning of a run that was recorded in motion are left out: what a law remembers there is not known.
+    Pieces at the start of a run that was recorded in motion are left out: the state of an effect with memory is
+    unknown.
     """
     out: list[int] = []
     for run in sorted({p.run for p in pieces}):

@@ -1,4 +1,4 @@
-"""Structure that no effect explains: a smooth force over its best axis with a band, and the formulas that fit it."""
+"""Describe a force that no effect explains: a smooth curve over its best axis with a band, and formulas that fit it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,27 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 
 
-def unexplained_force(solution: Solution, beside: Solution | None = None) -> dict[str, Any]:
-    """What a fitted law leaves, over its best axis: curve [[axis, N], ...], band (N), share of the excess, formulas.
+def unexplained_force(solution: Solution, extended: Solution | None = None) -> dict[str, Any]:
+    """Describe what a fitted model leaves unexplained.
 
-    `factor` is what multiplies the curve along a run, as a study file writes it. `beside` is the law with what was
-    found so far: the curve is what that leaves; the formulas stand beside the law itself where they can.
+    Parameters
+    ----------
+    solution
+        The fit.
+    extended
+        The fit with the effects found so far; the curve is what that leaves. Formulas are added to `solution` if
+        possible.
+
+    Returns
+    -------
+    dict
+        `axis`; `factor` that multiplies the curve along a run, as in a study file; `curve` [[axis, N], ...]; `band`, N;
+        `share` of the excess chi-squared; `delta_bic`; `axes` compared; `formulas`.
+
     """
     law = keep_compared_frames(solution)
-    beside = law if beside is None or beside is solution else keep_compared_frames(beside)
-    smooth = smooth_forces(compress_residual(beside))
+    extended = law if extended is None or extended is solution else keep_compared_frames(extended)
+    smooth = smooth_forces(compress_residual(extended))
     best = smooth[0]
     return {
         "axis": best.axis.name,
@@ -31,5 +43,5 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": search_formulas(law, beside),
+        "formulas": search_formulas(law, extended),
     }

@@ -1,4 +1,4 @@
-"""Runs that a fit has cut into segments, put together again: what is missing shows over the whole run."""
+"""Join the segments into which a fit divided its runs: a missing effect shows over the whole run."""
 
 from __future__ import annotations
 
@@ -12,10 +12,21 @@ MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be ju
 
 
 def join_segments(fit: Fit) -> Solution | None:
-    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far.
+    """Refit a model to whole runs.
 
-    A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not. A
-    long record that is followed through its reversals stays cut: its segments hold many of them.
+    A fit divides driven runs into segments so that it forgets unmodelled forces; a search for these must not. A long
+    record that is followed through its reversals stays divided: its segments hold many of them.
+
+    Parameters
+    ----------
+    fit
+        The fit.
+
+    Returns
+    -------
+    Solution or None
+        None if no run was divided, or if the model cannot be followed that far.
+
     """
     old = fit.solution.problem
     if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):

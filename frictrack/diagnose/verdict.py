@@ -1,4 +1,4 @@
-"""What a diagnosis says: every candidate with its evidence, the verdict, and what these runs could have shown."""
+"""Define the results of a diagnosis: candidates with evidence, the verdict, and what the runs could have shown."""
 
 from __future__ import annotations
 
@@ -15,7 +15,34 @@ MAX_ERROR_RATIO = 1.002  # times the held-out error before: a change of that siz
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect tried on top of the model, refined, with its evidence."""
+    """One effect tried on top of the model, refined, with its evidence.
+
+    Parameters
+    ----------
+    effect
+        Name of the effect.
+    acts_on
+        "force" or "measurement".
+    parameters
+        Value, standard deviation and unit of its parameters.
+    p
+        p-value for the whole search.
+    delta_bic
+        Fall of the Bayesian information criterion.
+    heldout_before, heldout_after
+        Held-out error without and with it, m, or N for measured friction.
+    heldout
+        How frames were held out.
+    indistinguishable_from
+        Effects whose best fit predicts the same data.
+    words
+        Description of the effect; see `describe_effect`.
+    implausible
+        Why it cannot be the cause; empty if it can.
+    unit
+        Unit of the held-out errors in the JSON: "um", or "N" for measured friction.
+
+    """
 
     effect: str
     acts_on: str
@@ -32,13 +59,13 @@ class Candidate:
 
     @property
     def helps(self) -> bool:
-        """Whether the held-out error falls with it, or stays: a run's own level hides what only runs together show."""
+        """Whether the held-out error falls or stays; a level per run hides what only the runs together show."""
         if self.heldout_after is None or self.heldout_before is None:
             return True
         return self.heldout_after < MAX_ERROR_RATIO * self.heldout_before
 
     def summary(self) -> dict[str, Any]:
-        """Entry of the JSON of `frictrack diagnose`."""
+        """Return the entry of the JSON of `frictrack diagnose`."""
         held = {"before": self.heldout_before, "after": self.heldout_after}
         factor = 1e6 if self.unit == "um" else 1.0
         return {
@@ -58,10 +85,21 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Importance:
-    """What one effect explains of the misfit: by itself, and after those above it in the table.
+    """Share of the misfit that one effect explains, alone and after those above it in the table.
 
-    Shares of chi-squared beyond the noise; the held-out error is that of the law with this effect and those above it,
-    m, or N where friction was measured. `stop` marks the last effect that is worth adding.
+    Parameters
+    ----------
+    effect
+        Name of the effect.
+    alone, in_sequence
+        Shares of the chi-squared above its expectation.
+    heldout_after
+        Held-out error of the model with this effect and those above it, m, or N for measured friction.
+    unit
+        Unit of the held-out error in the JSON.
+    stop
+        Whether it is the last effect worth adding.
+
     """
 
     effect: str
@@ -72,7 +110,7 @@ class Importance:
     stop: bool = False
 
     def summary(self) -> dict[str, Any]:
-        """Entry of the JSON `importance`."""
+        """Return the entry of the JSON `importance`."""
         factor = 1e6 if self.unit == "um" else 1.0
         held = None if self.heldout_after is None else self.heldout_after * factor
         shares = {"explained_alone": self.alone, "explained_in_sequence": self.in_sequence}
@@ -81,7 +119,44 @@ class Importance:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is missing in a fitted model, how sure, and what these runs could have shown."""
+    """Result of a diagnosis.
+
+    Parameters
+    ----------
+    model
+        Effects of the fitted model.
+    verdict
+        "complete", "missing", "ambiguous", "unexplained" or "undetermined".
+    missing
+        Effects that the model lacks.
+    noise_um, noise_N
+        Noise of a frame, um, or N for measured friction.
+    reduced_chi2, p_lack_of_fit
+        Misfit of the model and its p-value.
+    fails_at
+        Spans where the model fails; see `compare.failing_spans`.
+    candidates
+        All effects tried, best first.
+    unexplained
+        Force that no effect explains; see `unexplained_force`.
+    detection_limits
+        Smallest detectable size of every effect.
+    remarks
+        Sentences on the limits of the diagnosis.
+    figures
+        Curves for plots, by figure and name.
+    next_experiment
+        Proposed experiments, best first.
+    evidence
+        Other measurements that match the residual, largest share first.
+    undetermined
+        What the runs leave open.
+    importance
+        Effects by importance.
+    repeats
+        Whether the misfit repeats from run to run, and over which axis.
+
+    """
 
     model: list[str]
     verdict: str
@@ -110,7 +185,7 @@ class Diagnosis:
         return self.candidates[0] if self.candidates else None
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `frictrack diagnose`."""
+        """Return the JSON of `frictrack diagnose`."""
         return {
             "model": self.model,
             "verdict": self.verdict,

@@ -1,4 +1,4 @@
-"""Formulas told: with their values and units for a person, and as a table to be pasted into a study file."""
+"""Write formulas as text: with values and units to read, and as a table to paste into a study file."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
 
-FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
-INVERSE = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
+FACTOR_TEXTS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
+INVERSE_UNITS = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
 POWERS = {"u": 1, "u^2": 2, "u^3": 3, "sqrt(u)": 0.5}
 
 
 def _unit(kind: str, axis: str) -> str:
     unit = AXES[axis].unit
-    return {"rate": INVERSE[unit][0], "sweep": INVERSE[unit][1], "share": "1"}.get(kind, unit)
+    return {"rate": INVERSE_UNITS[unit][0], "sweep": INVERSE_UNITS[unit][1], "share": "1"}.get(kind, unit)
 
 
 def _coefficient_unit(column: str, axis: str) -> str:
-    """Unit of what multiplies a column: newtons per power of the axis."""
+    """Unit of the coefficient of a column: N per power of the axis."""
     power = POWERS.get(column, 1 if column.startswith("u*") else 0)
     unit = AXES[axis].unit
     if axis == "v":
@@ -43,14 +43,27 @@ def _coefficient_unit(column: str, axis: str) -> str:
 
 
 def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]:
-    """Entry of the JSON."""
+    """Return the JSON entry of a formula.
+
+    Parameters
+    ----------
+    found
+        The fitted formula.
+    solution
+        The model without it.
+
+    Returns
+    -------
+    dict
+
+    """
     values = found.solution.problem.layout.values(found.solution.p, 0)[0]
     terms = []
     for i, term in enumerate(found.terms):
         own = values[EFFECT_NAME if i == 0 else f"{EFFECT_NAME}_{i + 1}"]
         terms.append(
             (
-                replace(term, numbers=tuple(own[q] for q in parameter_names(term))),
+                replace(term, parameters=tuple(own[q] for q in parameter_names(term))),
                 [own[c] for c in coefficient_names(term)],
             )
         )
@@ -61,7 +74,7 @@ def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]
         if n not in solution.problem.model and not n.startswith(EFFECT_NAME)
     ]
     return {
-        "formula": _words(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
+        "formula": _formula_text(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
         "axis": found.terms[0].axis,
         "share": found.share,
         "delta_bic": float(found.delta_bic),
@@ -72,20 +85,20 @@ def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]
     }
 
 
-def _words(terms: Sequence[tuple[Term, list[float]]], *, with_load: bool) -> str:
-    """The formula with its values, for a person."""
+def _formula_text(terms: Sequence[tuple[Term, list[float]]], *, with_load: bool) -> str:
+    """The formula with its values, to read."""
     out = ""
     for term, coefficients in terms:
-        factor = FACTORS[term.factor] if with_load else FACTORS[term.factor].replace("L ", "")
-        for column, value in _sines(term.shape.columns, coefficients):
+        factor = FACTOR_TEXTS[term.factor] if with_load else FACTOR_TEXTS[term.factor].replace("L ", "")
+        for column, value in _merge_sine_pairs(term.shape.columns, coefficients):
             size = f"{abs(value):.3g} {_coefficient_unit(column, term.axis)}"
             sign = ("-" if value < 0 else "") if not out else (" - " if value < 0 else " + ")
-            out += sign + f"{size} {factor}{_spelled(column, term)}".strip()
+            out += sign + f"{size} {factor}{_column_text(column, term)}".strip()
     return out
 
 
-def _sines(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tuple[str, float]]:
-    """Columns with their coefficients; a sine and its cosine as one with a phase."""
+def _merge_sine_pairs(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tuple[str, float]]:
+    """Columns with their coefficients; sine and cosine merged to one with a phase."""
     pairs = list(zip(columns, coefficients, strict=True))
     while pairs:
         column, value = pairs.pop(0)
@@ -96,17 +109,17 @@ def _sines(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tu
             yield column, value
 
 
-def _spelled(column: str, term: Term) -> str:
-    """A column with its numbers and their units."""
+def _column_text(column: str, term: Term) -> str:
+    """A column with its parameters and their units."""
     text = "" if column == "1" else re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][1], column)
-    for q, kind, number in zip(term.shape.numbers, term.shape.kinds, term.numbers, strict=True):
+    for q, kind, number in zip(term.shape.parameters, term.shape.kinds, term.parameters, strict=True):
         digits = 3 if kind in ("width", "scale", "share") else 4
         text = re.sub(rf"\b{q}\b", f"{number:.{digits}g} {_unit(kind, term.axis)}".removesuffix(" 1"), text)
     return text.replace("2*pi*", "2 pi ").replace("*", " ").replace("- -", "+ ").replace("+ -", "- ")
 
 
 def _toml(terms: Sequence[Term]) -> str:
-    """The formula as an effect of one's own, to be pasted into a study file."""
+    """The formula as a user effect for a study file."""
     suffixes = [""] if len(terms) == 1 else [f"_{i}" for i in "ab"]
     pairs = list(zip(terms, suffixes, strict=True))
     units: dict[str, str] = {}

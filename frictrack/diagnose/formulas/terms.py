@@ -1,4 +1,4 @@
-"""Terms of formulas: a shape over an axis with its numbers, and the effect of one's own that it makes."""
+"""Define terms of formulas: a shape over an axis with its parameters, and the user effect that it makes."""
 
 from __future__ import annotations
 
@@ -24,39 +24,56 @@ MAX_WIDTH_RATIO = 3.0  # times the axis: a width beyond it is no width
 
 @dataclass(frozen=True)
 class Term:
-    """One shape over one axis with its numbers, and what multiplies it."""
+    """One shape over one axis.
+
+    Parameters
+    ----------
+    shape
+        The shape.
+    variable
+        The axis.
+    parameters
+        Values of its parameters.
+    ends
+        Ends of the axis.
+    gain
+        Fall of chi-squared.
+    coefficients
+        Coefficient of each column, N.
+
+    """
 
     shape: Shape
-    along: Axis
-    numbers: tuple[float, ...]
+    variable: Axis
+    parameters: tuple[float, ...]
     ends: tuple[float, float]  # of the axis
     gain: float = 0.0
     coefficients: tuple[float, ...] = ()
 
     @property
     def unknowns(self) -> int:
-        """Coefficients and numbers."""
-        return len(self.shape.columns) + len(self.numbers)
+        """Number of coefficients and parameters."""
+        return len(self.shape.columns) + len(self.parameters)
 
     @property
     def axis(self) -> str:
         """Name of the axis."""
-        return self.along.name
+        return self.variable.name
 
     @property
     def factor(self) -> str:
-        """What multiplies the shape, as a study file writes it."""
-        return self.along.factor
+        """Factor on the shape, as in a study file."""
+        return self.variable.factor
 
-    def force(self, path: Path, numbers: Sequence[float]) -> Array:
-        """Its columns along a path (n, k), N per unit of each coefficient."""
-        made = self.shape.evaluated(self.along.of(path), numbers)
-        return np.stack(made, axis=1) * self.along.times(path)[:, None]
+    def force(self, path: Path, parameters: Sequence[float]) -> Array:
+        """Columns along a path, N per unit of each coefficient, (n, k)."""
+        made = self.shape.columns_at(self.variable.of(path), parameters)
+        return np.stack(made, axis=1) * self.variable.times(path)[:, None]
 
 
 @dataclass(frozen=True)
 class FittedFormula:
-    """A sum of terms, added to a law and fitted."""
+    """A sum of terms added to a model and fitted, with its fall of BIC and its share of the excess chi-squared."""
 
     terms: tuple[Term, ...]
     solution: Solution
@@ -65,25 +82,27 @@ class FittedFormula:
 
     @property
     def complexity(self) -> tuple[int, int]:
-        """Fewer unknowns are simpler, then the earlier shape."""
+        """Number of unknowns, then position of the shapes in `SHAPES`."""
         return sum(t.unknowns for t in self.terms), sum(SHAPES.index(t.shape) for t in self.terms)
 
 
 def build_effect(name: str, term: Term) -> Effect:
-    """The term as a user's effect, looked for only where it was found."""
-    made = effects.formula(name, study_file_text(term, ""), bounds=parameter_bounds(term, 10.0, 3.0))
-    here = {q: {"scan": _SingleValueScan(value)} for q, value in zip(parameter_names(term), term.numbers, strict=True)}
-    return replace(made, columns=_Columns(term)).adjusted(**here)
+    """Make a user effect of a term, to be fitted from where it was found."""
+    effect = effects.formula(name, study_file_text(term, ""), bounds=parameter_bounds(term, 10.0, 3.0))
+    scans = {
+        q: {"scan": _SingleValueScan(value)} for q, value in zip(parameter_names(term), term.parameters, strict=True)
+    }
+    return replace(effect, columns=_Columns(term)).adjusted(**scans)
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """The columns of a term, without the checks that a user's text needs."""
+    """Columns of a term without the checks of a user's text."""
 
     term: Term
 
     def __call__(self, path: Path, nonlinear: Mapping[str, float]) -> Array:
-        made = self.term.force(path, [nonlinear[q] for q in self.term.shape.numbers])
+        made = self.term.force(path, [nonlinear[q] for q in self.term.shape.parameters])
         if not np.all(np.isfinite(made)):
             raise FrictrackError(f"{self.term.shape.name} is no number along every run")
         return made
@@ -99,30 +118,48 @@ class _SingleValueScan:
         return np.array([self.value])
 
 
-def parameter_bounds(term: Term, times: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
-    """Where the numbers may go: a width by a factor, a place or a frequency by so many cells that look alike."""
+def parameter_bounds(term: Term, factor: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
+    """Bounds of the parameters: a width within a factor, a place or frequency within some resolution cells.
+
+    Parameters
+    ----------
+    term
+        The term.
+    factor
+        Factor for widths and scales.
+    cells
+        Number of resolution cells for places, periods and rates.
+    suffix
+        Suffix of the names.
+
+    Returns
+    -------
+    dict
+        Lower and upper bound by name.
+
+    """
     low, high = term.ends
     span = high - low
     out = {}
-    for letter, kind, value in zip(parameter_names(term, suffix), term.shape.kinds, term.numbers, strict=True):
+    for letter, kind, value in zip(parameter_names(term, suffix), term.shape.kinds, term.parameters, strict=True):
         if kind in ("width", "scale"):
-            near, far = sorted((value / times, value * times), key=abs)
-            ends = near, float(np.clip(far, -MAX_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span))
+            smaller, larger = sorted((value / factor, value * factor), key=abs)
+            ends = smaller, float(np.clip(larger, -MAX_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span))
         elif kind == "share":
             ends = 0.3, 0.995
         else:
-            period = term.numbers[1] if kind in ("offset", "period") else span
+            period = term.parameters[1] if kind in ("offset", "period") else span
             cell = {"place": 0.05 * span, "offset": 0.25 * period, "period": 0.5 * period**2 / span}
-            away = cells * (cell | {"rate": 0.5 / span, "sweep": 0.5 / span**2})[kind]
-            ends = value - away, value + away
+            reach = cells * (cell | {"rate": 0.5 / span, "sweep": 0.5 / span**2})[kind]
+            ends = value - reach, value + reach
             ends = (max(ends[0], low), min(ends[1], high)) if kind == "place" else ends
         out[letter] = min(ends), max(ends)
     return out
 
 
 def parameter_names(term: Term, suffix: str = "") -> list[str]:
-    """Names of its numbers."""
-    return [q + suffix for q in term.shape.numbers]
+    """Names of its parameters."""
+    return [q + suffix for q in term.shape.parameters]
 
 
 def coefficient_names(term: Term, suffix: str = "") -> list[str]:
@@ -132,7 +169,7 @@ def coefficient_names(term: Term, suffix: str = "") -> list[str]:
 
 
 def study_file_text(term: Term, suffix: str) -> str:
-    """The term as a study file has it."""
+    """The term as written in a study file."""
     return " + ".join(
         " * ".join(part for part in (coefficient, term.factor, column_text(column, term, suffix)) if part)
         for coefficient, column in zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
@@ -140,10 +177,10 @@ def study_file_text(term: Term, suffix: str) -> str:
 
 
 def column_text(column: str, term: Term, suffix: str) -> str:
-    """A column with the axis and its numbers under their own names; nothing for a constant."""
+    """A column with the names of axis and parameters; empty for a constant."""
     if column == "1":
         return ""
     text = re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][0], column)
-    for q in term.shape.numbers:
+    for q in term.shape.parameters:
         text = re.sub(rf"\b{q}\b", q + suffix, text)
     return text

@@ -1,4 +1,4 @@
-"""Whether a failure repeats with one frequency: its size common to all runs, every run at a phase of its own."""
+"""Test whether a misfit repeats with one frequency: amplitude common to all runs, phase free in every run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,22 @@ _Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G,
 
 @dataclass(frozen=True)
 class CommonFrequency:
-    """Share of the misfit that the other runs foretell, its p, in how many runs, the frequency, Hz; the evidence."""
+    """Result for the best common frequency.
+
+    Parameters
+    ----------
+    share
+        Share of the misfit that the other runs predict.
+    p
+        p-value of that share.
+    runs
+        Number of runs in which it repeats.
+    frequency
+        Frequency, Hz.
+    evidence
+        Gain of the restricted likelihood.
+
+    """
 
     share: float
     p: float
@@ -28,9 +43,26 @@ class CommonFrequency:
 
 
 def restricted_likelihood_gain(gain: float, numbers: int, tried: int) -> float:
-    """Twice the rise of the log restricted likelihood with waves that gain so much, at the size that is most likely.
+    """Twice the rise of the log restricted likelihood with waves of a given gain, at their most likely amplitude.
 
-    `numbers` are those of all waves together, as well known each; `tried` the periods among which this is the best.
+    Parameters
+    ----------
+    gain
+        Fall of chi-squared.
+    numbers
+        Number of coefficients of all waves.
+    tried
+        Number of periods among which this is the best.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> restricted_likelihood_gain(2.0, 2, 1)
+    0.0
+
     """
     each = max(gain / numbers, 1.0)
     return numbers * (each - 1 - float(np.log(each))) - 2 * float(np.log(tried))
@@ -39,30 +71,48 @@ def restricted_likelihood_gain(gain: float, numbers: int, tried: int) -> float:
 def assess_common_frequency(
     law: ModelProjection, runs: Sequence[int], rng: np.random.Generator, draws: int
 ) -> CommonFrequency:
-    """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
+    """Test one frequency for all runs: amplitude from the other runs, phase from the even frames of a run.
 
-    Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
+    The odd frames are predicted. For the null distribution every run is given another frequency.
+
+    Parameters
+    ----------
+    law
+        Residual and directions of the model.
+    runs
+        Indices of the runs.
+    rng
+        Random generator.
+    draws
+        Number of draws.
+
+    Returns
+    -------
+    CommonFrequency
+
     """
-    f, excess = scan_frequencies(law), _beyond(law, runs)
-    told = np.array([_told(*_halves(law, run, f)) for run in runs])
-    gains, free = _waved(told)
+    f, excess = scan_frequencies(law), _excess_chi2(law, runs)
+    statistics = np.array([_frequency_statistics(*_halves(law, run, f)) for run in runs])
+    gains, free = _predicted_gains(statistics)
     best = int(np.argmax(free))
     null = []
     for _ in range(draws):
-        shifts = rng.integers(0, len(f), len(told))
-        drawn, total = _waved(np.array([np.roll(t, int(by), -1) for t, by in zip(told, shifts, strict=True)]))
+        shifts = rng.integers(0, len(f), len(statistics))
+        drawn, total = _predicted_gains(
+            np.array([np.roll(t, int(by), -1) for t, by in zip(statistics, shifts, strict=True)])
+        )
         null.append(float(drawn[:, int(np.argmax(total))].sum()))
     mine = float(gains[:, best].sum())
     p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
     share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
-    told_in = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * excess))
+    n_runs = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * excess))
     return CommonFrequency(
-        share, p, told_in, float(f[best]), restricted_likelihood_gain(float(free[best]), 2 * len(told), len(f))
+        share, p, n_runs, float(f[best]), restricted_likelihood_gain(float(free[best]), 2 * len(statistics), len(f))
     )
 
 
-def _beyond(law: ModelProjection, runs: Sequence[int]) -> Array:
-    """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
+def _excess_chi2(law: ModelProjection, runs: Sequence[int]) -> Array:
+    """Misfit of every run above its noise under the model of all, at least its uncertainty, (R,)."""
     out = np.zeros((len(runs), 2))
     for rows, response in zip(law.rows, law.responses, strict=True):
         r = law.r[rows]
@@ -71,6 +121,7 @@ def _beyond(law: ModelProjection, runs: Sequence[int]) -> Array:
 
 
 def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
+    """Gram matrices and data of the waves in the even and the odd frames of a run."""
     out: list[Array] = [
         np.zeros((len(f), 2, 2)),
         np.zeros((len(f), 2, 2)),
@@ -88,27 +139,27 @@ def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
     return out[0], out[1], out[2], out[3]
 
 
-def _told(even: Array, odd: Array, b_even: Array, b_odd: Array) -> Array:
-    """What one run tells of every frequency, (5, G).
+def _frequency_statistics(even: Array, odd: Array, b_even: Array, b_odd: Array) -> Array:
+    """Statistics of one run at every frequency, (5, G).
 
-    What its own wave gains, the wave's power less the noise's, that noise; and of a wave of size one with the phase of
-    the even frames its product with the odd frames and its square there.
+    Gain of its own wave, power of the wave minus that of the noise, power of the noise; and for a wave of amplitude
+    one with the phase of the even frames, its product with the odd frames and its square there.
     """
     inverse = np.linalg.pinv(even + odd, rcond=1e-6, hermitian=True)
     wave = np.einsum("fij,fj->fi", inverse, b_even + b_odd)
     gain, noise = np.sum(wave * (b_even + b_odd), axis=1), np.einsum("fii->f", inverse)
-    way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
-    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
-    time_wave_traces = np.sum(way * b_odd, axis=1), np.einsum("fi,fij,fj->f", way, odd, way)
+    direction = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
+    time_wave_traces = np.sum(direction * b_odd, axis=1), np.einsum("fi,fij,fj->f", direction, odd, direction)
     return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, *time_wave_traces])
 
 
-def _waved(told: Array) -> tuple[Array, Array]:
-    """Fall of every run's chi-squared with the amplitude of the others (R, G), and what free amplitudes gain (G,).
+def _predicted_gains(statistics: Array) -> tuple[Array, Array]:
+    """Fall of every run's chi-squared with the amplitude of the others (R, G), and the gain of free amplitudes (G,).
 
-    `told` (R, 5, G) as `_told` has it.
+    `statistics` (R, 5, G) are those of `_frequency_statistics`.
     """
-    gain, power, noise, product, square = told.transpose(1, 0, 2)
+    gain, power, noise, product, square = statistics.transpose(1, 0, 2)
     weight = 1 / np.maximum(noise, 1e-300) ** 2
     others = (weight * power).sum(axis=0) - weight * power
     size = np.sqrt(np.maximum(others / np.maximum(weight.sum(axis=0) - weight, 1e-300), 0.0))

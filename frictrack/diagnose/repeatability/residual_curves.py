@@ -1,4 +1,4 @@
-"""The missing force against time, place, velocity, acceleration and phase: all runs, and what they have in common."""
+"""Compute the missing force against time, place, velocity, acceleration and phase, and the mean curve of all runs."""
 
 from __future__ import annotations
 
@@ -20,51 +20,95 @@ MIN_WEIGHT_SHARE = 0.2  # of the usual number of frames round a place for a run 
 
 @dataclass(frozen=True)
 class FailurePattern:
-    """Whether the failure repeats, and the curves that show it: see `residual_figures`."""
+    """Whether the misfit repeats, and the curves that show it; see `residual_figures`."""
 
     repeats: Repeatability
     figures: dict[str, dict[str, Array]]
 
 
 def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
-    """What the failure of a fitted law has in common from run to run, in words, numbers and curves."""
+    """Find what the misfit of a fit has in common from run to run.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+    rng
+        Random generator.
+
+    Returns
+    -------
+    FailurePattern
+
+    """
     solution = keep_compared_frames(solution)
     pieces, line = deconvolve_force(solution)
     return FailurePattern(assess_repeatability(solution, rng), residual_figures(pieces, line))
 
 
 def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:
-    """Curves for plots and files.
+    """Curves of the missing force for plots and files.
 
-    `residual_force`: run (its number among the fitted ones), t, x, phase (cycles), v and a (along the motion, so v is
-    the speed), F and sigma_F (N, positive against the motion), all (n,); `common_x` and so on: the mean curve of all
-    runs over an axis, `at`, F, sigma_F (k,).
+    Parameters
+    ----------
+    pieces
+        The deconvolved force of every piece.
+    line
+        The sinusoid that defines the phase; None without.
+
+    Returns
+    -------
+    dict
+        `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and
+        sigma_F (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis,
+        `at`, F, sigma_F, (k,).
+
     """
-    frames = [_along(p, line) for p in pieces]
-    whole = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
+    frames = [_run_series(p, line) for p in pieces]
+    series = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
     if line is not None:
-        whole["frequency"] = np.array([line.frequency])
-    out = {"residual_force": whole}
+        series["frequency"] = np.array([line.frequency])
+    out = {"residual_force": series}
     for axis in AXES:
-        if axis in whole:
-            out[f"common_{axis}"] = mean_curve(whole["run"], whole[axis], whole["F"], whole["sigma_F"])
+        if axis in series:
+            out[f"common_{axis}"] = mean_curve(series["run"], series[axis], series["F"], series["sigma_F"])
     return out
 
 
-def _along(piece: DeconvolvedForce, line: SpectralLine | None) -> dict[str, Array]:
-    against = np.where(piece.v < 0, -1.0, 1.0)
+def _run_series(piece: DeconvolvedForce, line: SpectralLine | None) -> dict[str, Array]:
+    """Series of one piece, with signs along the motion."""
+    direction = np.where(piece.v < 0, -1.0, 1.0)
     out = {"run": np.full(len(piece.t), float(piece.run)), "t": piece.t, "x": piece.x}
-    out |= {"v": against * piece.v, "a": against * piece.a}
+    out |= {"v": direction * piece.v, "a": direction * piece.a}
     if line is not None:
-        out["phase"] = (line.phase(piece.run, piece.t) + np.where(against < 0, 0.5, 0.0)) % 1.0
-    return out | {"F": against * piece.F, "sigma_F": piece.sigma_F}
+        out["phase"] = (line.phase(piece.run, piece.t) + np.where(direction < 0, 0.5, 0.0)) % 1.0
+    return out | {"F": direction * piece.F, "sigma_F": piece.sigma_F}
 
 
 def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str, Array]:
-    """The mean of all runs over an axis (n,): places `at`, F and sigma_F (k,), NaN where no run has been.
+    """Mean curve of all runs over an axis.
 
-    Every run is smoothed by itself; runs differ by their noise and by a scatter that is estimated at every place
-    (DerSimonian & Laird 1986, Control. Clin. Trials 7), so the band says how far they agree.
+    Each run is smoothed by itself. Runs differ by their noise and by a scatter that is estimated at every place, so the
+    band shows how well they agree.
+
+    Parameters
+    ----------
+    run
+        Index of the run of every frame, (n,).
+    axis
+        Values of the axis, (n,).
+    force, sigma
+        Force and its standard deviation, N, (n,).
+
+    Returns
+    -------
+    dict
+        `at`, F and sigma_F, (k,); NaN where no run has been.
+
+    References
+    ----------
+    DerSimonian & Laird (1986), Control. Clin. Trials 7, 177-188.
+
     """
     low, high = float(axis.min()), float(axis.max())
     at = np.linspace(low, high, N_POINTS)
@@ -74,16 +118,16 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
         mine = run == r
         kernel = np.exp(-(((axis[mine] - at[:, None]) / width) ** 2) / 2)
         weight = kernel.sum(axis=1)
-        here = weight > MIN_WEIGHT_SHARE * np.median(weight[weight > 0])
+        covered = weight > MIN_WEIGHT_SHARE * np.median(weight[weight > 0])
         share = kernel / np.maximum(weight, 1e-300)[:, None]
-        means.append(np.where(here, share @ force[mine], np.nan))
-        variances.append(np.where(here, share @ sigma[mine] ** 2, np.nan))
-    force, deviation = _pooled(np.array(means), np.maximum(np.array(variances), 1e-30))
+        means.append(np.where(covered, share @ force[mine], np.nan))
+        variances.append(np.where(covered, share @ sigma[mine] ** 2, np.nan))
+    force, deviation = _pool_runs(np.array(means), np.maximum(np.array(variances), 1e-30))
     return {"at": at, "F": force, "sigma_F": deviation}
 
 
-def _pooled(means: Array, variances: Array) -> tuple[Array, Array]:
-    """Mean over runs (R, k) whose variances are known and which scatter beside; NaN where none is known."""
+def _pool_runs(means: Array, variances: Array) -> tuple[Array, Array]:
+    """Random-effects mean over runs (R, k) with known variances; NaN where none is known."""
     weight = np.nan_to_num(1 / variances)
     count = np.sum(weight > 0, axis=0)
     total = np.maximum(weight.sum(axis=0), 1e-300)

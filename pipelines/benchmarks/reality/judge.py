@@ -27,8 +27,8 @@ FAR = 5.0  # quoted deviations
 CPU_LIMIT = 120.0  # s
 PLACES = 12  # functions that say where a study ran out of time
 ALWAYS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
-    *("is absorbed exactly", "one run alone", "on an incline Coulomb", "not tried:", "trade places", "go together"),
-    *("a long record:", "no camera shake:"),
+    *("is absorbed exactly", "single run:", "on an incline, Coulomb", "not tried:", "trade places", "go together"),
+    *("long record:", "no camera shake:"),
 )
 STOPPED, OUT_OF_TIME, BROKEN = "stopped", "out of time", "broken"
 
