@@ -118,7 +118,7 @@ def test_another_target_in_step_is_told_by_its_name():
     beam = {r.name: {"the beam, up": s.displacement.y} for r, s in zip(runs, slides("load")[0], strict=True)}
     (first,) = seen(runs, beam)
     assert (first.kind, first.name) == ("track", "the beam, up")
-    assert first.words.startswith("the beam, up goes with")
+    assert first.words.startswith("the beam, up matches")
 
 
 @pytest.mark.parametrize(

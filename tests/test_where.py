@@ -210,7 +210,7 @@ def test_what_the_runs_show_too_little_of_is_left_open():
         AxisRepeatability("v", 0.2, 0.01, 1, 6, evidence=9.0),
         AxisRepeatability("x", 0.1, 0.5, 0, 6, evidence=-5.0),
     ]
-    assert describe_axes(axes).startswith("Whether the failure repeats from run to run cannot be told")
+    assert describe_axes(axes).startswith("These runs do not determine whether the misfit repeats")
     assert describe_axes([replace(a, evidence=-40.0) for a in axes]).startswith("The misfit does not repeat")
 
 

@@ -380,9 +380,7 @@ def _accelerometer_verdict(share: float, sigma: float, of_all: float) -> Evidenc
         return None
     if abs(share - 1) < max(MIN_SENSED_DIFFERENCE, 3 * sigma):
         size, p = float(np.clip(share * of_all, 0.0, 1.0)), float(2 * norm.sf(abs(share) / sigma))
-        return Evidence(
-            "accelerometer", f"{sentence}: the mass itself moves, the camera does not shake", size, p, "force"
-        )
+        return Evidence("accelerometer", f"{sentence}: the mass itself moves, no camera shake", size, p, "force")
     if abs(share) < max(MIN_SENSED_SHARE, 3 * sigma):
         size, p = float(np.clip((1 - share) * of_all, 0.0, 1.0)), float(2 * norm.sf(abs(share - 1) / sigma))
         return Evidence("accelerometer", f"{sentence}: the picture shakes, not the mass", size, p, "measurement")

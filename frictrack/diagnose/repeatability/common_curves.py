@@ -258,11 +258,11 @@ def _best_smooth_curve(tried: Sequence[_CurveProducts]) -> tuple[Array, dict[str
         for reach in CORRELATION_LENGTHS_KNOTS:
             precision = np.linalg.inv(matern_covariance(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
             for size in PRIOR_SIZES:
-                precision = _model_prior(products)
-                precision[:k, :k] += precision * (scale / size**2)
-                gains = _gains(products, precision, k)
+                prior = _model_prior(products)
+                prior[:k, :k] += precision * (scale / size**2)
+                gains = _gains(products, prior, k)
                 if best is None or gains[:, 0].sum() > best[:, 0].sum():
-                    curve = _curve(products, precision)
+                    curve = _curve(products, prior)
                 best = gains if best is None else _larger_gains(best, gains)
     return np.asarray(best), curve
 
