@@ -59,7 +59,7 @@ def cookie(bench: Server) -> str:
 def test_nothing_is_served_without_the_token(path: str, bench: Server) -> None:
     status, body, held = ask(bench, path)
     assert (status, held) == (403, "")
-    assert body == "Expected the address with its token: copy it from where frictrack app was started."
+    assert body == "Expected the address with its token; copy it from the terminal where frictrack app was started."
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -80,7 +80,7 @@ def test_a_foreign_host_is_refused_with_the_token_and_the_cookie(
 def test_a_request_of_another_page_is_refused(method: str, origin: str, bench: Server, cookie: str) -> None:
     status, body, _ = ask(bench, "/", method=method, Origin=origin, Cookie=cookie)
     assert status == 403
-    assert method == "HEAD" or body == f'Expected a request of the page itself but got one of "{origin}".'
+    assert method == "HEAD" or body == f'Expected a request from the page itself but got one from "{origin}".'
 
 
 def test_a_websocket_needs_host_origin_and_cookie(bench: Server, cookie: str) -> None:

@@ -39,7 +39,7 @@ def test_the_plots_of_a_study_tell_and_hear(study: Path) -> None:
     shown = look(study, behind="1_coulomb+viscous")
     assert shown.scene["rows"] == 1500
     assert len(shown.data) == 4 * sum(length for _, length in shown.scene["columns"].values())
-    assert any(layer["y"] == "ghost" for layer in shown.scene["plots"][0]["layers"] if "y" in layer)
+    assert any(layer["y"] == "other" for layer in shown.scene["plots"][0]["layers"] if "y" in layer)
     shown.selection = {"count": 3, "middle": 700, "per_run": {}, "seq": 1}  # as the browser tells it
     assert shown.film == {}  # these runs are tables
     with pytest.raises(FrictrackError, match=r'expected one of 1_coulomb\+viscous, .* but got "2_tustin"'):

@@ -597,7 +597,7 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
 def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
     study_file.unlink()
     state = PageState(study_file)
-    assert state.begin(["slow.csv"], {"mass": "350"})
+    assert state.create_study(["slow.csv"], {"mass": "350"})
     assert "study.toml is written" in state.message
     assert "to be checked: mass = 350 has no unit" in state.message
     assert state.is_error

@@ -86,7 +86,7 @@ def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm/px"}.items():
         page.page.get_by_label(label).fill(value)
     page.picture("1_films")
-    page.click("Take them in").hears("study.toml is written")
+    page.click("Add to the study").hears("study.toml is written")
     page.sees("frame 0 of 150")
     page.click("Run everything").hears("run: done")
     page.sees(re.compile(r"Tustin: reduced chi-squared .*missing"))
@@ -211,11 +211,11 @@ def test_a_formula_of_the_unexplained_is_taken_into_the_law(study_file: Path, mo
     toml = '[[effect]]\neffect = "unexplained"\nformula = "F * (x - c)/w"\nunits = {F = "N", c = "m", w = "m"}\n'
     toml += "bounds = {c = [0.0, 0.5], w = [0.01, 0.1]}\n"
     state, asked = PageState(study_file), []
-    state.look_first()
-    monkeypatch.setattr(state, "start", lambda do, **told: asked.append((do, told)))
+    state.load()
+    monkeypatch.setattr(state, "start_job", lambda do, **told: asked.append((do, told)))
     for _ in range(2):
-        MissingTab(state, OpenFilms())._take(toml)
-        state.look_first()
+        MissingTab(state, OpenFilms())._add_formula(toml)
+        state.load()
     assert asked == [("add", {"effect": "unexplained"}), ("add", {"effect": "unexplained_2"})]
     assert [effect.formula for effect in open_study(study_file).effects] == ["F * (x - c)/w"] * 2
 
@@ -225,7 +225,7 @@ def test_the_comparison_opens_on_the_current_model(study_file: Path, monkeypatch
     session.fit()
     session.add("drag")
     state = PageState(study_file)
-    state.look_first()
+    state.load()
     compare = CompareTab(state, OpenFilms())
     monkeypatch.setattr(compare.plots_with_film, "draw", lambda *scene: seen.append(compare.model.value))
     compare.refresh()
@@ -251,9 +251,9 @@ def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open) -> Non
         page.page.get_by_label("broken.avi").check()
         for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm"}.items():
             page.page.get_by_label(label).fill(value)
-        page.click("Take them in").hears("px")  # of the scale
+        page.click("Add to the study").hears("px")  # of the scale
         page.page.get_by_label("Scale").fill("0.5 mm/px")
-        page.click("Take them in").hears("broken.avi")
+        page.click("Add to the study").hears("broken.avi")
         assert not (tmp_path / "study.toml").exists()
         page.picture("10_broken")
     finally:
@@ -283,11 +283,11 @@ def test_an_uploaded_name_cannot_leave_the_folder(name: str, tmp_path: Path) -> 
     folder.mkdir()
     assert stored_upload(folder, name, b"film") == "outside.avi"
     assert [p.name for p in tmp_path.rglob("*.avi")] == ["outside.avi"]
-    with pytest.raises(FrictrackError, match="another content"):
+    with pytest.raises(FrictrackError, match="different content"):
         stored_upload(folder, name, b"another")
 
 
 @pytest.mark.parametrize("name", ["", "..", ".", "...", ".hidden", "a/.."])
 def test_an_uploaded_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(FrictrackError, match="expected the name of a recording"):
+    with pytest.raises(FrictrackError, match="expected the file name of a recording"):
         stored_upload(tmp_path, name, b"film")

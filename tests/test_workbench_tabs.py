@@ -89,7 +89,7 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
     before, page = said(bench), tab().open(bench).to("2 Motion")
     page.until(lambda: len(page.ink(GHOST, layer=0)) == 5)
     assert page.ink(GHOST, layer=0) == [0] * 5
-    page.sees("of noise pass")
+    page.sees("noise that passes")
     page.page.locator(".noUi-handle").focus()
     for _ in range(3):
         page.page.keyboard.press("ArrowRight")
@@ -114,7 +114,7 @@ def test_a_preview_is_what_the_study_would_give(bench: Server, cutoff: float) ->
 
 def test_mass_and_scale_of_one_run_beside_what_was_tracked(bench: Server, tab: Open) -> None:
     before, page = said(bench), tab().open(bench)
-    page.page.get_by_alt_text("contact sheet: what was tracked in fast").wait_for()
+    page.page.get_by_alt_text("contact sheet of the tracked target in fast").wait_for()
     mass = page.page.get_by_label("Mass of this run")
     assert mass.get_attribute("placeholder") == "0.35 kg for all runs"
     mass.fill("0.4 mm")
@@ -181,20 +181,20 @@ def test_models_of_the_same_name_are_told_apart(study_file: Path) -> None:
     session.add("drag")
     session.remove("drag")
     state = PageState(study_file)
-    state.look_first()
+    state.load()
     compare, record = CompareTab(state, OpenFilms()), HistoryTab(state)
     compare.refresh()
     record.refresh()
     names = [model.name for model in read_results(open_study(study_file)).models]
     assert [name.split("_", 1)[1] for name in names].count("coulomb+viscous") == 2
     assert list(compare.model.options.values()) == list(record.choice.options.values()) == names
-    assert list(compare.behind.options.values())[1:] == names
+    assert list(compare.background.options.values())[1:] == names
 
 
 def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path) -> None:
     Session(open_study(study_file)).fit()
     state = PageState(study_file)
-    state.look_first()
+    state.load()
     record = HistoryTab(state)
     record.refresh()
     assert all(one.disabled for one in record.reports)

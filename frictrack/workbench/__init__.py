@@ -1,7 +1,7 @@
-"""The local web page of a study, from film to friction law. It computes nothing: `flow` does, and the page shows it.
+"""Serve a study as a local web page. The page computes nothing; it calls `flow` and shows its results.
 
     frictrack app STUDY
 
-State lives in the study's files; long work runs in processes of its own (`jobs`, `work`); no request leaves the
-machine.
+The state is in the study's files. Long jobs run in their own processes (`jobs`, `job_process`). No request leaves
+the machine.
 """

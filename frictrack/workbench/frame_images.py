@@ -13,14 +13,23 @@ import numpy as np
 
 from frictrack.recording import Frame, open_recording, random_access
 
-MAX_WIDTH_PX = 1280  # px; wider pictures are made smaller
-MAX_CACHED_FRAMES = 64  # pictures that are at hand
-JPEG_QUALITY = 88  # of a JPEG
-BLACK_PERCENTILE, WHITE_PERCENTILE = 0.1, 99.9  # of the first frame; they become black and white in deep pictures
+MAX_WIDTH_PX = 1280  # wider frames are scaled down
+MAX_CACHED_FRAMES = 64
+JPEG_QUALITY = 88
+BLACK_PERCENTILE, WHITE_PERCENTILE = 0.1, 99.9  # of the first frame, for frames of more than 8 bits
 
 
 class FrameImages:
-    """The pictures of one recording. May be asked from several threads."""
+    """JPEG pictures of the frames of one recording. Several threads may use it.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    fps : float or None
+        Frames per second; None to read it from the file.
+
+    """
 
     def __init__(self, path: Path, fps: float | None) -> None:
         self._stack = ExitStack()
@@ -38,7 +47,7 @@ class FrameImages:
         return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self._recording.fps}
 
     def __getitem__(self, number: int) -> tuple[int, bytes]:
-        """A frame's number and its JPEG; the number is brought into the film."""
+        """Number and JPEG of a frame; a number outside the film is clipped."""
         number = min(max(number, 0), self._recording.n_frames - 1)
         with self._lock:
             if number not in self._cache:
@@ -58,5 +67,5 @@ class FrameImages:
         return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
 
     def close(self) -> None:
-        """Let go of the recording."""
+        """Close the recording."""
         self._stack.close()

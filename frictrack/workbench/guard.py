@@ -1,4 +1,4 @@
-"""Check host, origin and token of each request, and refuse those that do not come from the user's own page.
+"""Check host, origin and token of each request, and refuse requests that do not come from the user's own page.
 
 A page of another server can send requests to this one from the user's browser. Through a name that it points to
 127.0.0.1 (DNS rebinding) it could also read the answers; the Host header gives it away. A request from another page
@@ -27,16 +27,16 @@ REDIRECT_PAGE = '<!doctype html><meta http-equiv="refresh" content="0;url={}"><t
 
 @dataclass(frozen=True)
 class RequestGuard:
-    """Who may reach the page.
+    """Decide which requests may reach the page.
 
     Parameters
     ----------
-    token
-        What the address of the page carries when it is opened for the first time.
-    host
-        Address on which the page is served. On another one than the loopback interface, every address of this
-        machine and its own names are accepted as well: no foreign name can be an address.
-    names
+    token : str
+        Secret in the address of the page when it is opened for the first time.
+    host : str
+        Address on which the page is served. If it is not the loopback interface, every address and name of this
+        machine is accepted as well: an attacker's name is not an address.
+    names : tuple of str
         Further names of this machine, such as that of a proxy.
 
     """
@@ -52,25 +52,25 @@ class RequestGuard:
 
     @property
     def secret(self) -> str:
-        """Value of the cookie; it holds as long as the token, and does not give it away."""
+        """Value of the cookie: a hash of the token, valid as long as the token."""
         return hmac.new(self.token.encode(), b"frictrack page", hashlib.sha256).hexdigest()
 
     def cookie(self, request: HTTPServerRequest) -> str:
-        """Name of the cookie, one per port: all ports of a host share their cookies."""
+        """Name of the cookie, with the port: all ports of a host share their cookies."""
         return f"frictrack-{_netloc(request.host)[1] or 80}"
 
     def fault(self, request: HTTPServerRequest) -> str:
-        """Why a request is refused, in one sentence; empty where it is not."""
+        """Why a request is refused, in one sentence; "" if it is accepted."""
         if not self._is_own(_netloc(request.host)[0]):
             return (
                 f'Expected the name of this machine as the host but got "{request.host}"; '
-                "`frictrack app --name NAME` accepts a further one."
+                "start `frictrack app --name NAME` to accept another name."
             )
         origin = request.headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
-            return f'Expected a request of the page itself but got one of "{origin}".'
+            return f'Expected a request from the page itself but got one from "{origin}".'
         if not self.has_token(request) and not _same(self._cookie_value(request), self.secret):
-            return "Expected the address with its token: copy it from where frictrack app was started."
+            return "Expected the address with its token; copy it from the terminal where frictrack app was started."
         return ""
 
     def has_token(self, request: HTTPServerRequest) -> bool:
@@ -83,7 +83,7 @@ class RequestGuard:
         return held.value if held else ""
 
     def _is_own(self, host: str) -> bool:
-        """Whether a host is this machine as the user knows it."""
+        """Whether a host is a name or an address of this machine."""
         if host in LOOPBACK or host in self.names:
             return True
         if self.is_local:
@@ -99,7 +99,7 @@ class RefusedRequest(Matcher):
         self.guard = guard
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """What the handler needs, as Tornado wants it."""
+        """Arguments of the handler (Tornado's interface); None if the request does not match."""
         fault = self.guard.fault(request)
         return {"target_kwargs": {"fault": fault}} if fault else None
 
@@ -111,33 +111,33 @@ class TokenRequest(Matcher):
         self.guard = guard
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """What the handler needs, as Tornado wants it."""
+        """Arguments of the handler (Tornado's interface); None if the request does not match."""
         plain = request.method == "GET" and "Upgrade" not in request.headers
         return {"target_kwargs": {"guard": self.guard}} if plain and self.guard.has_token(request) else None
 
 
 class RefusalHandler(RequestHandler):
-    """Refuse whatever was asked for."""
+    """Answer a refused request."""
 
     def initialize(self, fault: str) -> None:
-        """Keep the sentence."""
+        """Store the reason."""
         self.fault = fault
 
     def prepare(self) -> None:
-        """Answer before anything of the request is looked at."""
+        """Answer before the request is processed."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(self.fault)
 
 
 class TokenHandler(RequestHandler):
-    """Give the cookie to a browser that has the token, and send it on to the address without one.
+    """Set the cookie of a browser that has the token, and forward it to the address without the token.
 
-    It is not redirected: a browser that followed a link of another page would not send the cookie then.
+    The page forwards by itself. After a redirect from a link on another page, the browser would not send the cookie.
     """
 
     def initialize(self, guard: RequestGuard) -> None:
-        """Keep the guard."""
+        """Store the guard."""
         self.guard = guard
 
     def get(self) -> None:
@@ -150,7 +150,7 @@ class TokenHandler(RequestHandler):
 
 
 def protect(application: Application, guard: RequestGuard) -> None:
-    """Put the guard before every handler of a server: pages, WebSocket, static files, downloads and uploads."""
+    """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
     application.default_router.rules[:0] = [
         Rule(RefusedRequest(guard), RefusalHandler),
         Rule(TokenRequest(guard), TokenHandler),
@@ -158,18 +158,25 @@ def protect(application: Application, guard: RequestGuard) -> None:
 
 
 def address_of(host: str, port: int, token: str = "") -> str:
-    """Address under which the page is opened."""
+    """Address of the page.
+
+    Examples
+    --------
+    >>> address_of("::1", 5006, "abc")
+    'http://[::1]:5006/?token=abc'
+
+    """
     named = f"[{host}]" if ":" in host else host
     return f"http://{named}:{port}/" + (f"?token={token}" if token else "")
 
 
 def clean_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Names as the guard compares them."""
+    """Convert host names to the form that the guard compares."""
     return tuple(name.strip().lower() for name in names)
 
 
 def _netloc(host: str) -> tuple[str, int | None]:
-    """Host and port of a Host header; an empty host where it is none."""
+    """Host and port of a Host header; an empty host if it is invalid."""
     try:
         found = urlsplit(f"//{host}")
         return (found.hostname or "").rstrip("."), found.port

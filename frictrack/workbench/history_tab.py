@@ -1,4 +1,4 @@
-"""The tab "History and report": all models that were tried, and files to download."""
+"""Show the tab "History and report": all fitted models, and files to download."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FIGURE_FORMATS = ("svg", "png", "pdf")
 
 
 class HistoryTab:
-    """The models in the order tried, and the files."""
+    """The tab: the models in the order in which they were fitted, and the files."""
 
     title = "6 History and report"
 
@@ -41,9 +41,9 @@ class HistoryTab:
         )
         self.view = pn.Column(
             self.models,
-            pn.FlexBox(self.choice, button("Make it current", self._make_current), align_items="flex-end", gap="10px"),
+            pn.FlexBox(self.choice, button("Use this model", self._make_current), align_items="flex-end", gap="10px"),
             pn.FlexBox(
-                button("Write the report", lambda: state.start("report"), "primary"),
+                button("Write the report", lambda: state.start_job("report"), "primary"),
                 *self.reports,
                 self._download_button("Tables (CSV)", "tables.zip", self._tables),
                 self._download_button("Everything (HDF5)", "hdf5.zip", self._hdf5_files),
@@ -61,7 +61,7 @@ class HistoryTab:
         )
 
     def _download_button(self, label: str, name: str, make: Callable[[], bytes]) -> pn.widgets.FileDownload:
-        """A button that gives a file; it is made beside the server's loop, so that the page lives on meanwhile."""
+        """Create a button that downloads a file. Another thread makes the file, so that the page stays responsive."""
 
         async def made() -> io.BytesIO:
             one.param.update(label=f"{label} ...", disabled=True)
@@ -80,16 +80,16 @@ class HistoryTab:
         return one
 
     def refresh(self) -> None:
-        """Show the models tried."""
+        """Show the fitted models."""
         results = self.state.results
         models = results.models if results else ()
         path = results.output / "report.html" if results else None
         written = path is not None and path.exists()
-        self.link.object = note(f"The report is {path}" if written else "Write the report before you take it with you.")
+        self.link.object = note(f"The report is {path}" if written else "Write the report before downloading it.")
         for one in self.reports:
             one.disabled = not written
         if not models:
-            self.models.object = note("No model was fitted yet.")
+            self.models.object = note("No model is fitted yet.")
             self.choice.options = {}
             return
         self.models.object = grid(history_table(models))
@@ -98,7 +98,7 @@ class HistoryTab:
 
     def _make_current(self) -> None:
         if self.choice.value:
-            self.state.do("use", model=self.choice.value)
+            self.state.apply_change("use", model=self.choice.value)
 
     # --- files
 
@@ -109,7 +109,7 @@ class HistoryTab:
     def _report_path(self) -> Path:
         path = self._need_results().output / "report.html"
         if not path.exists():
-            raise FrictrackError(f"expected the report {path} but there is none; write it first")
+            raise FrictrackError(f"expected the report {path} but it does not exist; write it first")
         return path
 
     def _report_html(self) -> bytes:
@@ -136,7 +136,14 @@ class HistoryTab:
 
 
 def figures(results: Results) -> dict[str, Figure]:
-    """Every figure of a study by its file's name."""
+    """Draw every figure of a study.
+
+    Returns
+    -------
+    dict
+        Figures by file name without suffix.
+
+    """
     out: dict[str, Figure] = {}
     for run in results.runs:
         out[f"motion {run.name}"] = plots.motion(run)
@@ -153,7 +160,7 @@ def figures(results: Results) -> dict[str, Figure]:
 
 
 def figure_bytes(made: Figure, kind: str) -> bytes:
-    """A figure as a file."""
+    """Convert a figure to the content of an svg, png or pdf file."""
     if kind == "svg":
         return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
     if kind == "png":
@@ -164,7 +171,7 @@ def figure_bytes(made: Figure, kind: str) -> bytes:
 
 
 def zip_files(files: dict[str, bytes]) -> bytes:
-    """Files in one archive."""
+    """Pack files, given by name, into one ZIP archive."""
     sheet = io.BytesIO()
     with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

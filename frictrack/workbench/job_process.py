@@ -15,19 +15,19 @@ from filelock import FileLock
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
-CANCEL_POLL_S = 0.05  # s between two looks for somebody who wants it to end
-MIN_WRITE_INTERVAL_S = 0.1  # s between two lines of progress that only count on
+CANCEL_POLL_S = 0.05  # between two checks for the file that cancels the job
+MIN_WRITE_INTERVAL_S = 0.1  # between two lines of progress with the same text
 
 
 class ProgressFile:
-    """Progress into a file; lines that only count on are written ten times a second at most."""
+    """Write progress to a file; lines with the same text at most ten times per second."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._last, self._what = 0.0, ""
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """One line, unless the last one said the same a moment ago."""
+        """Write one line, unless one with the same text was written just before."""
         now = time.monotonic()
         if what == self._what and done < total and now - self._last < MIN_WRITE_INTERVAL_S:
             return
@@ -37,7 +37,7 @@ class ProgressFile:
 
 
 def main(folder: Path) -> None:
-    """Do what the folder's ``spec.json`` asks for; the result, or why there is none, is its ``result.json``."""
+    """Run the job in ``spec.json`` of a folder and write its result or its error to ``result.json``."""
     with FileLock(folder / "alive"):
         Thread(target=_end_when_asked, args=(folder / "cancel",), daemon=True).start()
         try:
@@ -51,14 +51,17 @@ def main(folder: Path) -> None:
 
 
 def _end_when_asked(cancel: Path) -> None:
-    """Nothing that was finished is lost: files appear whole, and the next one who works goes on from them."""
+    """End the process when the file `cancel` appears.
+
+    Finished steps are kept, because files are written completely or not at all.
+    """
     while not cancel.exists():
         time.sleep(CANCEL_POLL_S)
     os._exit(130)
 
 
 def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
-    from frictrack.flow import Session, open_study  # noqa: PLC0415 - whoever cancels need not wait for the science
+    from frictrack.flow import Session, open_study  # noqa: PLC0415 - a job can be cancelled before this import ends
     from frictrack.results import to_builtins  # noqa: PLC0415
 
     session = Session(
@@ -82,7 +85,7 @@ def _call_session(session: Any, do: str, folder: Path, **arguments: Any) -> Any:
 
 
 def _attempt_effect(session: Any, do: str, folder: Path, effect: str) -> Any:
-    """A model with one effect more, kept beside the job and not in the study."""
+    """Fit the model with one more effect; the result is stored with the job and not in the study."""
     return session.attempt(effect, folder / "attempt.h5")
 
 

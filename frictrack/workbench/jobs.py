@@ -1,10 +1,10 @@
 """Start, list and cancel long jobs. Each runs in a process of its own and reports through files.
 
-jobs/0007/spec.json       what is to be done, and by whom
-jobs/0007/progress.jsonl  what was done so far, line by line
-jobs/0007/alive           held by the process as long as it lives
-jobs/0007/cancel          put there by who wants it to end; the process ends at once
-jobs/0007/result.json     what came of it, or why nothing did
+jobs/0007/spec.json       the command, its arguments, and who started it
+jobs/0007/progress.jsonl  progress, one line per step
+jobs/0007/alive           locked by the process while it runs
+jobs/0007/cancel          created to cancel the job; the process ends at once
+jobs/0007/result.json     the result or the error
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from frictrack.errors import FrictrackError
 from frictrack.files import lock_folder, make_subfolder, replace_text
 from frictrack.study import Study
 
-MAX_START_SECONDS = 20.0  # s that a process may take until it holds its lock
+MAX_START_SECONDS = 20.0  # until the process holds its lock
 RUNNING, DONE, FAILED, CANCELLED, INTERRUPTED = "running", "done", "failed", "cancelled", "interrupted"
 
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of long work of a study, by its folder."""
+    """One job of a study, given by its folder."""
 
     folder: Path
 
     @property
     def spec(self) -> dict[str, Any]:
-        """``do``, ``arguments``, ``study``, ``seen`` and when it was asked for."""
+        """Content of ``spec.json``: command, arguments, study, revision of the study, and start time."""
         return _read_json(self.folder / "spec.json", "do", "at", "study")
 
     @property
     def result(self) -> dict[str, Any]:
-        """What the work gave; empty as long as it goes on. A failure stands under ``error``."""
+        """The result; empty while the job runs. A failure is under ``error``."""
         try:
             return _read_json(self.folder / "result.json")
         except FileNotFoundError:
@@ -49,7 +49,7 @@ class Job:
 
     @property
     def progress(self) -> list[dict[str, Any]]:
-        """Lines of ``done``, ``total``, ``what``, oldest first; a last one that is half-written is left out."""
+        """Lines of ``done``, ``total``, ``what``, oldest first, without an incomplete last line."""
         try:
             lines = (self.folder / "progress.jsonl").read_bytes().split(b"\n")[:-1]
         except FileNotFoundError:
@@ -58,14 +58,14 @@ class Job:
 
     @property
     def state(self) -> str:
-        """Running, done, failed, cancelled, or interrupted: its process was ended from outside."""
+        """Running, done, failed, cancelled, or interrupted (its process was ended from outside)."""
         if result := self.result:
             return FAILED if "error" in result else DONE
         if self._is_locked() or (
             abs(time.time() - self.spec["at"]) < MAX_START_SECONDS and not (self.folder / "alive").exists()
         ):
             return RUNNING
-        if result := self.result:  # it came while we looked
+        if result := self.result:  # written after the first check
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
 
@@ -81,21 +81,43 @@ class Job:
         return False
 
     def cancel(self) -> None:
-        """End it at once; what it had finished before stays."""
+        """End the job at once; finished steps are kept."""
         (self.folder / "cancel").touch()
 
 
 def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", **arguments: Any) -> Job:
-    """Start a piece of work: a command that changes the study, or one that brings it up to date.
+    """Start a job in its own process.
 
-    Raises `FrictrackError` where another one of this study is still running.
+    Parameters
+    ----------
+    study : Study
+        The study.
+    do : str
+        The command: a change of the study, or "run", "measure", "diagnose", "attempt" or "report".
+    seen : int, optional
+        Revision of the study for which the command was given; the job fails if the study has changed since.
+    who : str
+        Author of the change in the study's history.
+    **arguments
+        Arguments of the command.
+
+    Returns
+    -------
+    Job
+        The started job.
+
+    Raises
+    ------
+    FrictrackError
+        If another job of this study is running.
+
     """
     with lock_folder(study.output):
         folder = make_subfolder(study.output, "jobs")
         earlier = list_jobs(study)
         busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:
-            raise FrictrackError(f"{busy.spec['do']} is still running; wait for it or cancel it")
+            raise FrictrackError(f"{busy.spec['do']} is still running; wait until it ends or cancel it")
         number = max((int(job.folder.name) for job in earlier), default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
@@ -122,22 +144,22 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
             stderr=output,
             start_new_session=True,
         )
-    Thread(target=process.wait, daemon=True).start()  # so that it does not stay behind when it has ended
+    Thread(target=process.wait, daemon=True).start()  # collect the exit status, so that no zombie process remains
     return Job(made)
 
 
 def list_jobs(study: Study) -> list[Job]:
-    """All pieces of work of a study, oldest first."""
+    """List all jobs of a study, oldest first."""
     folders = (one for one in sorted((study.output / "jobs").glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 
 
 def _read_json(path: Path, *keys: str) -> dict[str, Any]:
-    """What a file of a job says, `keys` at least."""
+    """Read a JSON object that contains at least the given keys."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict) or not found.keys() >= set(keys):
-        raise FrictrackError(f"{path} is damaged; remove its folder, the results do not lie in it")
+        raise FrictrackError(f"{path} is damaged; delete its folder (it holds no results)")
     return found

@@ -1,4 +1,4 @@
-"""The interface of the linked plots in the browser, common to the page and to notebooks."""
+"""Define the interface of the linked plots in the browser, common to the page and to notebooks."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 
 from frictrack.workbench.plot_data import PlotData
 
-MODULE = files("frictrack.workbench").joinpath("linked.js").read_text(encoding="utf-8")  # what goes in and out: there
+MODULE = files("frictrack.workbench").joinpath("linked.js").read_text(encoding="utf-8")  # its head describes the values
 
 
 class LinkedPlots:
-    """The same for the page and for notebooks; they differ in how values are set, and how one hears of a change."""
+    """Linked plots; the page and the notebook implement how values are set and how changes are reported."""
 
     film: dict[str, Any]
     frame: bytes
@@ -22,15 +22,15 @@ class LinkedPlots:
         raise NotImplementedError
 
     def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
-        """Call with the new value whenever the user has changed one."""
+        """Call a function with the new value whenever the user changes the value `name`."""
         raise NotImplementedError
 
     def draw(self, scene: PlotData) -> None:
-        """Draw other data."""
-        layout, data = scene.packed()
+        """Draw new data."""
+        layout, data = scene.pack()
         self.set_values(scene=layout, data=data)
 
     def show_frame(self, frame: tuple[int, bytes]) -> None:
-        """Show a frame of the film: its number and its JPEG."""
+        """Show a frame of the film, given by its number and its JPEG."""
         number, jpeg = frame
         self.frame = number.to_bytes(4, "little") + jpeg

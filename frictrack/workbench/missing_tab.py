@@ -1,4 +1,4 @@
-"""The tab "What is missing?": candidate effects as cards; try one, add it, see the error fall."""
+"""Show the tab "What is missing?": candidate effects as cards, to try and to add."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MAX_FORMULAS = 3
 
 
 class MissingTab:
-    """The verdict on the current model, and the way on from it."""
+    """The tab: verdict on the current model, candidates, next experiment, held-out errors."""
 
     title = "5 What is missing?"
 
@@ -39,19 +39,19 @@ class MissingTab:
         self.state, self.plots_with_film = state, PlotsWithFilm(state, films, PanelPlots(sizing_mode="stretch_width"))
         self.head = html("")
         self.cards = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
-        self.falls = pn.Column(sizing_mode="stretch_width")
-        self.left = pn.Column(sizing_mode="stretch_width")
-        self.next = html("")
-        self._drawn_from: object = None  # what the cards were made from
-        self.diagnose = button("Find what is missing", lambda: state.start("diagnose"), "primary")
+        self.history = pn.Column(sizing_mode="stretch_width")
+        self.unexplained = pn.Column(sizing_mode="stretch_width")
+        self.next_experiment = html("")
+        self._shown: object = None  # what the cards were made from
+        self.diagnose = button("Find what is missing", lambda: state.start_job("diagnose"), "primary")
         self.view = pn.Column(
             pn.FlexBox(self.diagnose, gap="10px"),
             self.head,
             self.plots_with_film.linked,
-            self.left,
+            self.unexplained,
             self.cards,
-            self.next,
-            self.falls,
+            self.next_experiment,
+            self.history,
             sizing_mode="stretch_width",
         )
 
@@ -61,49 +61,51 @@ class MissingTab:
         self.diagnose.disabled = model is None
         models = results.models if results else ()
         made = (diagnosis, [(m.name, m.current, m.summary["errors"]) for m in models])
-        new, self._drawn_from = made != self._drawn_from, made
+        new, self._shown = made != self._shown, made
         if new:
-            self.falls.objects = [figure(plots.history(models))] if models else []
+            self.history.objects = [figure(plots.history(models))] if models else []
         if results is None or model is None or diagnosis is None:
-            self.head.object = note("The current model was not diagnosed yet.")
-            self.left.objects, self.cards.objects, self.next.object = [], [], ""
+            self.head.object = note("The current model is not diagnosed yet.")
+            self.unexplained.objects, self.cards.objects, self.next_experiment.object = [], [], ""
             self.plots_with_film.draw(plot_data.PlotData())
             return
         self.head.object = _verdict_html(diagnosis)
-        if new:  # cards stay while they hold: nobody's click meets one that is being replaced
+        if new:  # unchanged cards are not replaced: a click could be lost
             figures = results.figures
             self.cards.objects = [
                 self._card(card, figures.get(card.name, {})) for card in candidate_cards(diagnosis)[:MAX_CARDS]
             ]
-            self.left.objects = self._formula_rows(diagnosis.get("unexplained") or {})
-            self.next.object = _next_experiment_html(diagnosis)
-        self.plots_with_film.draw(plot_data.residual(results, model, self.state.ghost))
+            self.unexplained.objects = self._formula_rows(diagnosis.get("unexplained") or {})
+            self.next_experiment.object = _next_experiment_html(diagnosis)
+        self.plots_with_film.draw(plot_data.residual_plots(results, model, self.state.attempted))
 
     def _formula_rows(self, left: dict[str, Any]) -> list[Any]:
-        """The force that no effect explains, and the formulas that may be taken into the law."""
+        """The force that no effect explains, and formulas that can be added to the model."""
         if not left:
             return []
         parts: list[Any] = [figure(plots.unexplained(left))]
         for formula in left["formulas"][:MAX_FORMULAS]:
             share = f"{100 * formula['share']:.1f} % of the misfit, evidence {format_change(formula['delta_bic'])}"
             also_needed = formula.get("beside", [])
-            after = note(f"beside {', '.join(also_needed)}: add that first") if also_needed else ""
-            take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(also_needed))
+            after = note(f"needs {', '.join(also_needed)}: add it first") if also_needed else ""
+            take = button(
+                "Add it to the model", partial(self._add_formula, formula["toml"]), disabled=bool(also_needed)
+            )
             parts.append(pn.Row(take, html(note(f"{formula['formula']}: {share}") + after)))
         return parts
 
-    def _take(self, toml: str) -> None:
+    def _add_formula(self, toml: str) -> None:
         """Write a formula into the study file and fit with it."""
         effect = tomllib.loads(toml)["effect"][0]
         assert self.state.study is not None
         taken = {table.effect for table in self.state.study.effects}
         names = (f"{effect['effect']}{mark}" for mark in ("", *(f"_{k}" for k in range(2, len(taken) + 3))))
         effect["effect"] = next(name for name in names if name not in taken)
-        if self.state.do("define", effect=effect):
-            self.state.start("add", effect=effect["effect"])
+        if self.state.apply_change("define", effect=effect):
+            self.state.start_job("add", effect=effect["effect"])
 
     def _card(self, card: CandidateCard, curves: dict[str, Any]) -> pn.Column:
-        """A candidate: how sure, what it is, where it shows, how to confirm it."""
+        """Card of a candidate: its rank, what it is, where it shows, how to confirm it."""
         about = {
             "Looks like": card.words["looks_like"],
             "Here": card.words["here"],
@@ -124,15 +126,15 @@ class MissingTab:
         name, kind = card.name, "primary" if card.passes else "default"
         parts.append(
             pn.Row(
-                button(f"Try {name}", lambda: self.state.start("attempt", effect=name)),
-                button(f"Add {name}", lambda: self.state.start("add", effect=name), kind),
+                button(f"Try {name}", lambda: self.state.start_job("attempt", effect=name)),
+                button(f"Add {name}", lambda: self.state.start_job("add", effect=name), kind),
             )
         )
         return pn.Column(*parts, width=400)
 
 
 def _verdict_html(diagnosis: dict[str, Any]) -> str:
-    """The verdict in words, and where the failure repeats."""
+    """The verdict, and with what the misfit repeats, as HTML."""
     message = describe_verdict(diagnosis)
     chi2, p = format_number(diagnosis["reduced_chi2"]), format_number(diagnosis["p_lack_of_fit"], 1)
     fit = f"reduced chi-squared {chi2}, p of the lack of fit {p}"
@@ -142,10 +144,8 @@ def _verdict_html(diagnosis: dict[str, Any]) -> str:
 
 
 def _next_experiment_html(diagnosis: dict[str, Any]) -> str:
-    """The runs that would settle what these cannot, and what no run can."""
-    steps, words = (
-        separating_experiments(diagnosis),
-        "".join(note(mark_code(line)) for line in inseparable(diagnosis)),
-    )
+    """The proposed experiments as HTML."""
+    steps = separating_experiments(diagnosis)
+    words = "".join(note(mark_code(line)) for line in inseparable(diagnosis))
     menu = grid(experiment_table(steps)) if steps else ""
-    return heading("The next experiment") + menu + words if menu or words else ""
+    return heading("Next experiments") + menu + words if menu or words else ""

@@ -1,4 +1,4 @@
-"""The tab "Model": add, remove and bound effects, fit, and watch a search converge."""
+"""Show the tab "Model": add, remove and bound effects, fit, and watch a search converge."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MISFIT = re.compile(r"misfit ([-+.\deE]+)")
 
 
 class ModelTab:
-    """Blocks of the current model, and how it is fitted."""
+    """The tab: effects of the current model, and the settings of the fit."""
 
     title = "3 Model"
 
@@ -34,7 +34,7 @@ class ModelTab:
         self.choice = pn.widgets.Select(label="Effect", options=[], width=220)
         self.words = html("", width=520)
         self.search = pn.widgets.Select(label="Search", options=SEARCHES, width=120)
-        self.over = pn.widgets.Select(label="looks for", options=["all", "nonlinear"], width=120)
+        self.over = pn.widgets.Select(label="Searches for", options=["all", "nonlinear"], width=120)
         self.seed = pn.widgets.IntInput(label="Seed", value=0, width=80)
         self.text = pn.widgets.TextInput(
             label="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
@@ -45,7 +45,7 @@ class ModelTab:
             self.blocks.view,
             pn.FlexBox(
                 self.choice,
-                button("Add it", self._add, "primary"),
+                button("Add effect", self._add, "primary"),
                 self.words,
                 align_items="flex-end",
                 gap="10px",
@@ -63,15 +63,15 @@ class ModelTab:
             sizing_mode="stretch_width",
         )
         self.choice.param.watch(lambda event: self._describe_choice(), "value")
-        state.param.watch(self._converging, "busy")
+        state.param.watch(self._draw_convergence, "progress")
 
     def refresh(self) -> None:
-        """Show the model that is current now."""
+        """Show the current model."""
         model = self.state.model
         known = self._library()
         self.blocks.show(known)
         if model is None:
-            self.head.object = note("No model was fitted yet. Fit the one of the study file, or another one.")
+            self.head.object = note("No model is fitted yet. Fit the model of the study file or another one.")
             self.choice.options = []
             return
         self.head.object = f"<p class=ft-verdict>{mark_equation(model.equation)}</p>" + "".join(
@@ -84,12 +84,12 @@ class ModelTab:
         self._describe_choice()
 
     def _library(self) -> dict[str, dict[str, Any]]:
-        """Every effect that can be chosen, the study's own among them."""
+        """Catalogue entry of each effect by name, with the effects that the study defines."""
         tables = self.state.study.effects if self.state.study else ()
         return {e["name"]: e for e in catalogue(user_effects(tables))}
 
     def _describe_choice(self) -> None:
-        """What the chosen effect is."""
+        """Describe the chosen effect."""
         found = self._library().get(self.choice.value)
         if found:
             seen = f"Looks like {found['looks_like']}." if found["looks_like"] else found["what"]
@@ -97,15 +97,15 @@ class ModelTab:
 
     def _add(self) -> None:
         if self.choice.value:
-            self.state.start("add", effect=self.choice.value)
+            self.state.start_job("add", effect=self.choice.value)
 
     def _fit(self) -> None:
         self.chart.visible = False
         how = {"search": self.search.value, "over": self.over.value, "seed": self.seed.value}
-        self.state.start("fit", model=(self.text.value or "").strip() or None, **how)
+        self.state.start_job("fit", model=(self.text.value or "").strip() or None, **how)
 
-    def _converging(self, event: Any) -> None:
-        """Draw on what the work says of its generations."""
+    def _draw_convergence(self, event: Any) -> None:
+        """Draw the misfit over the generations of the running search."""
         job = self.state.job
         if job is None or event.new.get("do") != "fit":
             return
@@ -114,7 +114,7 @@ class ModelTab:
         if len(found):
             columns = {"generation": found[:, 0], "misfit": found[:, 1]}
             falls = plot(
-                "How the search converges",
+                "Convergence of the search",
                 ("generation", "generation"),
                 "log10 misfit",
                 line("misfit", BLUE),

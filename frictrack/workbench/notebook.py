@@ -22,7 +22,7 @@ from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 
 
 class NotebookPlots(LinkedPlots, anywidget.AnyWidget):
-    """See ``linked.js`` for what goes in and what comes out."""
+    """Linked plots; ``linked.js`` describes the values."""
 
     scene = traitlets.Dict().tag(sync=True)
     data = traitlets.Bytes().tag(sync=True)
@@ -43,18 +43,35 @@ class NotebookPlots(LinkedPlots, anywidget.AnyWidget):
                 setattr(self, name, value)
 
     def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
-        """Call with the new value whenever the user has changed one."""
+        """Call a function with the new value whenever the user changes the value `name`."""
         self.observe(lambda change: call(change["new"]), names=name)
 
 
 def look(study: str | Path, model: str | None = None, behind: str | None = None) -> NotebookPlots:
-    """One model of a study on its measurement, the last one unless it is named, and another one `behind` it.
+    """Show a model of a study on its measurement, in linked plots with the film. Nothing is computed.
 
-    Names are those of `frictrack history`, such as ``1_tustin``. Nothing is computed. Raises `FrictrackError` where
-    the study cannot be read, or has no such model.
+    Parameters
+    ----------
+    study : str or Path
+        The study file.
+    model : str, optional
+        Name of the model as in `frictrack history`, such as ``1_tustin``; the current model by default.
+    behind : str, optional
+        Name of another model, shown in the background.
+
+    Returns
+    -------
+    NotebookPlots
+        The widget.
+
+    Raises
+    ------
+    FrictrackError
+        If the study cannot be read or has no such model.
+
     """
     state = PageState(Path(study))
-    state.look_first()
+    state.load()
     if state.results is None or state.model is None:
         none = f"expected a study with a model but {study} has none; run `frictrack run` on it"
         raise FrictrackError(state.message or none)
@@ -64,7 +81,9 @@ def look(study: str | Path, model: str | None = None, behind: str | None = None)
         raise FrictrackError(f'expected one of {", ".join(models)} but got "{unknown[0]}"')
     films = OpenFilms()
     plots_with_film = PlotsWithFilm(state, films, NotebookPlots())
-    weakref.finalize(plots_with_film.linked, films.close)  # at the end of the kernel, at the latest
-    seen = models[model] if model else state.model
-    plots_with_film.draw(plot_data.compared(state.results, seen, models[behind] if behind else None), state.run)
+    weakref.finalize(plots_with_film.linked, films.close)  # at the latest when the kernel ends
+    shown = models[model] if model else state.model
+    plots_with_film.draw(
+        plot_data.comparison_plots(state.results, shown, models[behind] if behind else None), state.run
+    )
     return plots_with_film.linked

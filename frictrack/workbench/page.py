@@ -1,4 +1,4 @@
-"""The page of one study: a header, six tabs, and a regular check of the files."""
+"""Build the page of one study: a header, six tabs, and a regular check of the files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from frictrack.workbench.page_state import PageState
 from frictrack.workbench.plots_with_film import OpenFilms
 from frictrack.workbench.widgets import button, html, note
 
-POLL_MS = 150  # ms between two looks at the files
+POLL_MS = 150  # between two checks of the files
 
 
 class Page:
@@ -38,34 +38,37 @@ class Page:
             HistoryTab(state),
         ]
         self.head = html("", width=400)
-        self.old = html("", visible=False)
+        self.outdated = html("", visible=False)
         self.message = html(
             "", visible=False, styles={"position": "sticky", "top": "0", "z-index": "10"}
-        )  # seen wherever one scrolls
+        )  # visible at any scroll position
         self.run = pn.widgets.Select(label="Run", options=[], width=180)
-        self.bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
-        self.doing = html("", width=520)
+        self.progress_bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
+        self.job_text = html("", width=520)
         self.cancel = button("Cancel", state.cancel, "warning", visible=False)
-        self.undo, self.redo = button("Undo", lambda: state.do("undo")), button("Redo", lambda: state.do("redo"))
-        self.whole = button("Run everything", lambda: state.start("run"), "success")
+        self.undo, self.redo = (
+            button("Undo", lambda: state.apply_change("undo")),
+            button("Redo", lambda: state.apply_change("redo")),
+        )
+        self.run_all = button("Run everything", lambda: state.start_job("run"), "success")
         self.tab_bar = pn.Tabs(*((tab.title, tab.view) for tab in self.tabs), dynamic=True, sizing_mode="stretch_width")
         self.run.link(state, value="run")
-        self._shown: dict[object, object] = {}  # what the head and each tab were last made from
-        self._busy = False
+        self._shown: dict[object, object] = {}  # state from which the head and each tab were last drawn
+        self._is_polling = False
         state.param.watch(self._show_message, ["message", "is_error"])
-        state.param.watch(self._show_progress, "busy")
+        state.param.watch(self._show_progress, "progress")
         self.view = pn.Column(
             pn.FlexBox(
                 self.head,
                 self.run,
-                self.whole,
+                self.run_all,
                 self.undo,
                 self.redo,
                 align_items="flex-end",
                 gap="10px",
             ),
-            pn.Row(self.bar, self.doing, self.cancel),
-            self.old,
+            pn.Row(self.progress_bar, self.job_text, self.cancel),
+            self.outdated,
             self.message,
             self.tab_bar,
             sizing_mode="stretch_width",
@@ -73,40 +76,40 @@ class Page:
         )
 
     def serve(self) -> pn.Column:
-        """The page as the files are now; once it is drawn it looks at them again and again."""
-        self.state.look_first()
+        """Build the page from the files, and check the files regularly once it is shown."""
+        self.state.load()
         self._show()
         pn.state.onload(lambda: pn.state.add_periodic_callback(self._poll, POLL_MS))  # type: ignore[arg-type,return-value]
         pn.state.on_session_destroyed(lambda context: self.films.close())
         return self.view
 
     async def _poll(self) -> None:
-        """Look at the files, unless the last look still goes on."""
-        if self._busy:
+        """Check the files, unless the last check is still running."""
+        if self._is_polling:
             return
-        self._busy = True
+        self._is_polling = True
         try:
-            await self.state.look()
+            await self.state.update()
             self._show()
         finally:
-            self._busy = False
+            self._is_polling = False
 
     def _show(self) -> None:
-        """Bring up to date what is above, and the tab that is looked at."""
-        now, active = (self.state.seen, self.state.run, id(self.state.ghost)), self.tab_bar.active
+        """Redraw the head and the active tab if their state has changed."""
+        now, active = (self.state.version, self.state.run, id(self.state.attempted)), self.tab_bar.active
         for part, refresh in ((self.head, self._show_head), (self.tabs[active], self.tabs[active].refresh)):
             if self._shown.get(part) != now:
                 refresh()
                 self._shown[part] = now
 
     def _show_head(self) -> None:
-        """The study in one line: model, error, verdict."""
+        """Show the study, its model, its error and its verdict."""
         state, model = self.state, self.state.model
         self.run.options = list(state.runs)
         if state.run:
             self.run.value = state.run
-        self.undo.disabled, self.redo.disabled = not state.can("undo"), not state.can("redo")
-        self.whole.disabled = state.study is None
+        self.undo.disabled, self.redo.disabled = not state.can_apply("undo"), not state.can_apply("redo")
+        self.run_all.disabled = state.study is None
         name = state.study.name if state.study else f"a new study in {state.path.parent.resolve().name}"
         words = ""
         if model is not None:
@@ -114,9 +117,11 @@ class Page:
             verdict = (state.diagnosis or {}).get("verdict", "not diagnosed")
             words = f"{plots.plain_name(model.name)}: reduced chi-squared {format_number(chi2)}, {verdict}"
         self.head.object = f"<b>{escape(name)}</b><br>{escape(words)}"
-        old = state.results.outdated if state.results else ()
-        self.old.visible = bool(old)
-        self.old.object = note(f"Changed since these results were made: {'; '.join(old)}. Run everything again.")
+        outdated = state.results.outdated if state.results else ()
+        self.outdated.visible = bool(outdated)
+        self.outdated.object = note(
+            f"Changed since these results were made: {'; '.join(outdated)}. Run everything again."
+        )
 
     def _show_message(self, *events: Any) -> None:
         kind = " wrong" if self.state.is_error else ""
@@ -124,11 +129,11 @@ class Page:
         self.message.object = f"<div class='ft-said{kind}' role=status>{escape(self.state.message)}</div>"
 
     def _show_progress(self, event: Any) -> None:
-        """What is being done, and how far it is."""
-        busy = event.new
-        self.bar.visible = self.cancel.visible = bool(busy)
-        if not busy:
-            self.doing.object = ""
+        """Show the running job and its progress."""
+        progress = event.new
+        self.progress_bar.visible = self.cancel.visible = bool(progress)
+        if not progress:
+            self.job_text.object = ""
             return
-        self.bar.value = round(100 * busy["done"] / busy["total"]) if busy["total"] else -1
-        self.doing.object = f"{escape(busy['do'])}: {escape(busy['what'])}"
+        self.progress_bar.value = round(100 * progress["done"] / progress["total"]) if progress["total"] else -1
+        self.job_text.object = f"{escape(progress['do'])}: {escape(progress['what'])}"

@@ -1,6 +1,6 @@
-"""The state of the page: the study as its files say, the running job, and the last message to the user.
+"""Hold the state of the page: the study as its files are, the running job, and the last message to the user.
 
-The page keeps no state of its own but what is looked at. A change by the command line or another tab shows by itself.
+The page keeps nothing else, so it also shows changes made by the command line or by another tab.
 """
 
 from __future__ import annotations
@@ -20,97 +20,97 @@ from frictrack.study import RunTable, Study, find_recordings, read_key
 from frictrack.workbench import jobs
 from frictrack.workbench.jobs import Job
 
-WHO = "page"
+AUTHOR = "page"  # of changes, in the history of the study
 
 
 class PageState(param.Parameterized):
-    """One browser tab's view of a study; `seen` counts up whenever something else is to be shown."""
+    """The view of one browser tab on a study; `version` increases whenever the page must be redrawn."""
 
-    seen = param.Integer(default=0, doc="counts up when the study's files have changed")
-    message = param.String(default="", doc="the last word to the user: what was done, or why not")
-    is_error = param.Boolean(default=False, doc="whether that is a fault")
-    busy = param.Dict(default={}, doc="the work that goes on: do, done, total, what; empty when there is none")
-    run = param.String(default="", doc="the run that is looked at")
-    ghost = param.Parameter(default=None, doc="a model that was attempted, shown behind the current one")
+    version = param.Integer(default=0, doc="increases when the files of the study have changed")
+    message = param.String(default="", doc="last message: what was done, or why not")
+    is_error = param.Boolean(default=False, doc="whether the message is an error")
+    progress = param.Dict(default={}, doc="of the running job: do, done, total, what; empty if there is none")
+    run = param.String(default="", doc="name of the selected run")
+    attempted = param.Parameter(default=None, doc="model that was tried, shown in the background")
 
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.path = path
         self.study: Study | None = None
         self.results: Results | None = None
-        self.ledger: CommandHistory | None = None
-        self.rev = 0
+        self.history: CommandHistory | None = None
+        self.revision = 0
         self.job: Job | None = None
-        self._print: object = None
-        self._ended: set[str] = set()
+        self._last_fingerprint: object = None
+        self._finished_jobs: set[str] = set()
 
-    # --- what is there
+    # --- reading
 
-    async def look(self) -> None:
-        """Read again what has changed in the files, and how far the work has come."""
-        self._watch()
+    async def update(self) -> None:
+        """Read changed files and the progress of the running job."""
+        self._follow_job()
         if self._files_changed():
-            self._take(await asyncio.to_thread(_read, self.path))
+            self._store(await asyncio.to_thread(_read, self.path))
 
-    def look_first(self) -> None:
-        """Read the files before there is a page to wait for them."""
+    def load(self) -> None:
+        """Read all files, before the page is shown."""
         self._files_changed()
-        self._take(_read(self.path))
+        self._store(_read(self.path))
 
     def _files_changed(self) -> bool:
-        before, self._print = self._print, self._fingerprint()
-        return self._print != before
+        before, self._last_fingerprint = self._last_fingerprint, self._fingerprint()
+        return self._last_fingerprint != before
 
-    def _take(self, found: tuple[Study | None, Results | None] | FrictrackError) -> None:
+    def _store(self, found: tuple[Study | None, Results | None] | FrictrackError) -> None:
         if isinstance(found, FrictrackError):
             self.notify(str(found), is_error=True)
             return
         self.study, self.results = found
         if self.study is not None:
-            self.ledger = CommandHistory(self.study.output, WHO)
-            self.rev = self.ledger.revision
-            self._ended = {job.folder.name for job in jobs.list_jobs(self.study) if job.state != jobs.RUNNING}
+            self.history = CommandHistory(self.study.output, AUTHOR)
+            self.revision = self.history.revision
+            self._finished_jobs = {job.folder.name for job in jobs.list_jobs(self.study) if job.state != jobs.RUNNING}
             names = [run.name for run in self.study.runs]
             if self.run not in names:
                 self.run = names[0] if names else ""
-        self.seen += 1
+        self.version += 1
 
     def _fingerprint(self) -> object:
-        """Times of all files from which the page is made."""
+        """Names, times and sizes of the files from which the page is made."""
         folder = self.study.output if self.study else self.path.parent
         files = [self.path, *sorted(folder.glob("*.h5")), folder / "log.jsonl"]
         return [(str(f), s.st_mtime_ns, s.st_size) for f in files if f.exists() for s in (f.stat(),)]
 
     @property
     def model(self) -> ModelResults | None:
-        """The current model, when one was fitted."""
+        """The current model, if one is fitted."""
         return self.results.current if self.results else None
 
     @property
     def diagnosis(self) -> dict[str, Any] | None:
-        """What the diagnosis of the current model says."""
+        """The diagnosis of the current model, if there is one."""
         return self.results.diagnosis if self.results else None
 
     @property
     def runs(self) -> dict[str, RunTable]:
-        """Runs of the study file."""
+        """Runs of the study file by name."""
         return {run.name: run for run in self.study.runs} if self.study else {}
 
-    def written(self, table: str, key: str, which: str | None = None) -> Any:
-        """What the study file itself says under a key, None where it says nothing."""
+    def file_value(self, table: str, key: str, which: str | None = None) -> Any:
+        """Value of a key in the study file; None if it is not there."""
         try:
             return read_key(self.path.read_text(encoding="utf-8"), table, key, which)
-        except (OSError, FrictrackError):  # while somebody rewrites it by hand
+        except (OSError, FrictrackError):  # while it is being edited by hand
             return None
 
     @property
-    def measured(self) -> RunResults | None:
-        """What was measured of the run that is looked at."""
+    def run_results(self) -> RunResults | None:
+        """Results of the selected run, if there are any."""
         return next((r for r in (self.results.runs if self.results else ()) if r.name == self.run), None)
 
     @property
-    def recordings(self) -> list[str]:
-        """Recordings beside the study file that are not in the study yet."""
+    def new_recordings(self) -> list[str]:
+        """File names of recordings in the folder of the study that are not in the study."""
         try:
             found = find_recordings(self.path.parent)
         except FrictrackError:
@@ -118,19 +118,19 @@ class PageState(param.Parameterized):
         used = {run.source.resolve() for run in self.runs.values() if isinstance(run.source, Path)}
         return [p.name for p in found if p.resolve() not in used]
 
-    def can(self, do: str) -> bool:
-        """Whether there is something to undo or to redo."""
-        done, undone = self.ledger.undo_stacks() if self.ledger else ([], [])
+    def can_apply(self, do: str) -> bool:
+        """Whether there is a change to "undo" or to "redo"."""
+        done, undone = self.history.undo_stacks() if self.history else ([], [])
         return bool(done if do == "undo" else undone)
 
-    # --- what is done
+    # --- changing
 
     def notify(self, words: str, *, is_error: bool = False) -> None:
-        """Say something to the user."""
+        """Show a message to the user."""
         self.param.update(message=words, is_error=is_error)
 
-    def begin(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
-        """Write the study file of some recordings; whether that went well."""
+    def create_study(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
+        """Write a new study file for some recordings; return whether it was written."""
         try:
             known = {key: value for key, value in keys.items() if value}
             start_study(self.path, [self.path.parent / name for name in recordings], known)
@@ -139,51 +139,51 @@ class PageState(param.Parameterized):
             return False
         found = Findings(open_study(self.path))
         found.check_study_file()
-        self._notify_done(f"{self.path.name} is written; now run everything", found.messages)
+        self._notify_done(f"{self.path.name} is written; press Run everything", found.messages)
         return True
 
     def _notify_done(self, words: str, warnings: Sequence[str]) -> None:
-        """Say that something is done, and what is implausible in the study."""
+        """Show that something is done, and what is implausible in the study."""
         self.notify("; ".join([words, *(f"to be checked: {warning}" for warning in warnings)]), is_error=bool(warnings))
 
-    def do(self, do: str, **arguments: Any) -> bool:
-        """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
+    def apply_change(self, do: str, **arguments: Any) -> bool:
+        """Apply a quick change to the study and return whether it was made; refused if the study has changed since."""
         assert self.study is not None
         try:
-            Session(open_study(self.path, allow_no_runs=True), author=WHO, expected_revision=self.rev).apply(
+            Session(open_study(self.path, allow_no_runs=True), author=AUTHOR, expected_revision=self.revision).apply(
                 do, **arguments
             )
         except FrictrackError as e:
             self.notify(str(e), is_error=True)
             return False
-        self.rev = CommandHistory(self.study.output).revision
+        self.revision = CommandHistory(self.study.output).revision
         self.notify(
             " ".join((f"{do}: done", *(str(arguments[k]) for k in ("which", "key") if arguments.get(k) is not None)))
         )
         return True
 
-    def start(self, do: str, **arguments: Any) -> None:
-        """Long work, in a process of its own."""
+    def start_job(self, do: str, **arguments: Any) -> None:
+        """Start a long command in its own process."""
         if self.study is None:
             return
         try:
-            job = jobs.start(self.study, do, seen=self.rev, who=WHO, **arguments)
+            job = jobs.start(self.study, do, seen=self.revision, who=AUTHOR, **arguments)
         except FrictrackError as e:
             self.notify(str(e), is_error=True)
             return
         self.job = job
-        self.busy = {"do": do, "done": 0, "total": 0, "what": "starts"}
+        self.progress = {"do": do, "done": 0, "total": 0, "what": "starts"}
         self.notify("")
 
     def cancel(self) -> None:
-        """End the work that goes on."""
+        """Cancel the running job."""
         if self.job is not None:
             self.job.cancel()
 
-    def _watch(self) -> None:
-        """The work that goes on, also that of another tab or of a server that is gone."""
+    def _follow_job(self) -> None:
+        """Read the progress of the running job, also of one that another tab or an earlier server started."""
         if self.job is None and self.study is not None:
-            going = (j for j in jobs.list_jobs(self.study) if j.folder.name not in self._ended)
+            going = (j for j in jobs.list_jobs(self.study) if j.folder.name not in self._finished_jobs)
             self.job = next((j for j in going if j.state == jobs.RUNNING), None)
         if self.job is None:
             return
@@ -191,11 +191,11 @@ class PageState(param.Parameterized):
         if state == jobs.RUNNING:
             lines = self.job.progress
             now = {"do": spec["do"], "done": 0, "total": 0, "what": "starts"} | (lines[-1] if lines else {})
-            if now != self.busy:
-                self.busy = now
+            if now != self.progress:
+                self.progress = now
             return
-        self._ended.add(self.job.folder.name)
-        ended, self.job, self.busy = self.job, None, {}
+        self._finished_jobs.add(self.job.folder.name)
+        ended, self.job, self.progress = self.job, None, {}
         words = " ".join((spec["do"], *(str(v) for v in spec["told"].values() if v is not None)))
         if state == jobs.DONE:
             made = ended.result["done"]
@@ -204,21 +204,21 @@ class PageState(param.Parameterized):
             if spec["do"] == "attempt":
                 self._show_attempt(ended)
             elif spec["do"] in ("add", "remove", "fit"):
-                self.ghost = None
+                self.attempted = None
         elif state == jobs.FAILED:
             self.notify(f"{words}: {ended.result['error']}", is_error=True)
         else:
-            self.notify(f"{words}: {state}; what was finished stays, start it again to go on", is_error=True)
+            self.notify(f"{words}: {state}; finished steps are kept, start it again to continue", is_error=True)
 
     def _show_attempt(self, job: Job) -> None:
         from frictrack.flow import read_attempt  # noqa: PLC0415
 
         effect = job.spec["told"]["effect"]
-        self.ghost = replace(read_attempt(job.folder / "attempt.h5"), name=f"0_with {effect}")
+        self.attempted = replace(read_attempt(job.folder / "attempt.h5"), name=f"0_with {effect}")
 
 
 def _read(path: Path) -> tuple[Study | None, Results | None] | FrictrackError:
-    """The study and its results, none where there is no study file yet; or what is wrong with them."""
+    """Read the study and its results (None without a study file); return the error if they cannot be read."""
     if not path.exists():
         return None, None
     try:

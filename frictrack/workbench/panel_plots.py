@@ -1,4 +1,4 @@
-"""The linked plots as a Panel component."""
+"""Show the linked plots as a Panel component."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from frictrack.workbench.linked_plots import MODULE, LinkedPlots
 
 
 class PanelPlots(LinkedPlots, AnyWidgetComponent):
-    """See ``linked.js`` for what goes in and what comes out."""
+    """Linked plots; ``linked.js`` describes the values."""
 
     scene = param.Dict(default={})
     data = param.Bytes(default=b"")
@@ -32,5 +32,5 @@ class PanelPlots(LinkedPlots, AnyWidgetComponent):
         self.param.update(**values)
 
     def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
-        """Call with the new value whenever the user has changed one."""
+        """Call a function with the new value whenever the user changes the value `name`."""
         self.param.watch(lambda event: call(event.new), name)

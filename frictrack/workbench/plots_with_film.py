@@ -1,4 +1,4 @@
-"""Show linked plots with the film next to them, and the frame that is selected in a plot."""
+"""Show linked plots next to the film; the film shows the frame that is selected in a plot."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from frictrack.study import RunTable
 from frictrack.workbench.frame_images import FrameImages
 from frictrack.workbench.linked_plots import LinkedPlots
 from frictrack.workbench.page_state import PageState
-from frictrack.workbench.plot_data import TRACKS, PlotData, on_film, tracks
+from frictrack.workbench.plot_data import TRACK_COLOURS, PlotData, all_tracks, position_column
 
 
 class OpenFilms:
-    """The films of a study, opened when they are first looked at."""
+    """The films of a study, each opened when it is first shown."""
 
     def __init__(self) -> None:
         self._open: dict[str, FrameImages] = {}
 
     def frames(self, path: Any, fps: float | None) -> FrameImages:
-        """The pictures of a recording."""
+        """Pictures of a recording; it is opened at the first call."""
         key = f"{path} {fps}"
         if key not in self._open:
             self._open[key] = FrameImages(path, fps)
         return self._open[key]
 
     def close(self) -> None:
-        """Let go of all recordings."""
+        """Close all recordings."""
         for frames in self._open.values():
             frames.close()
         self._open.clear()
@@ -40,23 +40,23 @@ Plots = TypeVar("Plots", bound=LinkedPlots)
 
 
 class PlotsWithFilm(Generic[Plots]):
-    """Linked plots with the film beside them: it shows the frame that is chosen in a plot, or asked for below it."""
+    """Linked plots and the film, which shows the frame selected in a plot or by its slider."""
 
     def __init__(self, state: PageState, films: OpenFilms, linked: Plots) -> None:
         self.state, self.films, self.linked = state, films, linked
         self.scene = PlotData()
-        linked.on_change("selection", self._selected)
-        linked.on_change("want", self._wanted)
+        linked.on_change("selection", self._on_selection)
+        linked.on_change("want", self._on_frame_wanted)
 
     def draw(self, scene: PlotData, run: str = "") -> None:
-        """Draw other data, and the first frame of a run; without data and run no film is shown."""
+        """Draw new data and the first frame of a run; without data and run no film is shown."""
         self.scene = scene
         self.linked.draw(scene)
         if run or not scene.rows:
             self.show(run, 0)
 
     def show(self, run: str, number: int) -> None:
-        """A frame of a run's film; nothing where the run has none."""
+        """Show a frame of a run's film; hide the film if the run has none."""
         table = self.state.runs.get(run)
         if table is None or table.video is None:
             self.linked.film = {}
@@ -68,13 +68,13 @@ class PlotsWithFilm(Generic[Plots]):
             self.linked.film = {}
             self.state.notify(str(e), is_error=True)
             return
-        film = {**frames.info, "label": run, **self._over(table)}
+        film = {**frames.info, "label": run, **self._overlay(table)}
         if film != self.linked.film:
             self.linked.film = film
         self.linked.show_frame(show_frame)
 
-    def _over(self, run: RunTable) -> dict[str, Any]:
-        """What lies over the picture: tracks, and what the study file says of target, reference and ruler."""
+    def _overlay(self, run: RunTable) -> dict[str, Any]:
+        """What is drawn over the picture: tracks; target, reference and ruler of the study file."""
         results = self.state.results.runs if self.state.results else ()
         measured = next((r for r in results if r.name == run.name), None)
         rows = next((r for r in self.scene.runs if r["name"] == run.name), {"first": 0, "frame": 0})
@@ -84,16 +84,16 @@ class PlotsWithFilm(Generic[Plots]):
         where = {key: rows[key] for key in ("first", "frame")}
         return {**where, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
 
-    def _selected(self, chosen: dict[str, Any]) -> None:
+    def _on_selection(self, chosen: dict[str, Any]) -> None:
         if chosen.get("middle") is not None:
-            self.show(*self.scene.place(int(chosen["middle"])))
+            self.show(*self.scene.frame_of_row(int(chosen["middle"])))
 
-    def _wanted(self, asked: dict[str, Any]) -> None:
+    def _on_frame_wanted(self, asked: dict[str, Any]) -> None:
         self.show(self.linked.film["label"], int(asked["frame"]))
 
 
 def _in_box(shape: Sequence[Any]) -> list[Any]:
-    """A shape as the page draws it: an outline by the rectangle round it."""
+    """Convert a shape to what the page draws; an outline becomes its bounding box."""
     if len(shape) < 3 or isinstance(shape[0], int | float):
         return [*shape]
     low, high = np.min(shape, axis=0), np.max(shape, axis=0)
@@ -101,10 +101,10 @@ def _in_box(shape: Sequence[Any]) -> list[Any]:
 
 
 def _tracks(run: RunResults, scene: PlotData) -> list[dict[str, Any]]:
-    """Boxes of the target and of what was tracked beside it, where the scene has their places."""
+    """Boxes of all tracked targets whose positions are in the scene."""
     out = []
-    for colour, (name, track) in zip(TRACKS, tracks(run).items(), strict=False):
-        x, y = (on_film(name, axis, run) for axis in "xy")
+    for colour, (name, track) in zip(TRACK_COLOURS, all_tracks(run).items(), strict=False):
+        x, y = (position_column(name, axis, run) for axis in "xy")
         if x not in scene.columns or track.target is None:
             continue
         out.append({"name": name, "x": x, "y": y, "w": track.target[2], "h": track.target[3], "colour": colour})

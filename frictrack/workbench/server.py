@@ -1,4 +1,4 @@
-"""Serve the page to its own user only: the address carries a token."""
+"""Serve the page to its own user only: its address contains a token."""
 
 from __future__ import annotations
 
@@ -24,19 +24,37 @@ def serve(
     names: Sequence[str] = (),
     show: bool = True,
 ) -> None:
-    """Serve the workbench of a study file (which may not be there yet) until interrupted.
+    """Serve the workbench of a study until interrupted.
 
-    It asks for a token, a new one when none is given, and for one of its own `names` as the host. Raises
-    `FrictrackError` where the port is taken, or the folder of the study is not there.
+    Parameters
+    ----------
+    path : Path
+        Study file, which need not exist yet, or its folder.
+    host : str
+        Address on which to serve.
+    port : int
+        Port.
+    token : str, optional
+        Token in the address of the page; a new one by default.
+    names : sequence of str
+        Further host names that are accepted.
+    show : bool
+        Whether to open a browser.
+
+    Raises
+    ------
+    FrictrackError
+        If the port is in use, or if the folder of the study does not exist.
+
     """
     path = path / "study.toml" if path.is_dir() else path
     if not path.parent.is_dir():
-        raise FrictrackError(f"expected a folder {path.parent} but there is none", usage=True)
+        raise FrictrackError(f"expected the folder {path.parent} but it does not exist", usage=True)
     path = path.resolve()
     guard = RequestGuard(token or secrets.token_urlsafe(24), host, clean_names(names))
     server = _server(path, guard, port)
     address = address_of(host, server.port or port, quote(guard.token, safe=""))
-    sys.stderr.write(f"frictrack workbench of {path}\n  {address}\n  Ctrl-C ends it; work that goes on is not lost\n")
+    sys.stderr.write(f"frictrack workbench of {path}\n  {address}\n  press Ctrl-C to stop; running jobs continue\n")
     if show:
         server.io_loop.add_callback(_browse, address)
     try:
@@ -47,13 +65,13 @@ def serve(
 
 
 def _server(path: Path, guard: RequestGuard, port: int) -> pn.io.server.Server:
-    """The server of a page, guarded, not yet started."""
+    """Create the server of a page with its guard; it is not started."""
     pn.extension(inline=True, notifications=False)
     try:
         server = pn.serve(
             {"/": lambda: Page(path).serve()},
             title="frictrack",
-            location=False,  # Panel cannot read an address of IPv6, and the page does not use its own
+            location=False,  # Panel cannot parse IPv6 addresses, and the page does not need its address
             address=guard.host,
             port=port,
             websocket_origin=["*"],  # the guard compares the origin with the host
@@ -61,7 +79,7 @@ def _server(path: Path, guard: RequestGuard, port: int) -> pn.io.server.Server:
             start=False,
         )
     except OSError as e:
-        raise FrictrackError(f"cannot serve on {guard.host}:{port}: {e.strerror}; give another --port") from e
+        raise FrictrackError(f"cannot serve on {guard.host}:{port}: {e.strerror}; choose another --port") from e
     protect(server._tornado, guard)
     return server
 

@@ -1,4 +1,4 @@
-"""HTML tables, figures and buttons that all tabs share."""
+"""Create HTML tables, figures and buttons for all tabs."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ svg { max-width: 100%; height: auto; }
 
 
 def html(text: str, **more: Any) -> pn.pane.HTML:
-    """Ready HTML; what comes from files must be escaped."""
+    """Create a pane of HTML; text from files must be escaped before."""
     wide = {} if "width" in more else {"sizing_mode": "stretch_width"}
     return pn.pane.HTML(text, stylesheets=[CSS], **wide, **more)
 
 
 def grid(table: TextTable) -> str:
-    """A table of the report."""
+    """Convert a table to HTML."""
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.heads)
     kinds = [" class=n" if i in table.numeric else "" for i in range(len(table.heads))]
     rows = ("".join(f"<td{k}>{escape(c)}</td>" for k, c in zip(kinds, row, strict=True)) for row in table.rows)
@@ -43,22 +43,22 @@ def grid(table: TextTable) -> str:
 
 
 def heading(text: str) -> str:
-    """A small heading."""
+    """Convert a text to a small heading in HTML."""
     return f"<h2 class=ft-h>{escape(text)}</h2>"
 
 
 def note(text: str) -> str:
-    """A remark."""
+    """Convert a text to a remark in HTML."""
     return f"<p class=ft-note>{escape(text)}</p>"
 
 
 def figure(made: Figure) -> pn.pane.HTML:
-    """A figure as vectors."""
+    """Show a figure as SVG."""
     return html(plots.svg(made))
 
 
 def button(name: str, click: Callable[[], Any], kind: str = "default", **more: Any) -> pn.widgets.Button:
-    """A button that calls something without arguments."""
+    """Create a button that calls a function without arguments."""
     made = pn.widgets.Button(label=name, color=kind, **more)
     made.on_click(lambda event: click())
     return made
