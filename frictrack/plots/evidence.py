@@ -134,7 +134,19 @@ def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozense
 
 
 def has_scan(curves: Mapping[str, Array]) -> str | None:
-    """Name of the scanned setting with the most values, over which `scan` draws; None if there is nothing to draw."""
+    """Select the setting over which `scan` draws.
+
+    Parameters
+    ----------
+    curves : mapping
+        Settings of a candidate and the fall of chi-squared, `rise`, all (n,).
+
+    Returns
+    -------
+    str or None
+        Name of the scanned setting with the most values; None if there is nothing to draw.
+
+    """
     if "rise" not in curves:
         return None
     settings = [name for name in curves if name not in RESULT_CURVES and len(np.unique(curves[name])) > 4]
@@ -280,7 +292,21 @@ def _wrapped(name: str) -> str:
 
 
 def has_limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
-    """Names of the effects whose detection limit was computed over a setting, so that `limits` can draw it."""
+    """Select the effects whose detection limit can be drawn over a setting.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        A diagnosis with its `detection_limits`.
+    figures : mapping
+        Curves of the stored diagnosis by effect.
+
+    Returns
+    -------
+    list of str
+        Names of the effects.
+
+    """
     return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) > 4]
 
 

@@ -135,7 +135,16 @@ def failing(
 
 @styled
 def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figure:
-    """Draw the friction force of one run: measured, fitted in the displacement domain, and by the papers' route."""
+    """Draw the friction force of one run: measured, fitted in the displacement domain, and by the papers' route.
+
+    Parameters
+    ----------
+    default, papers : ModelResults
+        The same model, fitted in both ways.
+    run : RunResults
+        A run that both have fitted.
+
+    """
     figure = new_figure(3.4, f"{run.name}: measured force and both fits")
     ax = figure.subplots()
     _draw_measured_force(ax, run)
@@ -181,7 +190,14 @@ def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Seque
 
 
 def noise_um(model: ModelResults) -> float | None:
-    """Standard deviation of the noise of all fitted runs, um; None if no displacement was fitted."""
+    """Standard deviation of the noise of all fitted runs, rms.
+
+    Returns
+    -------
+    float or None
+        um; None if no displacement was fitted.
+
+    """
     if model.diagnosis and model.diagnosis.get("noise_um"):
         return float(model.diagnosis["noise_um"])
     levels = [row.get("noise_um") for row in model.summary["per_run"] if row["role"] == "fit"]
@@ -190,7 +206,21 @@ def noise_um(model: ModelResults) -> float | None:
 
 
 def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
-    """Names of the fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise."""
+    """Select the runs to draw.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    runs : sequence of RunResults
+        All runs of the study.
+
+    Returns
+    -------
+    list of str
+        Names of the fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise.
+
+    """
     names = list(dict.fromkeys(curve.run for curve in model.curves))
     if len(names) <= MAX_PANELS:
         return names
@@ -209,7 +239,21 @@ def residual_unit(model: ModelResults) -> str:
 
 
 def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
-    """Residuals of one run, one per segment of the fit; none if the run was not fitted."""
+    """Compute the residuals of one run.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    run : RunResults
+        A run of the study.
+
+    Returns
+    -------
+    list of Residual
+        One per segment of the fit; none if the run was not fitted.
+
+    """
     curves = [c for c in model.curves if c.run == run.name]
     if residual_unit(model) == "µm":
         return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x) for c in curves]

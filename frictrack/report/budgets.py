@@ -15,7 +15,14 @@ HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one 
 
 
 def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
-    """Describe each run's error of the force, its largest source, and what would halve it."""
+    """Describe each run's error of the force, its largest source, and what would halve it.
+
+    Returns
+    -------
+    list of Markup
+        One sentence per run that has an error budget.
+
+    """
     return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
 
 

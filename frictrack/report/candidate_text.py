@@ -35,7 +35,21 @@ def lower_first(sentence: str) -> str:
 
 
 def find_candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:
-    """Find the candidate of a diagnosis by its name; None if it is not there."""
+    """Find a candidate of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        The JSON of a diagnosis.
+    effect : str
+        Name of the effect.
+
+    Returns
+    -------
+    mapping or None
+        The candidate; None if it is not there.
+
+    """
     return next((c for c in (diagnosis or {}).get("candidates", []) if c["effect"] == effect), None)
 
 
@@ -47,7 +61,14 @@ def evidence_text(candidate: Mapping[str, Any]) -> Markup:
 
 
 def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
-    """Select the held-out error and its unit: um of displacement, or N if forces were measured."""
+    """Select the held-out error of a fit and its unit.
+
+    Examples
+    --------
+    >>> held_out_error({"heldout_rms_um": None, "heldout_rms_N": 0.02})
+    (0.02, 'N')
+
+    """
     if errors.get("heldout_rms_um") is not None:
         return errors["heldout_rms_um"], "µm"
     return errors.get("heldout_rms_N"), "N"

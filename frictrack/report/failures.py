@@ -80,7 +80,7 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
 
 
 def _lack_of_fit(diagnosis: Mapping[str, Any]) -> str:
-    """The lack of fit in one sentence."""
+    """Describe the lack of fit in one sentence; "" if it is not known."""
     chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
     if chi2 is None or p is None:
         return ""

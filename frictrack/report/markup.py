@@ -17,6 +17,11 @@ POWER = re.compile(r"\^([A-Za-z0-9]+)")
 def mark_equation(text: str) -> Markup:
     """Set the subscripts, powers and Greek letters of an equation in plain text as HTML.
 
+    Parameters
+    ----------
+    text : str
+        Plain text; it is escaped.
+
     Examples
     --------
     >>> str(mark_equation("F_c + k v^2"))
@@ -31,6 +36,11 @@ def mark_equation(text: str) -> Markup:
 
 def mark_code(text: str) -> Markup:
     """Set the text between backticks as code.
+
+    Parameters
+    ----------
+    text : str
+        Plain text; it is escaped.
 
     Examples
     --------

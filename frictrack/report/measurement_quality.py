@@ -92,7 +92,19 @@ def _px(value: float | None) -> str:
 
 
 def smoothing(results: Results) -> list[Markup]:
-    """Describe how each displacement was smoothed, signals above the cut-off, and the noise at rest."""
+    """Describe how each displacement was smoothed, signals above the cut-off, and the noise at rest.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+
+    Returns
+    -------
+    list of Markup
+        Sentences.
+
+    """
     sentences = [Markup("{}: {}.").format(run.name, run.filtered.reason) for run in results.runs]
     for run in results.runs:
         warnings = run.cutoff.warnings if run.cutoff else ()

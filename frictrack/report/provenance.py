@@ -19,7 +19,14 @@ KEYS_WITH_COLUMN = ("name", "video", "table", "mass", "fps", "scale", "role", "x
 
 
 def settings_table(results: Results) -> TextTable:
-    """Table of the settings of each run."""
+    """Table of the settings of each run.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+
+    """
     rows = []
     for run in results.runs:
         s = run.settings
@@ -58,7 +65,14 @@ def _scale(written: Any) -> str:
 
 
 def findings_table(results: Results) -> TextTable:
-    """Table of the findings and automatic decisions, run by run."""
+    """Table of the findings and automatic decisions, run by run.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+
+    """
     rows: list[Sequence[Cell]] = []
     for run in results.runs:
         rows.append((run.name, f"low-pass: {run.filtered.reason}"))
@@ -71,7 +85,16 @@ def findings_table(results: Results) -> TextTable:
 
 
 def hash_table(results: Results) -> TextTable:
-    """Table of the first digits of the hash of each film and stage."""
+    """Table of the first digits of the hash of each film and stage.
+
+    The full hash is shown when the pointer rests on a cell.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+
+    """
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
     rows = [
         (
@@ -89,7 +112,14 @@ def _hash(full: str) -> Cell:
 
 
 def software_versions(results: Results) -> str:
-    """List the versions of frictrack, Python and the main libraries."""
+    """List the versions of frictrack, Python and the main libraries.
+
+    Parameters
+    ----------
+    results : Results
+        The study; its version of frictrack is listed.
+
+    """
     found = [f"frictrack {results.version}", f"Python {python_version()}"]
     for name in LIBRARIES:
         try:

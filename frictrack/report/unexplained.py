@@ -18,7 +18,23 @@ Embed = Callable[[Figure], Markup]
 def correlated_signals(
     diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]], draw: Embed
 ) -> list[dict[str, Any]]:
-    """Describe the measured signals that correlate with the residual; with a figure where the curve is stored."""
+    """Describe the measured signals that correlate with the residual.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis; its `evidence` lists the signals.
+    figures : mapping
+        Stored curves of the diagnosis.
+    draw : callable
+        Converts a figure to SVG.
+
+    Returns
+    -------
+    list of dict
+        `words` and `picture` of each signal; the picture is None if its curve is not stored.
+
+    """
     out = []
     for k, one in enumerate(diagnosis.get("evidence") or []):
         curve = figures.get(f"evidence_{k}")

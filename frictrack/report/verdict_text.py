@@ -54,7 +54,19 @@ class VerdictText:
 
 
 def study_verdict(results: Results) -> VerdictText:
-    """Describe what a study found about friction."""
+    """Describe what a study found about friction.
+
+    Parameters
+    ----------
+    results : Results
+        The study. Its current model and the diagnosis of that model give the verdict.
+
+    Returns
+    -------
+    VerdictText
+        Headline, sentences and kind of the verdict.
+
+    """
     model, diagnosis = results.current, results.diagnosis
     if model is None:
         return VerdictText("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
@@ -78,7 +90,14 @@ def effect_names(names: Sequence[str]) -> str:
 
 
 def model_status(diagnosis: Mapping[str, Any]) -> str:
-    """Describe the verdict of a diagnosis as a predicate that follows the model's name."""
+    """Describe the verdict of a diagnosis as a predicate that follows the model's name.
+
+    Examples
+    --------
+    >>> model_status({"verdict": "missing", "missing": ["texture"]})
+    'lacks texture'
+
+    """
     if diagnosis["verdict"] == "complete":
         return "is complete"
     if diagnosis["verdict"] == "undetermined":

@@ -18,7 +18,16 @@ NONE = "none"
 
 
 class CompareTab:
-    """The tab: residual and force of one model, with another model in the background."""
+    """The tab: residual and force of one model, with another model in the background.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+    films : OpenFilms
+        Its films.
+
+    """
 
     title = "4 Compare"
 

@@ -26,7 +26,16 @@ MAX_NAME_BYTES = 200  # file systems allow 255
 
 
 class FilmTab:
-    """The tab: add recordings, draw target, reference and ruler on the film, show the track and its quality."""
+    """The tab: add recordings, draw target, reference and ruler on the film, show the track and its quality.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+    films : OpenFilms
+        Its films.
+
+    """
 
     title = "1 Film"
 

@@ -42,7 +42,14 @@ class FrameImages:
 
     @property
     def info(self) -> dict[str, Any]:
-        """Frames, size and frame rate of the film."""
+        """Properties of the film.
+
+        Returns
+        -------
+        dict
+            `frames`, `width` and `height` in px, and `fps`.
+
+        """
         height, width = self._recording.shape
         return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self._recording.fps}
 

@@ -60,7 +60,14 @@ class RequestGuard:
         return f"frictrack-{_netloc(request.host)[1] or 80}"
 
     def fault(self, request: HTTPServerRequest) -> str:
-        """Why a request is refused, in one sentence; "" if it is accepted."""
+        """Check a request.
+
+        Returns
+        -------
+        str
+            Why the request is refused, in one sentence; "" if it is accepted.
+
+        """
         if not self._is_own(_netloc(request.host)[0]):
             return (
                 f'Expected the name of this machine as the host but got "{request.host}"; '
@@ -150,7 +157,16 @@ class TokenHandler(RequestHandler):
 
 
 def protect(application: Application, guard: RequestGuard) -> None:
-    """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
+    """Check every request to a server: pages, WebSocket, static files, downloads and uploads.
+
+    Parameters
+    ----------
+    application : Application
+        Tornado application of the server; its routing rules are changed.
+    guard : RequestGuard
+        Decides which requests are refused.
+
+    """
     application.default_router.rules[:0] = [
         Rule(RefusedRequest(guard), RefusalHandler),
         Rule(TokenRequest(guard), TokenHandler),
@@ -171,7 +187,14 @@ def address_of(host: str, port: int, token: str = "") -> str:
 
 
 def clean_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Convert host names to the form that the guard compares."""
+    """Convert host names to the form that the guard compares.
+
+    Examples
+    --------
+    >>> clean_names([" Lab.Example.org "])
+    ('lab.example.org',)
+
+    """
     return tuple(name.strip().lower() for name in names)
 
 

@@ -25,7 +25,14 @@ FIGURE_FORMATS = ("svg", "png", "pdf")
 
 
 class HistoryTab:
-    """The tab: the models in the order in which they were fitted, and the files."""
+    """The tab: the models in the order in which they were fitted, and the files.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+
+    """
 
     title = "6 History and report"
 
@@ -160,7 +167,16 @@ def figures(results: Results) -> dict[str, Figure]:
 
 
 def figure_bytes(made: Figure, kind: str) -> bytes:
-    """Convert a figure to the content of an svg, png or pdf file."""
+    """Convert a figure to the content of a file.
+
+    Parameters
+    ----------
+    made : Figure
+        The figure.
+    kind : str
+        "svg", "png" or "pdf".
+
+    """
     if kind == "svg":
         return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
     if kind == "png":
@@ -171,7 +187,19 @@ def figure_bytes(made: Figure, kind: str) -> bytes:
 
 
 def zip_files(files: dict[str, bytes]) -> bytes:
-    """Pack files, given by name, into one ZIP archive."""
+    """Pack files into one ZIP archive.
+
+    Parameters
+    ----------
+    files : dict
+        Content of each file by its name.
+
+    Returns
+    -------
+    bytes
+        Content of the archive.
+
+    """
     sheet = io.BytesIO()
     with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

@@ -27,7 +27,16 @@ class ProgressFile:
         self._last, self._what = 0.0, ""
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """Write one line, unless one with the same text was written just before."""
+        """Write one line, unless one with the same text was written just before.
+
+        Parameters
+        ----------
+        done, total : int
+            Steps done, and all steps.
+        what : str
+            The current step.
+
+        """
         now = time.monotonic()
         if what == self._what and done < total and now - self._last < MIN_WRITE_INTERVAL_S:
             return
@@ -37,7 +46,15 @@ class ProgressFile:
 
 
 def main(folder: Path) -> None:
-    """Run the job in ``spec.json`` of a folder and write its result or its error to ``result.json``."""
+    """Run a job.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the job. The command is read from ``spec.json``; the result or the error is written to
+        ``result.json``.
+
+    """
     with FileLock(folder / "alive"):
         Thread(target=_end_when_asked, args=(folder / "cancel",), daemon=True).start()
         try:

@@ -36,7 +36,20 @@ class Job:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """Content of ``spec.json``: command, arguments, study, revision of the study, and start time."""
+        """Content of ``spec.json``.
+
+        Returns
+        -------
+        dict
+            ``do`` (command), ``told`` (arguments), ``study``, ``seen`` (revision), ``who``, and ``at``, the start
+            time in s since 1970.
+
+        Raises
+        ------
+        FrictrackError
+            If the file is damaged.
+
+        """
         return _read_json(self.folder / "spec.json", "do", "at", "study")
 
     @property
@@ -49,7 +62,14 @@ class Job:
 
     @property
     def progress(self) -> list[dict[str, Any]]:
-        """Lines of ``done``, ``total``, ``what``, oldest first, without an incomplete last line."""
+        """Progress of the job so far.
+
+        Returns
+        -------
+        list of dict
+            Steps ``done`` of ``total`` and the text ``what``, oldest first, without an incomplete last line.
+
+        """
         try:
             lines = (self.folder / "progress.jsonl").read_bytes().split(b"\n")[:-1]
         except FileNotFoundError:
@@ -58,7 +78,14 @@ class Job:
 
     @property
     def state(self) -> str:
-        """Running, done, failed, cancelled, or interrupted (its process was ended from outside)."""
+        """State of the job.
+
+        Returns
+        -------
+        str
+            `RUNNING`, `DONE`, `FAILED`, `CANCELLED`, or `INTERRUPTED` if its process was ended from outside.
+
+        """
         if result := self.result:
             return FAILED if "error" in result else DONE
         if self._is_locked() or (
@@ -149,7 +176,14 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
 
 
 def list_jobs(study: Study) -> list[Job]:
-    """List all jobs of a study, oldest first."""
+    """List all jobs of a study.
+
+    Returns
+    -------
+    list of Job
+        The jobs, oldest first.
+
+    """
     folders = (one for one in sorted((study.output / "jobs").glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 

@@ -18,11 +18,27 @@ class LinkedPlots:
     frame: bytes
 
     def set_values(self, **values: Any) -> None:
-        """Set several values at once."""
+        """Set several values at once.
+
+        Parameters
+        ----------
+        **values
+            Values of `linked.js` by name.
+
+        """
         raise NotImplementedError
 
     def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
-        """Call a function with the new value whenever the user changes the value `name`."""
+        """Call a function whenever the user changes a value.
+
+        Parameters
+        ----------
+        name : str
+            Name of the value in `linked.js`.
+        call : callable
+            Gets the new value.
+
+        """
         raise NotImplementedError
 
     def draw(self, scene: PlotData) -> None:
@@ -31,6 +47,13 @@ class LinkedPlots:
         self.set_values(scene=layout, data=data)
 
     def show_frame(self, frame: tuple[int, bytes]) -> None:
-        """Show a frame of the film, given by its number and its JPEG."""
+        """Show a frame of the film.
+
+        Parameters
+        ----------
+        frame : tuple
+            Number of the frame and its JPEG.
+
+        """
         number, jpeg = frame
         self.frame = number.to_bytes(4, "little") + jpeg

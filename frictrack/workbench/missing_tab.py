@@ -31,7 +31,16 @@ MAX_FORMULAS = 3
 
 
 class MissingTab:
-    """The tab: verdict on the current model, candidates, next experiment, held-out errors."""
+    """The tab: verdict on the current model, candidates, next experiment, held-out errors.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+    films : OpenFilms
+        Its films.
+
+    """
 
     title = "5 What is missing?"
 

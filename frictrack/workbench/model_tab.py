@@ -23,7 +23,14 @@ MISFIT = re.compile(r"misfit ([-+.\deE]+)")
 
 
 class ModelTab:
-    """The tab: effects of the current model, and the settings of the fit."""
+    """The tab: effects of the current model, and the settings of the fit.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+
+    """
 
     title = "3 Model"
 
@@ -34,7 +41,7 @@ class ModelTab:
         self.choice = pn.widgets.Select(label="Effect", options=[], width=220)
         self.words = html("", width=520)
         self.search = pn.widgets.Select(label="Search", options=SEARCHES, width=120)
-        self.over = pn.widgets.Select(label="Searches for", options=["all", "nonlinear"], width=120)
+        self.over = pn.widgets.Select(label="Parameters", options=["all", "nonlinear"], width=120)
         self.seed = pn.widgets.IntInput(label="Seed", value=0, width=80)
         self.text = pn.widgets.TextInput(
             label="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260

@@ -20,7 +20,16 @@ from frictrack.workbench.widgets import button, figure, html, note
 
 
 class MotionTab:
-    """The tab: smoothed motion of one run, with its cut-off frequency and free section."""
+    """The tab: smoothed motion of one run, with its cut-off frequency and free section.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+    films : OpenFilms
+        Its films.
+
+    """
 
     title = "2 Motion"
 

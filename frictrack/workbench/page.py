@@ -24,7 +24,14 @@ POLL_MS = 150  # between two checks of the files
 
 
 class Page:
-    """The workbench of one study."""
+    """The workbench of one study in one browser tab.
+
+    Parameters
+    ----------
+    path : Path
+        Study file, which need not exist yet.
+
+    """
 
     def __init__(self, path: Path) -> None:
         self.state = state = PageState(path)
@@ -76,7 +83,14 @@ class Page:
         )
 
     def serve(self) -> pn.Column:
-        """Build the page from the files, and check the files regularly once it is shown."""
+        """Build the page from the files, and check the files regularly once it is shown.
+
+        Returns
+        -------
+        panel.Column
+            The page.
+
+        """
         self.state.load()
         self._show()
         pn.state.onload(lambda: pn.state.add_periodic_callback(self._poll, POLL_MS))  # type: ignore[arg-type,return-value]

@@ -97,7 +97,23 @@ class PageState(param.Parameterized):
         return {run.name: run for run in self.study.runs} if self.study else {}
 
     def file_value(self, table: str, key: str, which: str | None = None) -> Any:
-        """Value of a key in the study file; None if it is not there."""
+        """Read the value of a key in the study file.
+
+        Parameters
+        ----------
+        table : str
+            Table of the study file, such as "study", "camera" or "run".
+        key : str
+            Key in that table.
+        which : str, optional
+            Name of the run or effect, for tables that occur several times.
+
+        Returns
+        -------
+        Any
+            The value as it is written; None if it is not there.
+
+        """
         try:
             return read_key(self.path.read_text(encoding="utf-8"), table, key, which)
         except (OSError, FrictrackError):  # while it is being edited by hand
@@ -119,18 +135,48 @@ class PageState(param.Parameterized):
         return [p.name for p in found if p.resolve() not in used]
 
     def can_apply(self, do: str) -> bool:
-        """Whether there is a change to "undo" or to "redo"."""
+        """Whether there is a change that can be undone or redone.
+
+        Parameters
+        ----------
+        do : str
+            "undo" or "redo".
+
+        """
         done, undone = self.history.undo_stacks() if self.history else ([], [])
         return bool(done if do == "undo" else undone)
 
     # --- changing
 
     def notify(self, words: str, *, is_error: bool = False) -> None:
-        """Show a message to the user."""
+        """Show a message to the user.
+
+        Parameters
+        ----------
+        words : str
+            The message; "" to remove the last one.
+        is_error : bool
+            Whether it is an error.
+
+        """
         self.param.update(message=words, is_error=is_error)
 
     def create_study(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
-        """Write a new study file for some recordings; return whether it was written."""
+        """Write a new study file for some recordings.
+
+        Parameters
+        ----------
+        recordings : sequence of str
+            File names in the folder of the study.
+        keys : dict
+            Mass, fps and scale as typed; empty ones are left out.
+
+        Returns
+        -------
+        bool
+            Whether the file was written; if not, the message says why.
+
+        """
         try:
             known = {key: value for key, value in keys.items() if value}
             start_study(self.path, [self.path.parent / name for name in recordings], known)
@@ -147,7 +193,21 @@ class PageState(param.Parameterized):
         self.notify("; ".join([words, *(f"to be checked: {warning}" for warning in warnings)]), is_error=bool(warnings))
 
     def apply_change(self, do: str, **arguments: Any) -> bool:
-        """Apply a quick change to the study and return whether it was made; refused if the study has changed since."""
+        """Apply a quick change to the study; it is refused if the study has changed since it was shown.
+
+        Parameters
+        ----------
+        do : str
+            Command of the study's history, such as "edit", "use", "undo".
+        **arguments
+            Arguments of the command.
+
+        Returns
+        -------
+        bool
+            Whether the change was made; if not, the message says why.
+
+        """
         assert self.study is not None
         try:
             Session(open_study(self.path, allow_no_runs=True), author=AUTHOR, expected_revision=self.revision).apply(
@@ -163,7 +223,16 @@ class PageState(param.Parameterized):
         return True
 
     def start_job(self, do: str, **arguments: Any) -> None:
-        """Start a long command in its own process."""
+        """Start a long command in its own process, see `jobs.start`.
+
+        Parameters
+        ----------
+        do : str
+            The command.
+        **arguments
+            Arguments of the command.
+
+        """
         if self.study is None:
             return
         try:

@@ -62,7 +62,16 @@ class PlotData:
         return scene, b"".join(parts)
 
     def frame_of_row(self, row: int) -> tuple[str, int]:
-        """Name of the run and number of the film's frame of a row."""
+        """Find the run and the frame of a row.
+
+        Returns
+        -------
+        name : str
+            Name of the run.
+        frame : int
+            Number of the frame in the run's film.
+
+        """
         run = next(r for r in self.runs if r["first"] <= row < r["first"] + r["count"])
         return run["name"], row - run["first"] + run["frame"]
 
@@ -95,22 +104,74 @@ def plot(title: str, x: tuple[str, str], y: str, *layers: Mapping[str, Any], **m
 
 
 def line(y: str, colour: str, label: str = "", **more: Any) -> dict[str, Any]:
-    """Layer: a line through the values of a column, with gaps at NaN."""
+    """Describe a layer: a line through the values of a column, with gaps at NaN.
+
+    Parameters
+    ----------
+    y : str
+        Name of the column.
+    colour : str
+        CSS colour.
+    label : str
+        Text in the legend; "" for none.
+    **more
+        Further keys that `linked.js` knows, such as `dash` and `width`.
+
+    """
     return {"kind": "line", "y": y, "colour": colour, "label": label, **more}
 
 
 def dots(y: str, colour: str = MEASURED_COLOUR, label: str = "", **more: Any) -> dict[str, Any]:
-    """Layer: a point for every row."""
+    """Describe a layer: a point for every row.
+
+    Parameters
+    ----------
+    y : str
+        Name of the column.
+    colour : str
+        CSS colour.
+    label : str
+        Text in the legend; "" for none.
+    **more
+        Further keys that `linked.js` knows, such as `by_run` and `main`.
+
+    """
     return {"kind": "dots", "y": y, "colour": colour, "label": label, **more}
 
 
 def band(low: str, high: str, colour: str = BAND_COLOUR, label: str = "", **more: Any) -> dict[str, Any]:
-    """Layer: the area between two columns."""
+    """Describe a layer: the area between two columns.
+
+    Parameters
+    ----------
+    low, high : str
+        Names of the columns.
+    colour : str
+        CSS colour.
+    label : str
+        Text in the legend; "" for none.
+    **more
+        Further keys that `linked.js` knows.
+
+    """
     return {"kind": "band", "low": low, "high": high, "colour": colour, "label": label, **more}
 
 
 def span(begin: float, end: float, colour: str, label: str = "", **more: Any) -> dict[str, Any]:
-    """Layer: a shaded span of x, or with `foot` a bar in that line at the bottom."""
+    """Describe a layer: a shaded span of x.
+
+    Parameters
+    ----------
+    begin, end : float
+        Ends of the span, in the unit of the x axis.
+    colour : str
+        CSS colour.
+    label : str
+        Text in the legend; "" for none.
+    **more
+        With `foot`, the span is a bar in that line at the bottom of the plot.
+
+    """
     return {"kind": "span", "from": begin, "to": end, "colour": colour, "label": label, **more}
 
 
@@ -124,7 +185,14 @@ def _add_band(columns: dict[str, Array], name: str, middle: Array, sigma: Array)
 
 
 def track_plots(run: RunResults) -> PlotData:
-    """Plots of the track: position, standard deviation and match score of every frame."""
+    """Prepare plots of the track: position, standard deviation and match score of every frame.
+
+    Parameters
+    ----------
+    run : RunResults
+        A run. Without a track there are no plots.
+
+    """
     track = run.track
     if track is None:
         return PlotData()
@@ -153,31 +221,57 @@ def track_plots(run: RunResults) -> PlotData:
 
 
 def all_tracks(run: RunResults) -> dict[str, Track]:
-    """Track of the target and of everything else that was tracked, by name."""
+    """Select the tracks of a run.
+
+    Returns
+    -------
+    dict
+        Track of the target and of everything else that was tracked, by name; without the backward track. Empty if
+        the run has no film.
+
+    """
     others = {name: track for name, track in run.tracks.items() if name != "backward"}
     return {TARGET: run.track, **others} if run.track is not None else {}
 
 
 def position_column(name: str, axis: str, run: RunResults) -> str:
-    """Name of the column with the position of a target in every frame of a run's film, px."""
+    """Name the column with the position of a target in every frame of a run's film, px.
+
+    Parameters
+    ----------
+    name : str
+        Name of the track.
+    axis : str
+        "x" or "y".
+    run : RunResults
+        The run.
+
+    """
     return f"{name}_{axis}:{run.name}"
 
 
 def target_positions(run: RunResults) -> dict[str, Array]:
-    """Positions of all tracked targets in every frame of the run's film, px, by column name."""
+    """Collect the positions of all tracked targets.
+
+    Returns
+    -------
+    dict
+        Positions (frames,) in px by name of the column, see `position_column`.
+
+    """
     found = {name: {"x": track.x_px, "y": track.y_px} for name, track in all_tracks(run).items()}
     return {position_column(name, axis, run): q for name, place in found.items() for axis, q in place.items()}
 
 
 def first_frame(run: RunResults) -> int:
-    """Number of the film's frame at which the motion of a run begins."""
+    """Number of the film's frame at which the motion of a run begins; 0 without a film."""
     if run.track is None:
         return 0
     return int(np.searchsorted(run.track.t, run.motion.t[0] - 0.5 * np.median(np.diff(run.track.t))))
 
 
 def motion_plots(run: RunResults, other: Array | None = None, label: str = "") -> PlotData:
-    """Plots of displacement, velocity, acceleration and friction force; the free section has handles to drag.
+    """Prepare plots of displacement, velocity, acceleration and friction force; the free section has handles to drag.
 
     Parameters
     ----------
@@ -244,7 +338,7 @@ def _free(run: RunResults) -> tuple[float, float] | None:
 
 
 def comparison_plots(results: Results, model: ModelResults, other: ModelResults | None = None) -> PlotData:
-    """Plots of the residual over time, place and velocity, and of both forces; failing spans are marked.
+    """Prepare plots of the residual over time, place and velocity, and of both forces; failing spans are marked.
 
     Parameters
     ----------
@@ -300,7 +394,7 @@ def _model_label(model: ModelResults) -> str:
 
 
 def residual_plots(results: Results, model: ModelResults, other: ModelResults | None = None) -> PlotData:
-    """Plots of the residual only; see `comparison_plots`."""
+    """Prepare plots of the residual only; for the arguments see `comparison_plots`."""
     scene = comparison_plots(results, model, other)
     scene.plots = [one for one in scene.plots if one["title"].startswith("Residual")]
     return scene

@@ -23,7 +23,16 @@ class OpenFilms:
         self._open: dict[str, FrameImages] = {}
 
     def frames(self, path: Any, fps: float | None) -> FrameImages:
-        """Pictures of a recording; it is opened at the first call."""
+        """Pictures of a recording, which is opened at the first call.
+
+        Parameters
+        ----------
+        path : Path
+            The recording.
+        fps : float or None
+            Frames per second; None to read it from the file.
+
+        """
         key = f"{path} {fps}"
         if key not in self._open:
             self._open[key] = FrameImages(path, fps)
@@ -40,7 +49,18 @@ Plots = TypeVar("Plots", bound=LinkedPlots)
 
 
 class PlotsWithFilm(Generic[Plots]):
-    """Linked plots and the film, which shows the frame selected in a plot or by its slider."""
+    """Linked plots and the film, which shows the frame selected in a plot or by its slider.
+
+    Parameters
+    ----------
+    state : PageState
+        The study.
+    films : OpenFilms
+        Its films.
+    linked : LinkedPlots
+        The plots, of the page or of a notebook.
+
+    """
 
     def __init__(self, state: PageState, films: OpenFilms, linked: Plots) -> None:
         self.state, self.films, self.linked = state, films, linked
@@ -49,14 +69,32 @@ class PlotsWithFilm(Generic[Plots]):
         linked.on_change("want", self._on_frame_wanted)
 
     def draw(self, scene: PlotData, run: str = "") -> None:
-        """Draw new data and the first frame of a run; without data and run no film is shown."""
+        """Draw new data and the first frame of a run.
+
+        Parameters
+        ----------
+        scene : PlotData
+            The data.
+        run : str
+            Name of the run. The film is hidden if there are neither data nor a run.
+
+        """
         self.scene = scene
         self.linked.draw(scene)
         if run or not scene.rows:
             self.show(run, 0)
 
     def show(self, run: str, number: int) -> None:
-        """Show a frame of a run's film; hide the film if the run has none."""
+        """Show a frame of a run's film, or hide the film if the run has none.
+
+        Parameters
+        ----------
+        run : str
+            Name of the run.
+        number : int
+            Number of the frame; it is clipped to the film.
+
+        """
         table = self.state.runs.get(run)
         if table is None or table.video is None:
             self.linked.film = {}

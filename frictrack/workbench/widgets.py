@@ -29,13 +29,29 @@ svg { max-width: 100%; height: auto; }
 
 
 def html(text: str, **more: Any) -> pn.pane.HTML:
-    """Create a pane of HTML; text from files must be escaped before."""
+    """Create a pane of HTML.
+
+    Parameters
+    ----------
+    text : str
+        HTML; text from files must be escaped before.
+    **more
+        Arguments of `panel.pane.HTML`.
+
+    """
     wide = {} if "width" in more else {"sizing_mode": "stretch_width"}
     return pn.pane.HTML(text, stylesheets=[CSS], **wide, **more)
 
 
 def grid(table: TextTable) -> str:
-    """Convert a table to HTML."""
+    """Convert a table to HTML.
+
+    Parameters
+    ----------
+    table : TextTable
+        The table; its cells are escaped unless they are `Markup`.
+
+    """
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.heads)
     kinds = [" class=n" if i in table.numeric else "" for i in range(len(table.heads))]
     rows = ("".join(f"<td{k}>{escape(c)}</td>" for k, c in zip(kinds, row, strict=True)) for row in table.rows)
@@ -43,12 +59,26 @@ def grid(table: TextTable) -> str:
 
 
 def heading(text: str) -> str:
-    """Convert a text to a small heading in HTML."""
+    """Convert a text to a small heading in HTML.
+
+    Examples
+    --------
+    >>> heading("Notes")
+    '<h2 class=ft-h>Notes</h2>'
+
+    """
     return f"<h2 class=ft-h>{escape(text)}</h2>"
 
 
 def note(text: str) -> str:
-    """Convert a text to a remark in HTML."""
+    """Convert a text to a remark in HTML.
+
+    Examples
+    --------
+    >>> note("a < b")
+    '<p class=ft-note>a &lt; b</p>'
+
+    """
     return f"<p class=ft-note>{escape(text)}</p>"
 
 
@@ -58,7 +88,20 @@ def figure(made: Figure) -> pn.pane.HTML:
 
 
 def button(name: str, click: Callable[[], Any], kind: str = "default", **more: Any) -> pn.widgets.Button:
-    """Create a button that calls a function without arguments."""
+    """Create a button that calls a function without arguments.
+
+    Parameters
+    ----------
+    name : str
+        Text on the button.
+    click : callable
+        The function.
+    kind : str
+        Colour of the button in Panel: "default", "primary", "success" or "warning".
+    **more
+        Arguments of `panel.widgets.Button`.
+
+    """
     made = pn.widgets.Button(label=name, color=kind, **more)
     made.on_click(lambda event: click())
     return made

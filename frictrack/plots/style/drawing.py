@@ -30,7 +30,18 @@ def axis_label(quantity: str, unit: str) -> str:
 
 
 def draw_band(ax: Axes, x: Array, middle: Array, sigma: Array, **style: Any) -> None:
-    """Shade `BAND_SIGMAS` standard deviations on both sides of a line; all arrays (n,)."""
+    """Shade `BAND_SIGMAS` standard deviations on both sides of a line.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    x, middle, sigma : Array
+        (n,) abscissa, line, and standard deviation. At most `MAX_POINTS` are drawn.
+    **style
+        Arguments of `Axes.fill_between`.
+
+    """
     step = max(1, len(x) // MAX_POINTS)
     x, middle, sigma = x[::step], middle[::step], BAND_SIGMAS * sigma[::step]
     ax.fill_between(x, middle - sigma, middle + sigma, linewidth=0, **style)
@@ -101,7 +112,18 @@ def axis_scale(values: Array, unit: str) -> tuple[float, str]:
 
 
 def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> None:
-    """Limit the y axis to the given values and a margin, so that smeared ends do not set the scale."""
+    """Limit the y axis to the given values and a margin, so that smeared ends do not set the scale.
+
+    Parameters
+    ----------
+    ax : Axes
+        The panel.
+    values : iterable of Array
+        Arrays of any shape; NaN is ignored.
+    margin : float
+        Margin over the range of the values.
+
+    """
     together = np.concatenate([np.ravel(v) for v in values])
     together = together[np.isfinite(together)]
     if len(together):

@@ -32,7 +32,16 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figure:
-    """Create an empty figure, its title at the left; height and width in inches."""
+    """Create an empty figure with its title at the left.
+
+    Parameters
+    ----------
+    height, width : float
+        Size in inches.
+    title : str
+        The finding that the figure shows, in a few words.
+
+    """
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, x=0.01, ha="left")
     return figure

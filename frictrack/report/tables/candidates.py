@@ -52,7 +52,19 @@ class CandidateCard:
 
 
 def candidate_cards(diagnosis: Mapping[str, Any]) -> list[CandidateCard]:
-    """Describe the candidates of a diagnosis, best first."""
+    """Describe the candidates of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis.
+
+    Returns
+    -------
+    list of CandidateCard
+        One card per candidate, the best first.
+
+    """
     return [
         CandidateCard(
             name=c["effect"],
@@ -95,7 +107,14 @@ def _numbers(c: Mapping[str, Any]) -> list[Cell]:
 
 
 def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the misfit that each effect explains alone and after the effects above it."""
+    """Table of the misfit that each effect explains alone and after the effects above it.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis. Without `importance` the table is empty.
+
+    """
     rows = []
     for row in diagnosis.get("importance") or []:
         shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
@@ -111,7 +130,14 @@ def _share_of_misfit(share: float | None) -> str:
 
 
 def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the smallest size of each effect that 95 of 100 repeats would detect."""
+    """Table of the smallest size of each effect that 95 of 100 repeats would detect.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis, with `detection_limits`.
+
+    """
     rows = [
         (code_cell(name), _limit(limit), limit.get("reason") or _worst_setting(name, limit))
         for name, limit in diagnosis["detection_limits"].items()

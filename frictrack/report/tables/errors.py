@@ -30,7 +30,14 @@ ERRORS = (
 
 
 def history_table(models: Sequence[ModelResults]) -> TextTable:
-    """Table of the models in the order in which they were fitted, with their errors and verdicts."""
+    """Table of the models in the order in which they were fitted, with their errors and verdicts.
+
+    Parameters
+    ----------
+    models : sequence of ModelResults
+        All models of the study. Errors that no model has get no column.
+
+    """
     used = [e for e in ERRORS if any(m.summary["errors"].get(e[0]) is not None for m in models)]
     heads = (
         "model",
@@ -51,7 +58,14 @@ def _unit_in_brackets(unit: str) -> str:
 
 
 def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
-    """Table of the parameters and errors of the default fit and of the papers' route."""
+    """Table of the parameters and errors of the default fit and of the papers' route.
+
+    Parameters
+    ----------
+    default, papers : ModelResults
+        The same model, fitted in both ways.
+
+    """
     theirs = papers.summary["parameters"]
     rows: list[Sequence[Cell]] = [
         (

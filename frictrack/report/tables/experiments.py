@@ -36,12 +36,26 @@ def with_expected_evidence(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[s
 
 
 def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
-    """Texts about the effects that no run can distinguish, and about what else can."""
+    """Describe the effects that no run can distinguish, and what else can.
+
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        A diagnosis; None before one was made.
+
+    """
     return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
 
 
 def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the proposed experiments, best first."""
+    """Table of the proposed experiments, best first.
+
+    Parameters
+    ----------
+    steps : sequence of mappings
+        Experiments from `separating_experiments`.
+
+    """
     rows = [
         (f"{k}.", mark_code(step["what"]), step["tells"], format_number(step["expected_delta_bic"], 2))
         for k, step in enumerate(steps, 1)

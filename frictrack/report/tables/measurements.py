@@ -10,7 +10,14 @@ from frictrack.results import RunResults
 
 
 def track_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of the films: frame rate, frames with the target, pixel pitch and its error."""
+    """Table of the films: frame rate, frames with the target, pixel pitch and its error.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study; runs without a film are left out.
+
+    """
     rows = []
     for run in runs:
         if run.film is None or run.track is None:
@@ -27,7 +34,14 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 
 
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
+    """Table of the measurement self-checks of each film: noise, peak locking, shake, blur.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study; runs without a film are left out.
+
+    """
     rows = []
     for run in runs:
         if not run.quality:

@@ -64,7 +64,14 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
 
 
 def interval_table(model: ModelResults) -> TextTable:
-    """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter."""
+    """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model, with profiles or a bootstrap; parameters with neither are left out.
+
+    """
     summary = model.summary
     profiles, bootstrap = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
     rows = [
@@ -95,7 +102,14 @@ def _interval(low: float | None, high: float | None, unit: str) -> str:
 
 
 def run_table(model: ModelResults) -> TextTable:
-    """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs."""
+    """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+
+    """
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
         m = PER_RUN_NAME.match(name)
