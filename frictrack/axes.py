@@ -1,4 +1,4 @@
-"""The axes along which a misfit or a force may repeat: time, place, speed, acceleration and phase."""
+"""Name the axes over which a misfit or a force may repeat: time, place, speed, acceleration and phase."""
 
 from __future__ import annotations
 
@@ -7,10 +7,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MotionAxis:
-    """One axis."""
+    """The texts of one axis.
 
-    name: str  # in a sentence
-    label: str  # of the axis of a figure
+    Attributes
+    ----------
+    name : str
+        Name in a sentence.
+    label : str
+        Label of the axis in a figure.
+    unit : str
+        SI unit.
+
+    """
+
+    name: str
+    label: str
     unit: str
 
 

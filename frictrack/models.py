@@ -1,6 +1,7 @@
-"""Models: named sums of effects. `tustin() + "texture"` adds a cause, `- "viscous"` takes one away.
+"""Build models, which are named sums of effects.
 
-A model's effects carry their settings: fixed values, bounds, priors, ties. `to_toml` writes all, `from_toml` reads it.
+``tustin() + "texture"`` adds an effect, ``tustin() - "viscous"`` removes one. The effects of a model contain their
+settings: fixed values, bounds, priors, ties. `Model.to_toml` writes a model with its settings, `from_toml` reads it.
 """
 
 from __future__ import annotations
@@ -26,10 +27,28 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value, for 
 
 @dataclass(frozen=True)
 class Model:
-    """A friction law (and picture of it) as a sum of effects.
+    """A friction law, and the errors of its measurement, as a sum of effects.
 
-    An effect that modifies others (a load modulation) reshapes their columns; one that replaces others
-    (`atm2`) takes their place.
+    Effects that modify others, such as a load modulation, change the columns of those. An effect that replaces
+    others (`atm2`) removes them from the model when it is added.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        The effects, each at most once.
+
+    Raises
+    ------
+    FrictrackError
+        If an effect is there twice, if there is none, or if an effect modifies others that are not in the model.
+
+    Examples
+    --------
+    >>> (tustin() + "texture").names
+    ['coulomb', 'stribeck', 'viscous', 'texture']
+    >>> "viscous" in tustin() - "viscous"
+    False
+
     """
 
     effects: tuple[Effect, ...]
@@ -50,33 +69,33 @@ class Model:
 
     @property
     def names(self) -> list[str]:
-        """The effects in order."""
+        """Names of the effects in order."""
         return [e.name for e in self.effects]
 
     @property
     def memory(self) -> bool:
-        """Whether the force depends on the whole motion so far."""
+        """Whether the force depends on the motion before, and not on the present state alone."""
         return any(e.memory for e in self.effects if e.acts_on == "force")
 
     @property
     def turns(self) -> bool:
-        """Whether the force passes stops and reversals without a jump, so that a run can be followed through them."""
+        """Whether the force is continuous at stops and reversals, so that the motion can be integrated through them."""
         return any(e.turns for e in self.effects)
 
     def clock(self, values: Values) -> float:
-        """True over recorded time since release, by the effects of the clock of a run."""
+        """Ratio of true to recorded time since release, by the effects on the clock of a run."""
         return float(np.prod([e.clock(values[e.name]) for e in self.effects if e.clock is not None]))
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
     def __add__(self, other: str | Effect) -> Model:
-        """The model with one more effect; what the new one replaces is dropped."""
+        """Add an effect, given or by its name; effects that it replaces are removed."""
         new = effects.get(other) if isinstance(other, str) else other
         return Model((*(e for e in self.effects if e.kind not in new.replaces), new))
 
     def __sub__(self, name: str) -> Model:
-        """The model without the effect of that name."""
+        """Remove the effect of that name; raises FrictrackError if it is not in the model."""
         if name not in self:
             known = ", ".join(self.names)
             raise FrictrackError(f'expected an effect of the model ({known}) to remove but got "{name}"', usage=True)
@@ -86,16 +105,26 @@ class Model:
         return self.equation()
 
     def equation(self, estimates: Mapping[str, Any] | None = None) -> str:
-        """The law as a sum; with `estimates` (by address, each with value and std) numbers stand for the symbols.
+        """Write the model as an equation.
 
-        What has no value there, such as a phase of every run, stays a symbol.
+        Parameters
+        ----------
+        estimates : mapping, optional
+            Estimates by address ("coulomb.F_c"), each with `value` and `std`. They replace the symbols; parameters
+            without an estimate, such as a phase per run, remain symbols.
+
+        Returns
+        -------
+        str
+            The friction force F as a sum, then the measurement effects after semicolons.
+
         """
-        force = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "force"]
-        picture = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "measurement"]
+        force = [self._effect_equation(e, estimates or {}) for e in self.effects if e.acts_on == "force"]
+        picture = [self._effect_equation(e, estimates or {}) for e in self.effects if e.acts_on == "measurement"]
         return "F = " + (" + ".join(force) or "0") + "".join(f"; {p}" for p in picture)
 
-    def _written(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
-        """The equation of one effect, the symbols of a further instance with its number."""
+    def _effect_equation(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
+        """Equation of one effect; the symbols of a second instance end with its number."""
         _, _, number = effect.name.partition(":")
         text = effect.equation
         others = {p.name: f"{e.name}.{p.name}" for e in self.effects for p in e.parameters if e is not effect}
@@ -109,9 +138,13 @@ class Model:
         return text
 
     def base(self, effect: Effect) -> Effect:
-        """One of the effects as it is without settings: from the library, its formula, or its declaration.
+        """An effect without settings: from the library, its formula, or its declaration.
 
-        Raises FrictrackError for one that is none of these.
+        Raises
+        ------
+        FrictrackError
+            If the effect was made in another way.
+
         """
         if effect.formula is not None:
             return effects.formula(
@@ -125,30 +158,40 @@ class Model:
             return effects.get(effect.name)
         except FrictrackError as e:
             raise FrictrackError(
-                f"{effect.name} is neither of the library nor a formula; declare it with @frictrack.effect first"
+                f"expected an effect of the library or a formula but got {effect.name}; "
+                "declare it with @frictrack.effect first"
             ) from e
 
     @property
     def settings(self) -> list[str]:
-        """What differs from the library, in words: `stribeck.delta free`, `vibration.frequency = 60 Hz`."""
+        """Differences to the library as text: `stribeck.delta free`, `vibration.frequency = 60 Hz`."""
         out = []
         for e in self.effects:
             try:
                 different = effects.differences(e, self.base(e))
-            except FrictrackError:  # made by hand: nothing to differ from
+            except FrictrackError:  # not from the library: no settings to compare with
                 continue
-            out += [_said(e, name, key, value) for key, of in different.items() for name, value in of.items()]
+            out += [_setting_text(e, name, key, value) for key, of in different.items() for name, value in of.items()]
         return out
 
-    def adjusted(self, told: Iterable[EffectSettings]) -> Model:
-        """The model with the settings of those of its effects that `told` speaks of; the others wait."""
-        of = {one.effect: one for one in told}
-        return Model(tuple(of[e.name].applied(e) if e.name in of else e for e in self.effects))
+    def adjusted(self, settings: Iterable[EffectSettings]) -> Model:
+        """Apply settings to the effects of the model; settings of other effects are ignored."""
+        by_effect = {one.effect: one for one in settings}
+        return Model(tuple(by_effect[e.name].applied(e) if e.name in by_effect else e for e in self.effects))
 
     def to_toml(self) -> str:
-        """The model as a study file has it: `model`, and an `[[effect]]` table where settings differ from the library.
+        """Write the model as in a study file: `model`, and an `[[effect]]` table for each effect with settings.
 
-        Raises FrictrackError for an effect that is neither of the library nor a formula nor declared.
+        Returns
+        -------
+        str
+            TOML text, which `from_toml` reads.
+
+        Raises
+        ------
+        FrictrackError
+            If an effect is not of the library, not a formula and not declared.
+
         """
         import tomlkit  # noqa: PLC0415 - only to write
 
@@ -166,40 +209,58 @@ class Model:
         return tomlkit.dumps(document)
 
     def _tables(self) -> dict[str, dict[str, Any]]:
-        """EffectSettings of every effect that has some, formulas among them."""
+        """Settings and formulas by effect, for the `[[effect]]` tables."""
         out: dict[str, dict[str, Any]] = {}
         for e in self.effects:
             if e.formula is not None:
-                shut = {p.name: p.bounds for p in e.parameters if np.any(np.isfinite(p.bounds))}
+                bounds = {p.name: p.bounds for p in e.parameters if np.any(np.isfinite(p.bounds))}
                 units = {p.name: p.unit for p in e.parameters if p.unit != "1"}
-                told = {"formula": e.formula, "acts_on": e.acts_on, "units": units, "bounds": shut}
-                out.setdefault(e.kind, {}).update({k: v for k, v in told.items() if v and v != "force"})
+                keys = {"formula": e.formula, "acts_on": e.acts_on, "units": units, "bounds": bounds}
+                out.setdefault(e.kind, {}).update({k: v for k, v in keys.items() if v and v != "force"})
             different = effects.differences(e, self.base(e))
             if different:
                 out.setdefault(e.name, {}).update(different)
         return out
 
     def next_instance(self, kind: str) -> str:
-        """The name under which one more effect of that kind would enter."""
+        """Name that a further effect of that kind gets: "vibration", then "vibration:2"."""
         if kind not in self:
             return kind
         return next(f"{kind}:{i}" for i in range(2, 99) if f"{kind}:{i}" not in self)
 
     def force_columns(self, path: Path, values: Values) -> dict[str, Array]:
-        """Columns of every force effect along the path, each (n, k), modifiers applied to what they modify."""
-        return self._formed(path, values, None)
+        """Columns of every force effect along a path, after the effects that modify others.
+
+        Parameters
+        ----------
+        path : Path
+            Motion of a run, n samples.
+        values : mapping
+            Non-linear parameters: effect -> parameter -> value.
+
+        Returns
+        -------
+        dict
+            Columns (n, k) by effect, N per unit coefficient.
+
+        """
+        return self._force_columns(path, values, None)
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:
-        """What every effect with memory remembers at the last sample of a path, (1, k) each: `Path.states` from there.
+        """States of the effects with memory at the last sample of a path.
 
-        The path is that of one individual.
+        Returns
+        -------
+        dict
+            States (1, k) by effect; the `Path.states` of a path that continues this one.
+
         """
         out: dict[str, Array] = {}
-        self._formed(path, values, out)
+        self._force_columns(path, values, out)
         return out
 
-    def _formed(self, path: Path, values: Values, states: dict[str, Array] | None) -> dict[str, Array]:
-        """Columns of every force effect; what is remembered at the end of the path is put into `states`, if given."""
+    def _force_columns(self, path: Path, values: Values, states: dict[str, Array] | None) -> dict[str, Array]:
+        """Columns of every force effect; states at the end of the path are written to `states`, if given."""
 
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
@@ -209,20 +270,34 @@ class Model:
 
         made = {e.name: columns(e) for e in self.effects if e.acts_on == "force" and not e.modifies}
         for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
-            reshaped = [e.name for e in self.effects if e.kind in modifier.modifies and e.name in made]
-            if reshaped:
-                whole = np.concatenate([made[name] for name in reshaped], axis=1)
-                ends = np.cumsum([made[name].shape[1] for name in reshaped])[:-1]
-                bent = np.split(columns(modifier, whole), ends, axis=1)
-                made |= dict(zip(reshaped, bent, strict=True))
+            modified = [e.name for e in self.effects if e.kind in modifier.modifies and e.name in made]
+            if modified:
+                inner = np.concatenate([made[name] for name in modified], axis=1)
+                ends = np.cumsum([made[name].shape[1] for name in modified])[:-1]
+                parts = np.split(columns(modifier, inner), ends, axis=1)
+                made |= dict(zip(modified, parts, strict=True))
         return made
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:
-        """Columns of every measurement effect along the path, each (n, k), m per unit coefficient."""
+        """Columns (n, k) of every measurement effect along a path, m per unit coefficient."""
         return {e.name: e.columns(path, values[e.name]) for e in self.effects if e.acts_on == "measurement"}
 
     def force(self, path: Path, values: Values) -> Array:
-        """Total friction force along the path, N, shape (n,)."""
+        """Total friction force along a path.
+
+        Parameters
+        ----------
+        path : Path
+            Motion of a run, n samples.
+        values : mapping
+            All parameters: effect -> parameter -> value.
+
+        Returns
+        -------
+        Array
+            (n,) force, N.
+
+        """
         columns = self.force_columns(path, values)
         total = np.zeros_like(path.v)
         for name, block in columns.items():
@@ -243,7 +318,7 @@ def _inline(value: Mapping[str, Any]) -> Any:
     return table
 
 
-_KEYS = {
+_SETTING_TEXTS = {
     "fix": lambda p, v: f"{p.name} free" if v is False else f"{p.name} = {v:g} {p.unit}",
     "bounds": lambda p, v: f"{p.name} in [{v[0]:g}, {v[1]:g}] {p.unit}",
     "prior": lambda p, v: f"{p.name} known as {v[0]:g} \N{PLUS-MINUS SIGN} {v[1]:g} {p.unit}",
@@ -252,24 +327,40 @@ _KEYS = {
 }
 
 
-def _said(effect: Effect, name: str, key: str, value: Any) -> str:
-    text: str = _KEYS[key](effect.parameter(name), value)
+def _setting_text(effect: Effect, name: str, key: str, value: Any) -> str:
+    text: str = _SETTING_TEXTS[key](effect.parameter(name), value)
     return f"{effect.name}.{text.removesuffix(' 1')}"
 
 
 def of(names: Iterable[str | Effect], extra: Iterable[Effect] = ()) -> Model:
-    """The model that sums the named effects; `extra` are effects beside the library's, such as a study's formulas."""
+    """Build the sum of some effects.
+
+    Parameters
+    ----------
+    names : iterable of str or Effect
+        Names of effects, or effects.
+    extra : iterable of Effect
+        Effects that are not in the library, such as the formulas of a study.
+
+    """
     extra = list(extra)
     return Model(tuple(effects.get(n, extra) if isinstance(n, str) else n for n in names))
 
 
 def tustin() -> Model:
-    """Tustin model (TM): Coulomb + Stribeck with delta = 1 + viscous (first paper, Eq. 2)."""
+    """Tustin model (TM): Coulomb, Stribeck with delta = 1, and viscous friction (first paper, Eq. 2).
+
+    Examples
+    --------
+    >>> tustin().names
+    ['coulomb', 'stribeck', 'viscous']
+
+    """
     return of(["coulomb", "stribeck", "viscous"])
 
 
 def stribeck_model() -> Model:
-    """Stribeck model with the exponent delta free (first paper, Eq. 1)."""
+    """Stribeck model: the Tustin model with a free exponent delta (first paper, Eq. 1)."""
     free = effects.get("stribeck").adjusted(delta={"fixed": None})
     return of(["coulomb", free, "viscous"])
 
@@ -279,7 +370,7 @@ def _instances(kind: str, n: int) -> list[str]:
 
 
 def atm1(n: int) -> Model:
-    """Augmented Tustin model 1: Tustin plus n sine forces in time (first paper, Eq. 3)."""
+    """Augmented Tustin model 1: Tustin model and n sinusoidal forces in time (first paper, Eq. 3)."""
     return of(["coulomb", "stribeck", "viscous", *_instances("vibration", n)])
 
 
@@ -289,12 +380,25 @@ def atm2(n: int) -> Model:
 
 
 def dahl() -> Model:
-    """Dahl model: Coulomb friction that builds up like a spring that yields, and viscous friction (Dahl 1968)."""
+    """Dahl model: Coulomb friction with presliding, and viscous friction.
+
+    References
+    ----------
+    P. R. Dahl (1968): A Solid Friction Model, The Aerospace Corporation, TOR-0158(3107-18)-1.
+
+    """
     return of(["coulomb", "viscous", "presliding"])
 
 
 def lugre() -> Model:
-    """LuGre model; its sigma_2 is the viscous coefficient (Canudas de Wit et al. 1995)."""
+    """LuGre model; its sigma_2 is the coefficient of viscous friction.
+
+    References
+    ----------
+    C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky (1995): A new model for control of systems with friction,
+    IEEE Trans. Automatic Control 40(3), 419-425.
+
+    """
     return of(["lugre", "viscous"])
 
 
@@ -309,9 +413,25 @@ NAMED: dict[str, Any] = {
 
 
 def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
-    """Model from its name (`tustin`, `atm1:2`), a comma list or a list of effects, `extra` as in `of`.
+    """Build a model from its name or from names of effects.
 
-    Raises FrictrackError (usage) for a name that is neither.
+    Parameters
+    ----------
+    text : str or sequence of str
+        Name of a model ("tustin", "atm1:2"), effects separated by commas, or a list of effects.
+    extra : iterable of Effect
+        Effects that are not in the library, such as the formulas of a study.
+
+    Raises
+    ------
+    FrictrackError
+        If a name is neither that of a model nor that of an effect.
+
+    Examples
+    --------
+    >>> parse("coulomb, viscous").names
+    ['coulomb', 'viscous']
+
     """
     extra = list(extra)
     if not isinstance(text, str):
@@ -330,9 +450,18 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
 
 
 def from_toml(source: str | FilePath) -> Model:
-    """The model that a TOML text or file holds: `to_toml`'s, or that of a study file (its `model` and `[[effect]]`).
+    """Read a model from TOML.
 
-    Raises FrictrackError (usage) for what is not TOML, an unknown name, or settings that do not go together.
+    Parameters
+    ----------
+    source : str or Path
+        TOML text, or a TOML file: one written by `Model.to_toml`, or a study file.
+
+    Raises
+    ------
+    FrictrackError
+        If the text is not TOML, a name is unknown, or settings contradict each other.
+
     """
     file = FilePath(source) if isinstance(source, FilePath) or str(source).endswith(".toml") else None
     try:
@@ -346,7 +475,7 @@ def from_toml(source: str | FilePath) -> Model:
         raise FrictrackError(
             'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]', usage=True
         )
-    told = [effects.read_settings(table) for table in raw.get("effect", [])]
-    model = parse(asked, effects.definitions(told)).adjusted(told)
+    tables = [effects.read_settings(table) for table in raw.get("effect", [])]
+    model = parse(asked, effects.definitions(tables)).adjusted(tables)
     effects.check_ties(model.effects)
     return model

@@ -1,4 +1,4 @@
-"""What terminal, page and plots say alike: the verdicts, and the axes along which a force may repeat."""
+"""Describe the verdict of a diagnosis, in the same words on the terminal, the page and the report."""
 
 from __future__ import annotations
 
@@ -6,16 +6,33 @@ from collections.abc import Mapping
 from typing import Any
 
 VERDICTS = {
-    "complete": "complete: nothing more is seen in these runs",
+    "complete": "complete: no further effect is detectable in these runs",
     "undetermined": "undetermined: these runs cannot show whether something is missing",
     "missing": "an effect is missing",
-    "ambiguous": "something is missing, and several effects would explain it equally well",
+    "ambiguous": "something is missing; several effects explain it equally well",
     "unexplained": "something is missing that no effect of the library explains",
 }
 
 
 def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
-    """The verdict of a diagnosis and the effects that it names; where it cannot tell, all that it cannot tell apart."""
+    """Describe the verdict of a diagnosis and name the effects.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis: `verdict`, `missing`, `candidates`, and `undetermined` for that verdict.
+
+    Returns
+    -------
+    str
+        One sentence without a full stop.
+
+    Examples
+    --------
+    >>> describe_verdict({"verdict": "missing", "missing": ["texture"], "candidates": []})
+    'an effect is missing: texture'
+
+    """
     if diagnosis["verdict"] == "undetermined":
         return f"{VERDICTS['undetermined']}: {describe_open_question(diagnosis)}"
     names = indistinguishable_effects(diagnosis) if diagnosis["verdict"] == "ambiguous" else []
@@ -24,14 +41,33 @@ def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
 
 
 def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
-    """The best effect and those that predict the same data."""
+    """Select the best candidate of a diagnosis and the effects that these runs cannot distinguish from it.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis with at least one missing effect or candidate.
+
+    Returns
+    -------
+    list of str
+        Names of the effects, the best first.
+
+    """
     best = diagnosis["missing"][0] if diagnosis["missing"] else diagnosis["candidates"][0]["effect"]
     found: Mapping[str, Any] = next((c for c in diagnosis["candidates"] if c["effect"] == best), {})
     return [best, *found.get("indistinguishable_from", [])]
 
 
 def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
-    """The first thing that the runs leave open, and what would settle it."""
+    """Describe the first question that the runs cannot answer, and what would answer it.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis. Its `undetermined` lists `what`, `why` and `settled_by`.
+
+    """
     gaps = diagnosis.get("undetermined") or [{"what": "the law", "why": "not determined", "settled_by": ""}]
     first, more = gaps[0], len(gaps) - 1
     others = f" (and {more} more)" if more else ""

@@ -267,7 +267,7 @@ def test_toml_that_is_no_model_is_told_in_one_sentence(text, said):
 def test_an_effect_made_by_hand_cannot_be_written():
     law = models.of(["coulomb", effects.get("drag").called("drog")])
     with pytest.raises(
-        FrictrackError, match="drog is neither of the library nor a formula; declare it with @frictrack"
+        FrictrackError, match="expected an effect of the library or a formula but got drog; declare it with @frictrack"
     ):
         law.to_toml()
     assert law.settings == []

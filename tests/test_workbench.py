@@ -100,7 +100,7 @@ def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     page.picture("5_tried")
     page.click("Add texture").hears("add texture: done")
     page.click("Find what is missing").hears("diagnose: done")
-    page.sees("Complete: nothing more is seen in these runs")
+    page.sees("Complete: no further effect is detectable in these runs")
     page.sees(re.compile("Held-out error falls from"))
     page.picture("6_added")
     page.to("6 History and report").sees("Tustin + texture (current)")
