@@ -142,7 +142,7 @@ def _run(study: Study, name: str) -> RunTable:
     return next(run for run in study.runs if run.name == name)
 
 
-def _outcome(path: Path, result: dict[str, Any], failed: Reasons) -> StudyOutcome:
+def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOutcome:
     """Return the outcome of a study that was run."""
     fit, diagnosis = result["fit"], result["diagnose"]
     shared = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -57,7 +57,7 @@ def open_session(study: Path) -> Iterator[Session]:
         yield Session(opened, progress, author="cli")
 
 
-def print_result(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
+def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
     """Print the result of a command, as JSON or as tables, and where the files are.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -173,7 +173,7 @@ def diagnose(study: Study, seed: Seed = 0, as_json: Json = False) -> None:
     print_result(result, as_json, "diagnose", session.path)
 
 
-def _edit(how: Callable[[Session], dict[str, Any]], study: Path, as_json: bool) -> None:
+def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: bool) -> None:
     with open_session(study) as session:
         result = how(session)
     print_result(result, as_json, "edit", session.path)

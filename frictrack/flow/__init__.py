@@ -13,6 +13,7 @@
     tried_models, study_edits, command_history, replay          models tried, changes of the study, undo
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
     stored_results, run_summaries, run_budget, verification     read, summarise and verify stored results
+    summaries                   the shapes of the summaries that `Session` returns
     schema                      write the page that describes the HDF5 files
 """
 

@@ -12,6 +12,7 @@ from frictrack.flow.film_stages import contact_sheet_path, overlay_path
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.flow.run_budget import run_budget
 from frictrack.flow.sensor_stage import sensor_summary
+from frictrack.flow.summaries import CutoffSummary, Events
 from frictrack.flow.track_quality import track_quality
 from frictrack.records import CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import to_builtins
@@ -89,7 +90,7 @@ def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
     }
 
 
-def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
+def _cutoff_summary(pipeline: RunPipeline) -> CutoffSummary:
     """Describe what a plain low-pass would cost, in N if the mass is known, else in m/s^2."""
     found: CutoffTradeOff = pipeline.get("cutoff")
     mass = pipeline.run.mass[0] if isinstance(pipeline.run.mass, tuple) else None
@@ -106,7 +107,7 @@ def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
     }
 
 
-def _events_summary(pipeline: RunPipeline) -> dict[str, Any]:
+def _events_summary(pipeline: RunPipeline) -> Events:
     """List release, impacts, stops, starts and reversals, and the noise while the mass rests."""
     found: RunEvents = pipeline.get("events")
     noise = found.noise_at_rest
@@ -142,6 +143,6 @@ def _budget_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
     """Return the summaries of sensors and impact, and all notes; empty summaries are left out."""
-    rows = sensor_summary(pipeline)
+    rows = {**sensor_summary(pipeline)}
     notes = [*pipeline.get("displacement").notes, *rows.pop("notes")]
     return {key: row for key, row in rows.items() if row} | {"notes": notes}

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
+from frictrack.flow.summaries import DemoSummary, ModelChange
 
 MAX_EFFECTS_ADDED = 4  # effects that may be added before the demo gives up
 
 
-def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
+def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoSummary:
     """Run the sample study in a folder; the study is written there if it is missing.
 
     The best candidate is added until the diagnosis finds nothing more.
@@ -40,7 +40,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[
     session = Session(open_study(path), progress)
     session.restart()
     first = found = session.diagnose(seed)
-    added: list[dict[str, Any]] = []
+    added: list[ModelChange] = []
     while found["missing"] and len(added) < MAX_EFFECTS_ADDED:
         added.append(session.add(found["missing"][0], seed))
         found = session.diagnose(seed)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.flow.summaries import ImpactEnergy, SensorSummary
 from frictrack.flow.table_stage import read_run_table, with_even_clock
 from frictrack.friction import release_time
 from frictrack.motion import differentiate, low_pass
@@ -83,7 +84,7 @@ def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
-def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
+def sensor_summary(pipeline: RunPipeline) -> SensorSummary:
     """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`.
 
     Returns
@@ -271,7 +272,7 @@ def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
     ]
 
 
-def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
+def _impact_energy(pipeline: RunPipeline) -> ImpactEnergy | None:
     """Compare the kinetic energy at release with `impact_energy`, if that is stated and the mass is known."""
     run = pipeline.run
     if run.impact_energy is None or not isinstance(run.mass, tuple):

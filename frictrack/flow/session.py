@@ -30,6 +30,7 @@ from frictrack.flow.plausibility_checks import Findings
 from frictrack.flow.run_summaries import run_summaries
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.stored_results import read_results
+from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.table_stage import jitter_notes
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.friction import impact
@@ -178,7 +179,7 @@ class Session:
                 pipeline.get(stage)
         self.progress(len(self.runs), len(self.runs), "runs")
 
-    def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
+    def measure(self, stage: str, *, overlay: bool = False) -> Measurements:
         """Bring every run up to ``"track"``, ``"motion"`` or ``"friction"``: JSON of those commands.
 
         Parameters
@@ -319,16 +320,16 @@ class Session:
         return [keys, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     @exclusive
-    def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
+    def add(self, effect: str, seed: int | None = None) -> ModelChange:
         """Add one effect to the current model and fit again: JSON of `add`."""
         return self._change_model("+", effect, seed)
 
     @exclusive
-    def remove(self, effect: str, seed: int | None = None) -> dict[str, Any]:
+    def remove(self, effect: str, seed: int | None = None) -> ModelChange:
         """Remove one effect from the current model and fit again: JSON of `remove`."""
         return self._change_model("-", effect, seed)
 
-    def _change_model(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
+    def _change_model(self, sign: str, effect: str, seed: int | None) -> ModelChange:
         effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
         before, after = self._fit_changed(sign + effect, seed)
         return {
@@ -364,7 +365,7 @@ class Session:
         return self.models.attempt(request, path)
 
     @exclusive
-    def run(self, seed: int = 0) -> dict[str, Any]:
+    def run(self, seed: int = 0) -> StudySummary:
         """Fit, compare, diagnose and report: JSON of `run`."""
         fit = self.fit()
         self.compare()

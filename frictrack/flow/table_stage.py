@@ -130,8 +130,8 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
         return displacement
     note = (
         f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
-        f"{100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
-        "deviations grow with it"
+        f"{100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are "
+        "even; deviations grow with it"
     )
     return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
 

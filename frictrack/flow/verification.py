@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from frictrack import store
 from frictrack.errors import FrictrackError
@@ -21,6 +20,7 @@ from frictrack.files import is_busy
 from frictrack.flow.command_history import FILE_NAME, CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
 from frictrack.flow.stages import FILM, TABLE, run_pipeline
+from frictrack.flow.summaries import Verification
 from frictrack.flow.tried_models import TriedModels
 from frictrack.store import Fault, Provenance
 from frictrack.study import Study, load, results_folder
@@ -31,7 +31,7 @@ _GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # name of a group in `RunPipeline.
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
 
 
-def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str, Any]:
+def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verification:
     """Verify study files, folders of results or HDF5 files. Nothing is written.
 
     Parameters
