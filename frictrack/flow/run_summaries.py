@@ -143,6 +143,6 @@ def _budget_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
     """Return the summaries of sensors and impact, and all notes; empty summaries are left out."""
-    rows = {**sensor_summary(pipeline)}
+    rows: dict[str, Any] = {**sensor_summary(pipeline)}
     notes = [*pipeline.get("displacement").notes, *rows.pop("notes")]
     return {key: row for key, row in rows.items() if row} | {"notes": notes}
