@@ -81,7 +81,7 @@ def test_fit_says_once_how_well_the_scale_is_known(capsys: pytest.CaptureFixture
     (here / "study.toml").write_text(text.replace("[[run]]", '[camera]\nscale = "0.500 +/- 0.002 mm/px"\n\n[[run]]', 1))
     assert answer(capsys, "fit", "study.toml")["scale_error"] == pytest.approx(0.004)
     out = " ".join(run(capsys, "fit", "study.toml")[1].split())
-    assert out.count("the scale is known to 0.4 %, and so is every force above") == 1
+    assert out.count("the scale has a standard deviation of 0.4 %, and so has every force above") == 1
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path)
         ("fit", "absent.toml"): "expected a study file absent.toml but cannot read it",
         ("add", "study.toml", "texure"): 'expected the name of an effect but got "texure"; did you mean "texture"?',
         ("fit", "slow.csv"): "expected a study file (.toml) but got slow.csv",
-        ("run", "study.toml", "--mass", "1kg"): "expected no --mass beside a study file",
+        ("run", "study.toml", "--mass", "1kg"): "expected no --mass together with a study file; set mass in the file",
         ("run", "study.toml", "study.toml"): "expected one study file; `frictrack batch` runs several",
         ("run", "a.avi"): "expected --mass and --scale together with recordings, as in --mass 0.35kg",
         ("run", "empty"): "expected a study.toml in empty; `frictrack init empty` writes one",

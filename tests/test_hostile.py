@@ -73,7 +73,7 @@ def test_results_cannot_leave_the_studys_folder(study: Path, output: str) -> Non
 
 def test_nor_by_a_link_in_the_place_of_the_usual_folder(study: Path) -> None:
     (study.parent / "study_results").symlink_to(study.parent.parent / "outside")
-    assert 'but got "study_results", which leads out of it' in refused(study, GOOD)
+    assert 'but got "study_results", which is outside' in refused(study, GOOD)
 
 
 def test_unless_the_user_says_so(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

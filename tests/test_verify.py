@@ -256,7 +256,7 @@ def test_the_command_says_each_fault_in_one_line(study: Path, capsys: pytest.Cap
     with pytest.raises(SystemExit) as left:
         main(["verify", str(study)])
     assert left.value.code == 0
-    assert capsys.readouterr().out == "3 files of results are sound\n"
+    assert capsys.readouterr().out == "3 result files are sound\n"
     path = study.parent / "study_results" / "slow.h5"
     flip(path, chunk(path, "motion/v") + 20)
     (study.parent / "fast.csv").write_text("t_s,x_m\n0,0\n1,1\n")

@@ -52,7 +52,14 @@ class _LinePrinter:
 
 
 def progress_table(state: BatchState) -> Table:
-    """Return the table of one state."""
+    """Return the table of one state of a batch.
+
+    Parameters
+    ----------
+    state
+        Progress of the batch.
+
+    """
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     ended = state.kept + len(state.done)
     pace = 60.0 * state.runs / max(state.seconds, 1e-9)
@@ -70,7 +77,14 @@ def progress_table(state: BatchState) -> Table:
 
 
 def relative_path(path: str) -> str:
-    """Return a path relative to the current folder if it lies below it."""
+    """Return a path relative to the current folder if it lies below it.
+
+    Parameters
+    ----------
+    path
+        An absolute path.
+
+    """
     return path.removeprefix(f"{Path.cwd()}/")
 
 

@@ -28,7 +28,16 @@ SHARES = (  # words, and where they stand
 
 
 def blind(out: Console, result: dict[str, Any]) -> None:
-    """Print all figures of `frictrack blind score`."""
+    """Print the shares of hits with intervals, detection limits and confusions.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack blind score`.
+
+    """
     out.print(_shares(result))
     one, where, time = result["one"], result["where"], result["seconds"]
     out.print(

@@ -11,13 +11,31 @@ from frictrack.axes import AXES
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:
-    """Print the auxiliary signals that correlate with the residual of the model."""
+    """Print the auxiliary signals that correlate with the residual of the model.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    found
+        "evidence" of the JSON of `frictrack diagnose`.
+
+    """
     for one in found:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
 
 
 def unexplained(out: Console, left: dict[str, Any] | None) -> None:
-    """Print the variable on which the misfit depends, formulas for it, and text for the study file."""
+    """Print the variable on which the misfit depends, formulas for it, and text for the study file.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    left
+        "unexplained" of the JSON of `frictrack diagnose`; None prints nothing.
+
+    """
     if not left:
         return
     default = f"the misfit that no effect explains depends on {AXES[left['axis']].name}"

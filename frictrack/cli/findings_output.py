@@ -11,7 +11,16 @@ MAX_FINDINGS = 8  # that the terminal shows
 
 
 def findings(out: Console, findings: list[dict[str, Any]]) -> None:
-    """Print the notes on the recordings; the rest of a long list is left to the report."""
+    """Print the notes on the recordings; the rest of a long list is left to the report.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    findings
+        "findings" of the JSON of `frictrack fit` or `diagnose`.
+
+    """
     for found in findings[:MAX_FINDINGS]:
         out.print(escape(f"{found['run']}: {found['words']}"))
     if (more := len(findings) - MAX_FINDINGS) > 0:

@@ -42,7 +42,16 @@ NOT_IN_TABLE = (
 
 
 def fit(out: Console, result: dict[str, Any]) -> None:
-    """Print the parameters with standard deviations and units, then the errors."""
+    """Print the parameters with standard deviations and units, then the errors.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack fit`.
+
+    """
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
@@ -62,7 +71,16 @@ def fit(out: Console, result: dict[str, Any]) -> None:
 
 
 def own_motion(out: Console, result: dict[str, Any]) -> None:
-    """Print how precisely the model gives the motion of each run, and the collisions."""
+    """Print how precisely the model gives the motion of each run, and the collisions.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack fit`; of it "per_run" and "collisions" are used.
+
+    """
     for row in result["per_run"]:
         motion = row.get("motion")
         if motion:
@@ -78,7 +96,14 @@ def own_motion(out: Console, result: dict[str, Any]) -> None:
 
 
 def parameters(values: dict[str, Any]) -> Table:
-    """Return a table with one row per parameter: value ± standard deviation, unit, remark."""
+    """Return a table with one row per parameter: value ± standard deviation, unit, remark.
+
+    Parameters
+    ----------
+    values
+        "parameters" of the JSON of `frictrack fit`: "value", "std", "unit", "reason" by name.
+
+    """
     has_intervals = any("interval" in p for p in values.values())
     rejected = any("std_misfit" in p for p in values.values())
     heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if has_intervals else [])]
@@ -92,7 +117,19 @@ def parameters(values: dict[str, Any]) -> Table:
 
 
 def interval(p: dict[str, Any]) -> str:
-    """Format an interval by profile or bootstrap; either end may be open."""
+    """Format a 95 % interval; either end may be open.
+
+    Parameters
+    ----------
+    p
+        A parameter with the key "interval", if an interval was computed.
+
+    Examples
+    --------
+    >>> interval({"interval": [1.0, None]})
+    'above 1'
+
+    """
     low, high = p.get("interval") or (None, None)
     if low is None and high is None:
         return "any" if "interval" in p else ""
@@ -108,7 +145,14 @@ def _mu(p: dict[str, Any]) -> str:
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
-    """Return a table with one row per error and one column per model."""
+    """Return a table with one row per error and one column per model.
+
+    Parameters
+    ----------
+    columns
+        Head of the column, and "errors" of the model.
+
+    """
     columns = list(columns)
     table = _table("error", *(title for title, _ in columns), "unit")
     for key, cells in _errors([e for _, e in columns]).items():
@@ -128,13 +172,31 @@ def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
 
 
 def compare(out: Console, result: dict[str, Any]) -> None:
-    """Print the errors of every model, and where the current one fails."""
+    """Print the errors of every model, and where the current one fails.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack compare`.
+
+    """
     history(out, result)
     fails_at(out, result["fails_at"])
 
 
 def history(out: Console, result: dict[str, Any]) -> None:
-    """Print every model tried, in order, one row each."""
+    """Print every model tried, in order, one row each.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack history`.
+
+    """
     cells = _errors([model["errors"] for model in result["models"]])
     table = _table("model", *(ERRORS[key][1] for key in cells))
     for model, *values in zip(result["models"], *cells.values(), strict=True):
@@ -144,7 +206,16 @@ def history(out: Console, result: dict[str, Any]) -> None:
 
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
-    """Print spans of time, position and velocity with their share of the misfit."""
+    """Print spans of time, position and velocity with their share of the misfit.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    spans
+        "fails_at" of the JSON of `frictrack compare`.
+
+    """
     if not spans:
         return
     table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
@@ -164,7 +235,16 @@ def _reach(ends: list[float]) -> str:
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
-    """Print the verdict, the candidates, and the next experiment."""
+    """Print the verdict, the candidates, and the next experiment.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack diagnose`.
+
+    """
     out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
@@ -191,7 +271,14 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:
-    """Return a table with one row per candidate, best first; values per run are left to `--json`."""
+    """Return a table with one row per candidate, best first.
+
+    Parameters
+    ----------
+    found
+        "candidates" of the JSON of `frictrack diagnose`; their values per run are not shown.
+
+    """
     table = _table("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from")
     table.columns[0].no_wrap = True
     for c in found:
@@ -209,7 +296,14 @@ def candidates(found: list[dict[str, Any]]) -> Table:
 
 
 def importance(rows: list[dict[str, Any]]) -> Table:
-    """Return a table with the share of the misfit that each effect explains, alone and in sequence."""
+    """Return a table with the share of the misfit that each effect explains, alone and in sequence.
+
+    Parameters
+    ----------
+    rows
+        "importance" of the JSON of `frictrack diagnose`.
+
+    """
     table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
     for row in rows:
         shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
@@ -230,7 +324,16 @@ def _with_unit(parameter: dict[str, Any]) -> str:
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:
-    """Print the errors before and after an effect was added or removed."""
+    """Print the errors before and after an effect was added or removed.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack add` or `remove`.
+
+    """
     out.print(parameters(result["parameters"]))
     out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))
 
@@ -253,7 +356,16 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
-    """Print every claim of the papers with its verdict."""
+    """Print every claim of the papers with its verdict.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack reproduce`.
+
+    """
     for part in result["parts"]:
         out.print(f"[bold]{escape(part['title'])}[/bold]")
         for c in part["claims"]:
@@ -266,7 +378,16 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 
 
 def stages(out: Console, result: dict[str, Any]) -> None:
-    """Print one row per run of `motion` or `friction`, then the notes."""
+    """Print one row per run, then the notes.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack motion` or `friction`.
+
+    """
     first = result["runs"][0]
     keys = [k for k in first if k not in NOT_IN_TABLE and not isinstance(first[k], dict | list)]
     table = _table(*(k.replace("_", " ") for k in keys))
@@ -297,7 +418,16 @@ def _happened(row: dict[str, Any]) -> list[str]:
 
 
 def budget(out: Console, row: dict[str, Any]) -> None:
-    """Print the error budget of one run's friction force, the total last, and what would make it smaller."""
+    """Print the error budget of one run's friction force, the total last, and what would make it smaller.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    row
+        A row of the JSON of `frictrack friction`.
+
+    """
     table = _table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
     for part in row["budget"]:
         unknown = part["source"] != "total" and part["size"] is None
@@ -309,7 +439,16 @@ def budget(out: Console, row: dict[str, Any]) -> None:
 
 
 def track(out: Console, result: dict[str, Any]) -> None:
-    """Print how well each film was measured: a table in px, then details of each film."""
+    """Print how well each film was measured: a table in px, then details of each film.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack track`.
+
+    """
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
@@ -357,7 +496,16 @@ def _behind(row: dict[str, Any]) -> list[str]:
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:
-    """Print what each effect adds, looks like, and is confused with."""
+    """Print what each effect adds, looks like, and is confused with.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack effects`.
+
+    """
     table = _table("effect", "equation", "parameters", "looks like", "mistaken for", box=box.SQUARE, show_lines=True)
     for e in result["effects"]:
         units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
@@ -369,7 +517,16 @@ def effects(out: Console, result: dict[str, Any]) -> None:
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
-    """Print one row per study, and trends over the series."""
+    """Print one row per study, and trends over the series.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack batch`.
+
+    """
     table = _table("study", "runs", "verdict", "missing", "failed because")
     for row in result["studies"][:MAX_STUDIES]:
         table.add_row(*(_cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
@@ -385,7 +542,16 @@ def batch(out: Console, result: dict[str, Any]) -> None:
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:
-    """Print one line per fault, then what was verified."""
+    """Print one line per fault, then what was verified.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack verify`.
+
+    """
     for fault in result["faults"]:
         out.print(f"{fault['kind']}: {fault['words']}", soft_wrap=True, markup=False)
     if old := result["without_checksums"]:

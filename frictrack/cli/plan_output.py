@@ -14,7 +14,16 @@ MAX_EXAMPLES = 2  # pairs that are named for a run
 
 
 def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
-    """Print the next experiments, best first, with the expected evidence."""
+    """Print the next experiments, best first, with the expected evidence.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    steps
+        "next_experiment" of the JSON of `frictrack diagnose`.
+
+    """
     if not steps:
         return
     out.print("[bold]Next experiment[/bold]")
@@ -34,7 +43,16 @@ def _evidence(step: dict[str, Any]) -> str:
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
-    """Print the runs in order with what each adds, the pairs that remain, and what cannot be detected."""
+    """Print the runs in order with what each adds, the pairs that remain, and what cannot be detected.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack plan`.
+
+    """
     for line in result["assumed"]:
         out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     if result["done"]:

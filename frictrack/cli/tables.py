@@ -8,7 +8,16 @@ from rich.table import Table
 
 
 def table(*headers: str, **style: Any) -> Table:
-    """Return an empty table with headers, without a box by default."""
+    """Return an empty table, without a box by default.
+
+    Parameters
+    ----------
+    *headers
+        Heads of the columns.
+    **style
+        For `rich.table.Table`.
+
+    """
     new = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
     for header in headers:
         new.add_column(header, overflow="fold")
