@@ -161,7 +161,7 @@ def test_where_peak_locking_cannot_be_told():
 def test_a_note_only_where_it_matters():
     (note,) = self_test(a_track(slide(K), locking=0.004)).notes
     assert "by 0.004" in note
-    assert "(peak locking): at the usual speed a tone of" in note
+    assert "at the typical speed an oscillation of" in note
     assert self_test(a_track(slide(K), locking=0.0)).notes == ()
     assert self_test(a_track(slide(K), locking=0.0002)).notes == ()
 
@@ -189,7 +189,7 @@ def test_forward_and_backward():
     result = forward_backward(forward, backward)
     assert result.rms == pytest.approx(2 * SIGMA, rel=0.1)  # two coordinates, two tracks
     assert result.in_sigma == pytest.approx(np.sqrt(2), rel=0.1)
-    assert result.summary.endswith("they depend on where the search came from")
+    assert result.summary.endswith("they depend on the direction of tracking")
     same = forward_backward(forward, forward)
     assert same.in_sigma == 0
     assert same.summary == "tracked backward, positions differ by 0 px rms (0 standard deviations)"
@@ -198,4 +198,4 @@ def test_forward_and_backward():
 def test_a_doubled_frame_is_noted():
     x = slide(K)
     x[300:] = slide(K[:-300] + 299)
-    assert self_test(a_track(x)).notes == ("1 frame is doubled, told by the motion: frame 300",)
+    assert self_test(a_track(x)).notes == ("1 frame is doubled, found from the motion: frame 300",)

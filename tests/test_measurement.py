@@ -125,8 +125,8 @@ def test_missing_and_doubled_frames_are_told_by_the_motion(tmp_path):
     shown = np.rint(d.t * 4000).astype(int)
     assert shown.tolist() == [i for i in range(120) if i not in (40, 80, 81)]
     assert error_um(d, x[shown]) < 1.5
-    assert said(d, "1 frame is doubled, told by the motion: frame 20; left out")
-    assert said(d, "3 frames are missing, told by the motion: before frames 41, 80; left as gaps in time")
+    assert said(d, "1 frame is doubled, found from the motion: frame 20; left out")
+    assert said(d, "3 frames are missing, found from the motion: before frames 41, 80; left as gaps in time")
     assert len(worked(tmp_path, 'reference = "none"').get("motion")) == 117
 
 
@@ -145,7 +145,7 @@ def test_pictures_shown_more_than_once(tmp_path, pattern):
     shown = np.rint(d.t * 4000).astype(int)
     assert shown[d.valid].tolist() == list(range(last))
     assert error_um(d, x[shown]) < 1.6
-    assert said(d, "frames are doubled, told by the motion")
+    assert said(d, "frames are doubled, found from the motion")
     assert bool(said(d, "the film was stretched by repeating frames")) == (pattern == "all")
 
 
@@ -157,14 +157,14 @@ def test_missing_frames_of_a_shaking_film(tmp_path):
     shown = np.rint(d.t * 4000).astype(int)
     assert shown.tolist() == [i for i in range(120) if i not in (60, 61)]
     assert error_um(d, x[shown]) < 2.0
-    assert said(d, "2 frames are missing, told by the motion: before frame 60")
+    assert said(d, "2 frames are missing, found from the motion: before frame 60")
 
 
 def test_a_sound_film_keeps_its_times(tmp_path):
     x = filmed(tmp_path)
     d = worked(tmp_path, 'reference = "none"').get("displacement")
     assert len(d) == len(x)
-    assert not said(d, "told by the motion")
+    assert not said(d, "found from the motion")
 
 
 def test_the_cameras_own_stamps_are_believed(tmp_path, monkeypatch):

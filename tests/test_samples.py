@@ -235,7 +235,7 @@ def test_missing_samples_become_gaps_and_repeated_ones_go():
     kept = np.setdiff1d(np.arange(N), [100, 200, 201])
     even = with_even_clock(table(T[: len(kept)], x[kept]))
     np.testing.assert_allclose(even.data.t, T[kept], atol=1e-12)
-    assert even.notes[0].startswith("3 samples are missing, told by the motion: before frames 100, 199")
+    assert even.notes[0].startswith("3 samples are missing, found from the motion: before frames 100, 199")
     twice = np.sort(np.r_[np.arange(N - 3), [80, 80, 300]])
     even = with_even_clock(table(T, x[twice]))
     np.testing.assert_allclose(even.data.t, T[: N - 3], atol=1e-12)

@@ -1,4 +1,4 @@
-"""Doubled and missing frames told by the motion alone, on curves whose faults are known."""
+"""Doubled and missing frames found from the motion alone, on curves whose faults are known."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_what_is_too_short_or_too_slow():
 def test_the_words():
     found = slips(a_track(slide(recorded(missing={100, 302, 303, 304}, doubled={200}))))
     assert timing_note(found) == (
-        "1 frame is doubled, told by the motion: frame 200",
-        "4 frames are missing, told by the motion: before frames 100, 302",
+        "1 frame is doubled, found from the motion: frame 200",
+        "4 frames are missing, found from the motion: before frames 100, 302",
     )
     assert timing_note(()) == ()

@@ -318,5 +318,5 @@ def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
         total = sum(s.frames for s in lost)
         count = "1 sample is" if total == 1 else f"{total} samples are"
         places = describe_frames([int(numbers[s.frame]) for s in lost])
-        notes.append(f"{count} missing, told by the motion: before {places}; left as gaps in time")
+        notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)

@@ -300,9 +300,9 @@ def _with_systematic_error(track: Track, target_model: TargetModel) -> Track:
     if systematic < min_systematic:
         return replace(track, systematic=min_systematic)
     note = (
-        f"the look of the target changes along its path (light, highlights, background): places are off slowly by "
-        f"{systematic:.2g} px rms; an outline of what does not change, target = [[x, y], ...], or even light lowers "
-        "that"
+        f"the appearance of the target changes along its path (light, highlights, background): slow position errors of "
+        f"{systematic:.2g} px rms; an outline of the part that does not change, target = [[x, y], ...], or even light "
+        "reduces them"
     )
     return replace(track, systematic=float(np.hypot(min_systematic, systematic)), notes=(*track.notes, note))
 
@@ -319,7 +319,7 @@ def _peak_locking_note(size: Array) -> tuple[str, ...]:
     if not np.any(size > MIN_REPORTED_PEAK_LOCKING_PX):
         return ()
     return (
-        f"places drawn to the pixels by {np.max(size):.3f} px were set right (peak locking): the target is sharper "
+        f"peak locking of {np.max(size):.3f} px was corrected: the target is sharper "
         "than the sensor resolves; a slight defocus would avoid it",
     )
 

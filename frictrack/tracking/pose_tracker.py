@@ -104,7 +104,7 @@ class _PoseTracker:
         last_found: list[tuple[int, Pose]] = [(frames.start - frames.step, start)] if len(frames) else []
         for done, i in enumerate(frames):
             if progress and done % 16 == 0:
-                progress(done, len(frames), "follow the turning target")
+                progress(done, len(frames), "follow the rotating target")
             try:
                 frame = self.film.frame(i)
             except FrictrackError:

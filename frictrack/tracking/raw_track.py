@@ -1,4 +1,4 @@
-"""The track before calibration of its frames: positions on cut-outs, and why a frame has none."""
+"""Store the raw track: positions on cut-outs, and the reason where a frame has none."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from frictrack.tracking.subpixel_fit import SubpixelFit
 UNREAD = "frame cannot be read"
 FLAT = "picture without contrast"
 LEAVES = "target leaves the frame"
-NOT_CONVERGED = "sub-pixel search did not settle"
+NOT_CONVERGED = "sub-pixel fit did not converge"
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,8 +50,8 @@ def aligned(track: Track, reference: Track) -> Track:
     found = target_offset(track.picture, reference.picture)
     if found is None:
         note = (
-            "its target does not look like the first run's: places along the course agree only as well as the two "
-            "rectangles were chosen"
+            "its target does not look like the first run's: positions along the course agree only as well as the two "
+            "rectangles do"
         )
         return replace(track, notes=(*track.notes, note))
     if np.hypot(found.dx, found.dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(found.sigma_x, found.sigma_y)):

@@ -73,7 +73,7 @@ dropped_frame = Effect(
     ),
     describe=describe,
     film_fault=True,
-    noted_as=("told by the motion", "repeats the one before", "repeat the one before"),
+    noted_as=("found from the motion", "repeats the one before", "repeat the one before"),
     planned_size=one_frame,
     test_draw=TestDraw(own_size=True, between_frames="time"),
     source="textbook; y(t) = x(t + frames dt) after the loss",

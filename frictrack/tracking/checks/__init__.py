@@ -1,4 +1,4 @@
-"""What a run says of its own measurement: peak locking, scores, backward tracking, faults of the time base."""
+"""Check a track by itself: peak locking, match scores, backward tracking, motion, faults of the time base."""
 
 from frictrack.tracking.checks.motion_test import at_rest, moves_with
 from frictrack.tracking.checks.self_tests import forward_backward, key_frame_notes, peak_locking, scores, self_test

@@ -1,4 +1,4 @@
-"""Check whether a target moves at all: by more than the noise of its places, and otherwise than the picture does."""
+"""Test whether a target moves: by more than the noise of its positions, and differently from the whole picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,19 @@ SMOOTH_FRAMES = 16  # from this number on, the steps of a smooth path can be dis
 
 
 def at_rest(track: Track) -> tuple[str, ...]:
-    """What is said of a target whose places scatter no more than their noise; nothing of one that moves."""
+    """Note that a target does not move by more than its noise.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    tuple of str
+        Empty for a target that moves.
+
+    """
     found = _compared(track)
     if _moves(_places(track)[:, found], _sigma(track)[:, found]):
         return ()
@@ -24,7 +36,19 @@ def at_rest(track: Track) -> tuple[str, ...]:
 
 
 def moves_with(track: Track, reference: Track) -> bool:
-    """Whether a target moves, but not against a reference: then the reference rests no more than the target does."""
+    """Test whether a target moves, but not relative to a reference: then the reference moves as well.
+
+    Parameters
+    ----------
+    track, reference : Track
+        Tracks of the same film.
+
+    Returns
+    -------
+    bool
+        True where the reference moves like the target.
+
+    """
     found = _compared(track) & _compared(reference)
     if np.count_nonzero(found) < SMOOTH_FRAMES:
         return False
@@ -34,7 +58,7 @@ def moves_with(track: Track, reference: Track) -> bool:
 
 
 def _compared(track: Track) -> Mask:
-    """Frames (n,) that were compared with another one than themselves."""
+    """Frames (n,) that were compared with another frame than themselves."""
     return np.asarray(track.found & (np.arange(len(track)) != track.template))
 
 
@@ -47,7 +71,7 @@ def _sigma(track: Track) -> Array:
 
 
 def _moves(places: Array, sigma: Array) -> bool:
-    """Whether places (2, n) scatter by more than their noise, or more smoothly than noise would.
+    """Whether positions (2, n) scatter by more than their noise, or more smoothly than noise would.
 
     The ratio of squared steps to squares is 2 for noise, with a variance of 4 / n (von Neumann 1941, Ann. Math. Stat.
     12:367).

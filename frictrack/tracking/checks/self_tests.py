@@ -1,4 +1,4 @@
-"""What the film and the track say about the measurement: self-tests from the run itself, in numbers and in words."""
+"""Test a track by itself: key frames of a codec, peak locking, match scores, and tracking in both directions."""
 
 from __future__ import annotations
 
@@ -24,10 +24,20 @@ MIN_SIGNIFICANCE = 6.0  # standard errors above every other phase; the search co
 
 
 def key_frame_notes(change: Array, x: Array, y: Array) -> tuple[str, ...]:
-    """A note on the key frames of a codec: every so many frames the whole picture is coded anew.
+    """Detect key frames of a codec: at a fixed period the whole picture is coded anew.
 
-    `change` (n,) is how much each picture differs from the one before, x and y (n,) the track in px. The note
-    says whether the positions jump with the picture.
+    Parameters
+    ----------
+    change : array (n,)
+        Rms difference of each frame from the one before, DN.
+    x, y : array (n,)
+        Track, px.
+
+    Returns
+    -------
+    tuple of str
+        A note with the period, and with the jump of the positions there; empty where no period is significant.
+
     """
     known = np.nan_to_num(change, nan=float(np.nanmedian(change)))
     excess = known - median_filter(known, size=9)  # what stands out of its neighbours, whatever else goes on
@@ -60,9 +70,9 @@ def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
 
 
 def _peak_significance(values: Array, period: int) -> float:
-    """How many standard errors the highest phase of `period` lies above every other.
+    """Standard errors by which the highest phase of `period` exceeds every other.
 
-    A vibration or a beat of the light raises many phases; a codec's key frames raise one.
+    A vibration or flicker of the light raises many phases; key frames raise one.
     """
     rows = len(values) // period
     if rows < MIN_REPEATS:
@@ -76,16 +86,27 @@ def _peak_significance(values: Array, period: int) -> float:
 
 
 def _fold_mean(values: Array, period: int) -> Array:
-    """Mean of the values at each phase (period,), phases counted from the first value."""
+    """Mean of the values at each phase (period,), counted from the first value."""
     return np.array([np.nanmean(values[phase::period]) for phase in range(period)])
 
 
 @dataclass(frozen=True, eq=False)
 class PeakLocking:
-    """Error tied to the place between pixels: amplitude and its standard deviation, px, and what it would feign.
+    """Position error that repeats from pixel to pixel.
 
-    At the run's typical speed it is a tone of `frequency` Hz (as the camera sees it) with an `acceleration` of
-    amplitude A (2 pi f)^2, px/s^2. `curve` holds the cosine and sine of one and two cycles per pixel, px.
+    Attributes
+    ----------
+    amplitude, error : float
+        Half of its range and the standard deviation, px.
+    p : float
+        Probability of such an amplitude from noise alone.
+    frequency : float
+        Frequency at the typical speed, as sampled by the camera, Hz.
+    acceleration : float
+        Apparent acceleration A (2 pi f)^2, px/s^2.
+    curve : tuple of float
+        Coefficients of cosine and sine of one and two cycles per pixel, px.
+
     """
 
     amplitude: float
@@ -96,15 +117,39 @@ class PeakLocking:
     curve: tuple[float, ...]
 
     def at(self, x: Array) -> Array:
-        """The error (n,) px at places x (n,) px."""
+        """Evaluate the error at positions.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Positions, px.
+
+        Returns
+        -------
+        array (n,)
+            Error, px.
+
+        """
         return np.asarray(_pixel_harmonics(x) @ np.array(self.curve))
 
 
 def peak_locking(track: Track) -> PeakLocking | None:
-    """Fold what x leaves about a smooth curve on the place between pixels; None where nothing can be told.
+    """Estimate peak locking: the part of the residuals about a smooth curve that repeats from pixel to pixel.
 
-    The curve and the waves go through the same smoother, so that what it takes from the one it takes from the
-    other: a slow target loses precision, not size.
+    Residuals and harmonics pass the same smoother. Its attenuation cancels, and a slow target costs precision but gives
+    no
+    bias.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    PeakLocking or None
+        None for a target that travels less than `MIN_TRAVEL_PX`, or with too few frames.
+
     """
     parts = _long_stretches(track.found)
     x, t = track.x_px, track.t
@@ -146,18 +191,18 @@ def _pixel_harmonics(x: Array) -> Array:
 
 
 def _long_stretches(found: Mask) -> list[slice]:
-    """Unbroken stretches of found frames, long enough to be smoothed."""
+    """Unbroken stretches of found frames that are long enough for smoothing."""
     return [s for s in stretches(found) if s.stop - s.start >= 2 * SMOOTHING_FRAMES]
 
 
 def _detrend(values: Array) -> Array:
-    """What a local cubic leaves of the values along their first axis."""
+    """Residuals about a local cubic (Savitzky-Golay) along the first axis."""
     return np.asarray(values - savgol_filter(values, SMOOTHING_FRAMES, 3, axis=0), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Scores:
-    """The history of the match score: usual and lowest value, and stretches (first, last frame) that are low."""
+    """Match scores of a track: typical and lowest value, its frame, and stretches (first, last frame) of low scores."""
 
     median: float
     lowest: float
@@ -166,7 +211,19 @@ class Scores:
 
 
 def scores(track: Track) -> Scores | None:
-    """How well the frames matched; None for a track without scores."""
+    """Summarise the match scores of a track.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    Scores or None
+        None for a track without scores.
+
+    """
     known = np.isfinite(track.score) & track.found
     if not known.any():
         return None
@@ -180,7 +237,18 @@ def scores(track: Track) -> Scores | None:
 
 @dataclass(frozen=True)
 class ForwardBackward:
-    """A run tracked in both directions: rms difference, px and in standard deviations, and frames found in one only."""
+    """Comparison of tracking in both directions.
+
+    Attributes
+    ----------
+    rms : float
+        Rms difference of the positions, px.
+    in_sigma : float
+        The same in standard deviations.
+    only_one : int
+        Number of frames found in one direction only.
+
+    """
 
     rms: float
     in_sigma: float
@@ -188,17 +256,29 @@ class ForwardBackward:
 
     @property
     def summary(self) -> str:
-        """The result in a sentence."""
+        """The comparison in one sentence."""
         difference = (
             f"tracked backward, positions differ by {self.rms:.2g} px rms ({self.in_sigma:.2g} standard deviations)"
         )
         lost = f"; {self.only_one} frames are found in one direction only" if self.only_one else ""
-        doubt = ": they depend on where the search came from" if self.in_sigma > 0.5 else ""
+        doubt = ": they depend on the direction of tracking" if self.in_sigma > 0.5 else ""
         return difference + lost + doubt
 
 
 def forward_backward(forward: Track, backward: Track) -> ForwardBackward:
-    """Compare a track with that of the film played backward (its rows in the order of the film)."""
+    """Compare a track with that of the film played backward.
+
+    Parameters
+    ----------
+    forward, backward : Track
+        Both with their rows in the order of the film.
+
+    Returns
+    -------
+    ForwardBackward
+        Rms is NaN where no frame is found in both.
+
+    """
     both = forward.found & backward.found
     only_one = int(np.count_nonzero(forward.found ^ backward.found))
     if not both.any():
@@ -212,7 +292,7 @@ def forward_backward(forward: Track, backward: Track) -> ForwardBackward:
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """What a run says of its own measurement."""
+    """Results of all self-tests of a track; `notes` holds only what matters."""
 
     peak_locking: PeakLocking | None
     scores: Scores | None
@@ -221,7 +301,21 @@ class SelfTest:
 
 
 def self_test(track: Track, faults: tuple[Slip, ...] | None = None) -> SelfTest:
-    """Peak locking, match scores and faults of the time base (unless they are known), from the track alone."""
+    """Test a track for peak locking, low match scores and faults of the time base.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    faults : tuple of Slip, optional
+        Faults of the time base, if they are known; by default they are searched.
+
+    Returns
+    -------
+    SelfTest
+        All results.
+
+    """
     locking, history, faults = peak_locking(track), scores(track), slips(track) if faults is None else faults
     notes = (*_locking_note(locking, track), *_score_note(history), *timing_note(faults))
     return SelfTest(locking, history, faults, notes)
@@ -235,8 +329,8 @@ def _locking_note(locking: PeakLocking | None, track: Track) -> tuple[str, ...]:
     ):
         return ()
     return (
-        f"positions are drawn toward a place between the pixels by {locking.amplitude:.4f} +/- {locking.error:.4f} px "
-        f"(peak locking): at the usual speed a tone of {locking.frequency:.0f} Hz and "
+        f"peak locking of {locking.amplitude:.4f} +/- {locking.error:.4f} px: positions repeat an error from pixel to "
+        f"pixel, at the typical speed an oscillation of {locking.frequency:.0f} Hz and "
         f"{locking.acceleration:.3g} px/s^2",
     )
 

@@ -1,4 +1,4 @@
-"""Doubled and missing frames of a track that no time stamp tells of, found from its motion, and said in words."""
+"""Find doubled and missing frames of a track from its motion, where no time stamps show them."""
 
 from __future__ import annotations
 
@@ -16,21 +16,47 @@ MIN_SIGMA_PX = 1e-4  # no track is more accurate
 
 
 def slips(track: Track) -> tuple[Slip, ...]:
-    """Doubled and missing frames of a track, in order; none are found where the target is too slow to tell."""
+    """Find doubled and missing frames of a track.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    tuple of Slip
+        In order; empty where the target is too slow.
+
+    """
     return find_slips(_main_direction(track))
 
 
 def timing_note(found: Sequence[Slip]) -> tuple[str, ...]:
-    """The slips in words."""
+    """Describe doubled and missing frames.
+
+    Parameters
+    ----------
+    found : sequence of Slip
+        Faults of the time base.
+
+    Returns
+    -------
+    tuple of str
+        At most one note on doubled and one on missing frames.
+
+    """
     doubled = [s.frame for s in found if s.doubled]
     missing = [s for s in found if not s.doubled]
     notes = []
     if doubled:
-        notes.append(f"{_count_frames(len(doubled), 'frame')} doubled, told by the motion: {describe_frames(doubled)}")
+        notes.append(
+            f"{_count_frames(len(doubled), 'frame')} doubled, found from the motion: {describe_frames(doubled)}"
+        )
     if missing:
         total = sum(s.frames for s in missing)
         notes.append(
-            f"{_count_frames(total, 'frame')} missing, told by the motion: "
+            f"{_count_frames(total, 'frame')} missing, found from the motion: "
             f"before {describe_frames([s.frame for s in missing])}"
         )
     return tuple(notes)

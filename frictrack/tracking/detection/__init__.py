@@ -1,4 +1,4 @@
-"""What to track: the body that moves, a click, a rectangle, a picture; and something fixed to hold it against."""
+"""Locate what to track: the moving body, a click, a rectangle, an outline, a picture; and a fixed reference."""
 
 from frictrack.tracking.detection.moving_bodies import find_target
 from frictrack.tracking.detection.reference_patch import find_reference

@@ -1,4 +1,4 @@
-"""The rectangle of a moving body on the full picture: the pixels that move with it, a little inside its edge."""
+"""Compute the rectangle of a moving body on the full picture, slightly inside its outline."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body
 
 @dataclass(frozen=True, eq=False)
 class BodyAppearance:
-    """What a body looks like, from sampled frames registered on it: a window somewhat larger than it."""
+    """Appearance of a body, from sampled frames registered on it: a window somewhat larger than the body."""
 
     picture: Picture  # median of the registered frames
     member: Mask  # pixels that move with the body
@@ -42,9 +42,28 @@ class BodyAppearance:
 def body_outline(
     scene: SampledScene, box: Rectangle, row: int, corner: Array, frame: int | None = None
 ) -> tuple[Rectangle, int]:
-    """The rectangle of a body and the frame it refers to: the first, unless that shows it badly, or `frame`.
+    """Compute the rectangle of a body and the frame to which it refers.
 
-    The body has this reduced `box` in sampled frame `row` and was seen at `corner` (k, 2), reduced, in the others.
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    box : tuple of int
+        x, y, w, h of the body on the reduced picture, px.
+    row : int
+        Number of the sample with the box.
+    corner : array (k, 2)
+        Corner of the box in all samples, reduced px.
+    frame : int, optional
+        Wanted frame. By default the first, unless that shows the body badly.
+
+    Returns
+    -------
+    rectangle : tuple of int
+        x, y, w, h on the full picture, px.
+    frame : int
+        Number of the frame.
+
     """
     appearance = _register_body(scene, box, row, corner)
     x, y, w, h = _rectangle(appearance)
@@ -57,7 +76,7 @@ def body_outline(
 
 
 def _choose_row(scene: SampledScene, appearance: BodyAppearance, frame: int | None) -> int:
-    """Which of the registered frames the rectangle is given in."""
+    """Choose the registered frame in which the rectangle is given."""
     index = np.array(scene.index)[appearance.rows]
     if frame is not None and frame in index:
         return int(np.flatnonzero(index == frame)[0])
@@ -66,7 +85,7 @@ def _choose_row(scene: SampledScene, appearance: BodyAppearance, frame: int | No
 
 
 def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> BodyAppearance:
-    """A pixel moves with the body if the body's median picture explains it better than the background does."""
+    """Register the sampled frames on the body and find the pixels that move with it."""
     w, h = box[2] * scene.factor, box[3] * scene.factor
     reach = int(np.ceil(0.1 * max(w, h))) + 3
     shape = (h + 2 * reach, w + 2 * reach)
@@ -88,7 +107,7 @@ def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array)
 
 
 def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask:
-    """The pixels that move with the body, of registered frames (k, h, w) and the scene behind them."""
+    """Pixels that move with the body, from registered frames (k, h, w) and the background behind them."""
     differs = _typical_square(
         stack - backgrounds, 0.5
     )  # a plain background far brighter than the body must not leak in
@@ -109,7 +128,7 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
 
 
 def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
-    """Typical square (h, w) of deviations (k, h, w): their median, of few the mean."""
+    """Typical square (h, w) of deviations (k, h, w): the median, or the mean of few."""
     squares = off**2
     usual = (
         np.median(squares, axis=0) if len(off) > MIN_MEDIAN_FRAMES else np.sum(squares, axis=0) / max(len(off) - 1, 1)
@@ -118,7 +137,7 @@ def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
 
 
 def _normalise_light(stack: Picture, picture: Picture, member: Mask) -> Picture:
-    """The frames in the light of the median picture, as told by the body's pixels."""
+    """Frames normalised to the light of the median picture, by the pixels of the body."""
     pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
     level = pixels.mean(axis=1)
     gain = (pixels - level[:, None]) @ wanted / max(float(wanted @ wanted), 1e-6)
@@ -127,7 +146,7 @@ def _normalise_light(stack: Picture, picture: Picture, member: Mask) -> Picture:
 
 
 def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> Array:
-    """Corner (k, 2) px of the body's box on the full pictures, by one more match there."""
+    """Corners (k, 2) px of the body on the full pictures, by a match there."""
     rough = np.rint(np.nan_to_num(corner + scene.shake) * scene.factor).astype(np.int64)
     fine = rough.astype(np.float64)
     size, reach = (box[3] * scene.factor, box[2] * scene.factor), scene.factor + 1
@@ -141,7 +160,7 @@ def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Ar
 
 
 def _misfit(pictures: Picture, picture: Picture) -> Array:
-    """Share (k,) of each picture (k, p) that the median picture (p,) does not explain, whatever the light."""
+    """Share (k,) of the variance of pictures (k, p) that the median picture (p,) does not explain at any light."""
     pictures = pictures - pictures.mean(axis=1, keepdims=True)
     picture = picture - picture.mean()
     power = np.sum(pictures**2, axis=1) * np.sum(picture**2)
@@ -149,7 +168,7 @@ def _misfit(pictures: Picture, picture: Picture) -> Array:
 
 
 def _largest_patches(mask: Mask) -> Mask:
-    """The largest connected patch, with those nearly as large (the two edges of a plain body); all if there is none."""
+    """The largest connected region, and those nearly as large (both edges of a plain body); everything without any."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     if len(stats) < 2:
         return np.ones(mask.shape, np.bool_)
@@ -158,7 +177,7 @@ def _largest_patches(mask: Mask) -> Mask:
 
 
 def _rectangle(appearance: BodyAppearance) -> Rectangle:
-    """Inside the body where its texture is; round it where most of its contrast is the outline."""
+    """Rectangle inside the body where its texture lies there; round it where most contrast is in the outline."""
     bits = appearance.member.astype(np.uint8)
     energy = np.sum(np.square(np.gradient(appearance.picture)), axis=0)
     core = cv2.erode(bits, np.ones((7, 7), np.uint8)) > 0
@@ -170,9 +189,28 @@ def _rectangle(appearance: BodyAppearance) -> Rectangle:
 
 
 def inner_rectangle(member: Mask) -> Rectangle:
-    """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
+    """Compute a rectangle inside a mask.
 
-    The margin is what interpolation reaches across: background beyond the edge would leak in.
+    Sides move inward until nearly all their pixels are inside, then a little further: interpolation reaches across the
+    edge, and background would leak in.
+
+    Parameters
+    ----------
+    member : array of bool (h, w)
+        Pixels of the body.
+
+    Returns
+    -------
+    tuple of int
+        x, y, w, h in px.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 40), bool)
+    >>> mask[5:35, 8:38] = True
+    >>> inner_rectangle(mask)
+    (10, 7, 26, 26)
+
     """
     x, y, w, h = cv2.boundingRect(member.astype(np.uint8))
     x1, y1 = x + w, y + h

@@ -1,6 +1,6 @@
-"""Find the moving body: what differs from the still scene, looks the same from frame to frame, and travels.
+"""Find moving bodies: regions that differ from the static scene, keep their appearance, and travel.
 
-Everything is searched on reduced pictures; only the outline of the body that is chosen is drawn on full ones.
+All searches use reduced pictures; only the outline of the chosen body is found on full ones.
 """
 
 from __future__ import annotations
@@ -37,7 +37,22 @@ MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A moving thing on the reduced pictures: its bounding box in sampled frame `row`, and where that went."""
+    """Moving body on the reduced pictures.
+
+    Attributes
+    ----------
+    box : tuple of int
+        Its bounding box x, y, w, h in sampled frame `row`, px.
+    row : int
+        Number of that sample.
+    corner : array (k, 2)
+        Corner of the box in every sampled frame, px; NaN where the body is not found.
+    score : array (k,)
+        Match scores.
+    merit : float
+        How suitable it is as a target; 0 for a body that does not move.
+
+    """
 
     box: Rectangle
     row: int
@@ -47,22 +62,57 @@ class Body:
 
     @property
     def seen(self) -> Mask:
-        """Sampled frames (k,) that show the body."""
+        """Sampled frames (k,) in which the body is found."""
         return np.isfinite(self.corner[:, 0])
 
 
 def find_target(recording: Recording) -> Rectangle:
-    """Rectangle (x, y, w, h) px of the moving body; in the first frame, unless `locate_target` names another one."""
+    """Find the rectangle of the moving body.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+
+    Returns
+    -------
+    tuple of int
+        x, y, w, h in px, in the first frame; `locate_target` returns the frame if it is another one.
+
+    Raises
+    ------
+    FrictrackError
+        As `locate_target` does.
+
+    """
     return locate_target(recording)[0]
 
 
 def locate_target(recording: Recording) -> tuple[Rectangle, int]:
-    """Rectangle of the body that moves farthest, slightly inside its outline, and the frame it refers to.
+    """Find the rectangle of the body that moves farthest, and the frame to which it refers.
 
-    A body that turns as it goes never looks the same: then it is the patch of steady size that travels. Where nothing
-    travels by more than a pixel or two, it is the patch whose smaller motion stands out of the noise most; where none
-    does, the patch that is tracked best. Raises `FrictrackError` when the film has no contrast, no patch has enough
-    texture, or two bodies move apart.
+    A rotating body changes its appearance; it is found as a region of constant size that travels. If nothing travels by
+    more than a pixel or two, the patch with the most significant smaller motion is used; if nothing moves, the patch
+    that
+    can be tracked best.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+
+    Returns
+    -------
+    rectangle : tuple of int
+        x, y, w, h in px, slightly inside the outline of the body.
+    frame : int
+        Number of the frame.
+
+    Raises
+    ------
+    FrictrackError
+        For a film without contrast or texture, or with two bodies that move independently.
+
     """
     scene, bodies = _find_bodies(sample_scene(recording))
     rotating = rotating_body(scene, bodies[0].box[2] * bodies[0].box[3] if bodies else 0.0)
@@ -79,7 +129,7 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
 
 
 def _small_motion_patch(recording: Recording, scene: SampledScene) -> tuple[Rectangle, int]:
-    """The patch that moves by less than bodies are seen by, in the first of the sampled frames."""
+    """The patch with the most significant small motion, in the first sampled frame."""
     found = most_moving_patch(scene)
     if found is None:
         raise FrictrackError(
@@ -90,7 +140,7 @@ def _small_motion_patch(recording: Recording, scene: SampledScene) -> tuple[Rect
 
 
 def _find_bodies(scene: SampledScene) -> tuple[SampledScene, list[Body]]:
-    """The moving bodies; looked for once more where the best of them was part of the background."""
+    """Find the moving bodies; once more where the best of them was part of the background."""
     bodies = moving_bodies(scene)
     clean = without_body(scene, bodies[0].box, bodies[0].corner) if bodies else None
     found_again = moving_bodies(clean) if clean else []
@@ -98,12 +148,42 @@ def _find_bodies(scene: SampledScene) -> tuple[SampledScene, list[Body]]:
 
 
 def body_rectangle(scene: SampledScene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
-    """Rectangle of a body on the full picture and the frame it refers to; `frame` if given and sampled."""
+    """Compute the rectangle of a body on the full picture.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    body : Body
+        Body on the reduced pictures.
+    frame : int, optional
+        Frame in which the rectangle is wanted, if it is sampled.
+
+    Returns
+    -------
+    rectangle : tuple of int
+        x, y, w, h in px.
+    frame : int
+        Number of the frame to which it refers.
+
+    """
     return body_outline(scene, body.box, body.row, body.corner, frame)
 
 
 def moving_bodies(scene: SampledScene) -> list[Body]:
-    """The bodies that travel, the one most worth tracking first."""
+    """Find all bodies that travel.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+
+    Returns
+    -------
+    list of Body
+        The most suitable target first.
+
+    """
     bodies: list[Body] = []
     for row, box in _candidates(scene):
         if len(bodies) < MAX_BODIES and not any(_is_same(body, row, box) for body in bodies):
@@ -112,7 +192,7 @@ def moving_bodies(scene: SampledScene) -> list[Body]:
 
 
 def _candidates(scene: SampledScene) -> Iterator[tuple[int, Rectangle]]:
-    """Boxes of foreground in frames spread over the film: the largest of each, then the second."""
+    """Boxes of foreground in frames spread over the film: the largest of each, then the second largest."""
     min_side = scene.min_side_reduced
     boxes = [[b.box for b in blobs if min(b.box[2:]) >= min_side] for blobs in scene.blobs]
     busy = [row for row, found in enumerate(boxes) if found]
@@ -124,7 +204,7 @@ def _candidates(scene: SampledScene) -> Iterator[tuple[int, Rectangle]]:
 
 
 def _is_same(body: Body, row: int, box: Rectangle) -> bool:
-    """Whether this box is the body, as pursued already."""
+    """Whether this box is a body that was already followed."""
     if not body.seen[row] or body.score[row] < 0.8:
         return False
     size = np.array(body.box[2:])
@@ -134,7 +214,23 @@ def _is_same(body: Body, row: int, box: Rectangle) -> bool:
 
 
 def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
-    """Look for the contents of `box` in every sampled frame, among what is foreground there."""
+    """Find the contents of a box in the foreground of every sampled frame.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    row : int
+        Number of the sample with the box.
+    box : tuple of int
+        x, y, w, h on the reduced picture, px.
+
+    Returns
+    -------
+    Body
+        With `merit` 0 where it does not move.
+
+    """
     x, y, w, h = box
     patch = scene.small[row][y : y + h, x : x + w]
     n = len(scene.small)
@@ -154,10 +250,11 @@ def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
 
 
 def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
-    """Corner (x, y) of the best match where it was `last` or is foreground by a third; its score; whether it is.
+    """Best match near the last place or in foreground: corner (x, y), score, and whether it is foreground.
 
-    Among matches that are about as good, the nearest to the last: a bar looks the same all along, and a body
-    that rests must not be seen elsewhere.
+    Of matches that are nearly as good, the one nearest to the last is used: a bar looks the same all along, and a
+    resting
+    body must not jump.
     """
     part = _surrounding(foreground, patch.shape, last)
     scores = correlate(picture[part], patch)
@@ -171,7 +268,7 @@ def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> t
 
 
 def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[slice, slice]:
-    """The part of the picture that has room for a patch of `size` (h, w) round all foreground and where it was."""
+    """Part of the picture that can hold a patch of `size` (h, w) round all foreground and the last place."""
     fx, fy, fw, fh = cv2.boundingRect(foreground.astype(np.uint8))
     x, y = np.rint(last).astype(int)
     x0, y0, x1, y1 = x - 3, y - 3, x + size[1] + 4, y + size[0] + 4
@@ -182,7 +279,7 @@ def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[
 
 
 def _is_shading(patch: Picture) -> bool:
-    """Whether the patch is little more than a slope of light, which moves when the light changes."""
+    """Whether the patch is hardly more than a gradient of light, which moves when the light changes."""
     y, x = (c.ravel() - c.mean() for c in np.mgrid[: patch.shape[0], : patch.shape[1]].astype(np.float64))
     values = patch.ravel() - patch.mean()
     explained = (values @ x) ** 2 / (x @ x) + (values @ y) ** 2 / (y @ y)
@@ -190,7 +287,7 @@ def _is_shading(patch: Picture) -> bool:
 
 
 def _textured_axes(patch: Picture) -> Array:
-    """Projection (2, 2) onto the directions in which the patch's place can be told; a stripe has only one."""
+    """Projection (2, 2) onto the directions in which the position of a patch is determined; a stripe has only one."""
     gy, gx = np.gradient(patch)
     power, axes = np.linalg.eigh([[np.sum(gx * gx), np.sum(gx * gy)], [np.sum(gx * gy), np.sum(gy * gy)]])
     axes_known = axes[:, power > 0.02 * power[1]]
@@ -198,7 +295,7 @@ def _textured_axes(patch: Picture) -> Array:
 
 
 def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
-    """How much a body is worth tracking: seen often and well, large, far travelled; 0 for what does not move."""
+    """Suitability as a target: found often and well, large, far travelled; 0 for a body that does not move."""
     seen = np.isfinite(corner[:, 0])
     distance = _travel_distance(corner[seen] @ axes_known)
     if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
@@ -209,7 +306,7 @@ def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axe
 
 
 def _travel_distance(corner: Array) -> float:
-    """Distance covered by the finds (k, 2), px; a stray match in ten does not count, nor a single one."""
+    """Distance covered by the finds (k, 2), px; one stray match in ten is ignored."""
     if len(corner) < 2:
         return 0.0
     away = np.sort(np.hypot(*(corner - np.median(corner, axis=0)).T))
@@ -217,13 +314,13 @@ def _travel_distance(corner: Array) -> float:
 
 
 def _jumps(corner: Array, distance: float) -> bool:
-    """Whether the finds (k, 2) jump between places without ever being on the way: scraps that look alike."""
+    """Whether the finds (k, 2) jump between places without any on the way: several similar objects."""
     steps = np.hypot(*np.diff(corner, axis=0).T)
     return len(corner) >= MIN_FINDS and float(np.sum(steps[steps < 0.45 * distance])) < 0.2 * distance
 
 
 def _is_cut_off(scene: SampledScene, row: int, box: Rectangle, corner: Array) -> bool:
-    """Whether the foreground that a body is part of goes on beyond the picture."""
+    """Whether the foreground of a body continues beyond the picture."""
     centre = corner + np.array(box[2:]) / 2
     return any(blob.cut for blob in scene.blobs[row] if _contains(blob, centre))
 
@@ -234,7 +331,7 @@ def _contains(blob: Blob, point: NDArray[np.float64]) -> bool:
 
 
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
-    """Whether the second body moves on its own, so far and so plainly that one must ask which is meant."""
+    """Whether the second body moves independently and far enough to make the target ambiguous."""
     both = first.seen & second.seen
     if both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * first.seen.sum()):
         return False
@@ -263,7 +360,7 @@ def _span(at: Array) -> float:
 
 
 def _ambiguity_message(recording: Recording, scene: SampledScene, bodies: tuple[Body, Body]) -> str:
-    """The question which of two bodies is meant."""
+    """Ask which of two bodies is the target."""
     lines = []
     for body in sorted(bodies, key=lambda body: float(np.nanmin(body.corner[:, 0]))):
         (x, y, w, h), frame = body_rectangle(scene, body)

@@ -1,4 +1,4 @@
-"""A fixed reference: a patch of the still scene that tells the camera's shake from the body's motion."""
+"""Find a fixed reference: a static patch that separates camera shake from the motion of the body."""
 
 from __future__ import annotations
 
@@ -24,10 +24,24 @@ MIN_CHANGE_SIGMAS = 5.0  # standard deviations beyond which a pixel has changed
 
 
 def find_reference(recording: Recording, track: Track) -> Rectangle | None:
-    """The rectangle (x, y, w, h) px that is best tracked as a fixed reference, None where none can be.
+    """Find the patch that can be tracked best as a fixed reference.
 
-    It lies where nothing ever moved and the target of `track` never was, below the target's path (on the course)
-    if that is nearly as good as anywhere; both axes can be told in it to better than 0.05 px in a single frame.
+    Nothing ever moves in it, and the target never covers it. Patches below the target's path, on the course, are
+    preferred
+    if they are nearly as good. The precision is the Cramer-Rao bound of a shift, from the gradients of the picture.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    tuple of int or None
+        x, y, w, h in px; None where no patch reaches `MAX_SIGMA_PX` on both axes in a single frame.
+
     """
     if track.target is None:
         return None
@@ -41,7 +55,7 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
 
 
 def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
-    """The still picture at full size, the noise of a single frame (h, w), and where anything ever moved."""
+    """Static picture at full size, noise of a frame (h, w), and where anything ever moved."""
     rows = np.unique(np.linspace(0, len(scene.frames) - 1, N_FRAMES).astype(int))
     shape = (scene.frames[0].shape[0], scene.frames[0].shape[1])
     if scene.shake.any():
@@ -61,7 +75,7 @@ def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
 
 
 def _covered_by_target(track: Track, shape: tuple[int, int]) -> Mask:
-    """Every pixel that the target's rectangle, somewhat enlarged, ever covered."""
+    """Pixels that the target's rectangle, somewhat enlarged, ever covered."""
     assert track.target is not None
     size = np.array(track.target[2:])
     centre = np.stack([track.x_px, track.y_px], axis=1)[track.found]
@@ -77,7 +91,7 @@ def _covered_by_target(track: Track, shape: tuple[int, int]) -> Mask:
 
 
 def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[float, Rectangle, Array]]:
-    """For each size of patch the standard deviation px at every corner, inf where taken: worst axis, Cramer-Rao."""
+    """For each patch size the Cramer-Rao bound on the worse axis at every corner, px; inf where excluded."""
     smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
     gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(smooth))
     found = []
@@ -94,14 +108,14 @@ def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[
 
 
 def _box_sums(values: Array, size: tuple[int, int]) -> Array:
-    """Sum over the patch of `size` (h, w) with its corner at each pixel (those that fit)."""
+    """Sums over patches of `size` (h, w) with their corner at each pixel."""
     total = cv2.integral(values)
     h, w = size
     return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w])
 
 
 def _choose_patch(found: list[tuple[float, Rectangle, Array]], foot: float) -> Rectangle | None:
-    """The patch of smallest deviation; one below the row `foot` if it is nearly as good."""
+    """Patch with the smallest standard deviation; one below row `foot` if it is nearly as good."""
     best = min((sigma for sigma, _, _ in found), default=np.inf)
     if best > MAX_SIGMA_PX:
         return None
@@ -115,6 +129,6 @@ def _choose_patch(found: list[tuple[float, Rectangle, Array]], foot: float) -> R
 
 
 def _corner_of_minimum(sigma: NDArray[np.float64], row: int) -> tuple[int, int]:
-    """Corner (x, y) of the smallest."""
+    """Corner (x, y) of the smallest value."""
     y, x = np.unravel_index(int(np.argmin(sigma)), sigma.shape)
     return int(x), int(y) + row

@@ -1,8 +1,4 @@
-"""Find a body that turns as it travels: it never looks the same twice, and yet its patch keeps its size.
-
-A picture that is only moved does not fit such a body in any later frame. What can be followed is the one patch of
-foreground, of the same area in most frames, whose middle travels.
-"""
+"""Find a body that rotates as it travels: its appearance changes, but its region keeps its size."""
 
 from __future__ import annotations
 
@@ -23,10 +19,22 @@ MIN_AREA_SHARE = 0.6  # of the largest inner rectangle, for that of the first fr
 
 
 def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
-    """Rectangle inside the one travelling patch of foreground, px, and the frame it refers to.
+    """Find a rectangle inside the one travelling region of foreground.
 
-    None where no patch of a steady size travels, or where what was found already, `found_area` (px, reduced), is more
-    than a scrap of it.
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    found_area : float
+        Area of a body that was already found, reduced px.
+
+    Returns
+    -------
+    tuple or None
+        Rectangle (x, y, w, h) px and the number of its frame. None where no region of constant size travels, or where
+        the
+        body already found is more than a small part of it.
+
     """
     areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
     if not np.any(areas):
@@ -40,7 +48,7 @@ def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectang
 
 
 def _largest(scene: SampledScene, row: int) -> Mask:
-    """The largest patch of foreground of a sampled frame."""
+    """The largest region of foreground in a sampled frame."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
     blob = scene.blobs[row][0]
     same = [k for k in range(1, len(stats)) if tuple(stats[k, :4]) == blob.box and stats[k, 4] == blob.area]
@@ -48,7 +56,7 @@ def _largest(scene: SampledScene, row: int) -> Mask:
 
 
 def _travels(masks: dict[int, Mask], area: float) -> bool:
-    """Whether the middle of a patch goes a good part of its size, and does not jump."""
+    """Whether the centre of a region moves by a good part of its size, without jumps."""
     middle = np.array([_middle(mask) for mask in masks.values()])
     distance = float(np.hypot(*np.ptp(middle, axis=0)))
     step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
@@ -61,7 +69,7 @@ def _middle(mask: Mask) -> Array:
 
 
 def _rectangle(scene: SampledScene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
-    """The largest rectangle inside the patch: in the first frame, unless that is much smaller than in another."""
+    """Largest rectangle inside the region: in the first frame, unless it is much smaller than in another one."""
     found = {row: inner_rectangle(mask) for row, mask in masks.items()}
     first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
     row = first if _area(found[first]) > MIN_AREA_SHARE * _area(found[best]) else best

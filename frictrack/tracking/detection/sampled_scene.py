@@ -1,7 +1,7 @@
-"""The still scene, and what in each sampled frame is not part of it: on reduced pictures, which is quick.
+"""Separate the static scene from moving foreground, on reduced pictures of sampled frames.
 
-Some frames spread over the film are shrunk, brought to rest if the whole picture shakes, and their median is the
-background. What differs from it by more than noise, after the light has been evened out, moves.
+Some frames spread over the film are reduced, aligned if the whole picture shakes, and their median is the background.
+Regions that differ from it by more than noise, after normalising the light, move.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """A connected patch of foreground in one reduced frame."""
+    """Connected region of foreground in a reduced frame: bounding box, area, whether the edge cuts it off."""
 
     box: Rectangle
     area: int
@@ -47,7 +47,28 @@ class Blob:
 
 @dataclass(frozen=True, eq=False)
 class SampledScene:
-    """Frames spread over the recording; reduced by `factor`, brought to rest, and what moves in them."""
+    """Frames spread over a recording, reduced and aligned, with background and foreground.
+
+    Attributes
+    ----------
+    index, frames : list
+        Numbers of the frames, and the frames at full size.
+    factor : int
+        By which they are reduced.
+    shake : array (k, 2)
+        Position of the static scene in each frame relative to the background, reduced px.
+    small : list of array
+        Reduced and aligned frames, DN.
+    background : array
+        Their median, DN.
+    foreground : list of array of bool
+        Pixels that differ from the background.
+    light : array (k,)
+        Brightness of each frame over that of the background.
+    rim : list of array of bool
+        Pixels at the edge of the picture that are not background.
+
+    """
 
     index: list[int]
     frames: list[Frame]
@@ -61,17 +82,38 @@ class SampledScene:
 
     @cached_property
     def blobs(self) -> list[list[Blob]]:
-        """Patches of foreground in every sampled frame, the largest first; one that fills the picture is none."""
+        """Regions of foreground in every sampled frame, the largest first; one that fills the picture is ignored."""
         return [_blobs(mask, rim) for mask, rim in zip(self.foreground, self.rim, strict=True)]
 
     @property
     def min_side_reduced(self) -> int:
-        """The shortest side of a body, px reduced."""
+        """Shortest side of a body, reduced px."""
         return max(MIN_SIDE_PX // self.factor, 4)
 
 
 def sample_scene(recording: Recording, also: Iterable[int] = (), steady: bool = True) -> SampledScene:
-    """Look at frames spread over the film, and at frames `also`. Raises `FrictrackError` for a grey film."""
+    """Sample frames spread over a film and separate foreground from background.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    also : iterable of int
+        Further frames to include.
+    steady : bool
+        Whether to look for camera shake and remove it.
+
+    Returns
+    -------
+    SampledScene
+        The sampled frames.
+
+    Raises
+    ------
+    FrictrackError
+        For a film without contrast.
+
+    """
     index, frames = _pick_frames(recording, also)
     factor = max(1, round(float(np.sqrt(recording.shape[0] * recording.shape[1] / REDUCED_PIXELS))))
     small = [_reduced(frame, factor) for frame in frames]
@@ -89,7 +131,7 @@ def sample_scene(recording: Recording, also: Iterable[int] = (), steady: bool = 
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
-    """The scene with what differs from this background; `reduced` is factor, shake and reduced frames."""
+    """Compute foreground for a background; `reduced` holds factor, shake and reduced frames."""
     factor, shake, small = reduced
     lights = np.array([light_ratio(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
@@ -100,7 +142,7 @@ def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background
 
 
 def _noise(differences: list[Picture], background: Picture) -> float:
-    """Standard deviation of the reduced frames about the background; where the sensor is full there is none."""
+    """Standard deviation of the reduced frames about the background; saturated pixels have none and are left out."""
     sparse, off = background[::2, ::2], [np.abs(d[::2, ::2]) for d in differences]
     everywhere = float(np.median([np.median(d) for d in off]))
     lit = sparse < 0.97 * sparse.max()
@@ -110,10 +152,24 @@ def _noise(differences: list[Picture], background: Picture) -> float:
 
 
 def without_body(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene | None:
-    """The scene before a background from which a body is taken out; None where it hardly was in it.
+    """Recompute the scene with a background from which a body is removed.
 
-    The body has this `box` and was at `corner` (k, 2). Where it covers a place in half of the frames, it is part of
-    the median, and a ghost of it stands beside the body in the others.
+    Where a body covers a place in half of the frames it is part of the median, and a ghost of it appears in the others.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    box : tuple of int
+        x, y, w, h of the body, reduced px.
+    corner : array (k, 2)
+        Corner of the body in all samples, reduced px.
+
+    Returns
+    -------
+    SampledScene or None
+        None where the body hardly is in the background.
+
     """
     covered = np.zeros(scene.background.shape)
     for x, y in np.rint(corner[np.isfinite(corner[:, 0])]).astype(int):
@@ -125,7 +181,23 @@ def without_body(scene: SampledScene, box: Rectangle, corner: Array) -> SampledS
 
 
 def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
-    """The background from the frames in which a body was elsewhere; where it never was, that of all frames."""
+    """Compute the background from the frames in which a body is elsewhere.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    box : tuple of int
+        x, y, w, h of the body, reduced px.
+    corner : array (k, 2)
+        Corner of the body in all samples, reduced px.
+
+    Returns
+    -------
+    array (h, w)
+        DN; that of all frames where the body always covers it.
+
+    """
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
     rows = np.unique(usable[np.linspace(0, len(usable) - 1, MAX_REGISTERED_FRAMES).astype(int)])
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
@@ -137,7 +209,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
-    """More frames to look at where all that happens lies between few of those sampled; a rest tells nothing."""
+    """Further frames to sample where all change lies between a few of the samples."""
     steps = np.abs(np.diff(np.stack(small)[:, ::2, ::2], axis=0))
     noise = 1.4826 * max(float(np.median(steps)), 0.3)
     busy = np.flatnonzero(np.sum(steps > 6 * noise, axis=(1, 2)) > MIN_AREA_REDUCED / 4)
@@ -165,7 +237,7 @@ def _pick_frames(recording: Recording, also: Iterable[int]) -> tuple[list[int], 
 
 
 def _reduced(frame: Frame, factor: int) -> Picture:
-    """The frame shrunk by a whole factor, float32; what is left over at the right and below is cut off."""
+    """Frame reduced by a whole factor, float32; remaining rows and columns are cut off."""
     h, w = (s // factor for s in frame.shape)
     whole = frame[: h * factor, : w * factor]
     small = whole if factor == 1 else cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)
@@ -175,8 +247,8 @@ def _reduced(frame: Frame, factor: int) -> Picture:
 def _estimate_shake(small: list[Picture]) -> Array:
     """Shift (k, 2) px of the whole picture against the middle frame; zero where the picture stands still.
 
-    Points from all over the picture are followed; those that agree must come from everywhere, for a large body
-    that moves in front of a plain wall is no shake.
+    Corner points are followed by optical flow (Lucas & Kanade 1981). Those that agree must lie all over the picture: a
+    large body before a plain wall is no camera shake.
     """
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
@@ -198,7 +270,7 @@ def _estimate_shake(small: list[Picture]) -> Array:
 
 
 def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: int) -> Array:
-    """The shift that most of the points (n, 2) share, if they come from all over the picture; else zero."""
+    """Shift that most of the points (n, 2) share, if they lie all over the picture; else zero."""
     if not len(shift):
         return np.zeros(2)
     near = np.hypot(*(shift[:, None] - shift[None]).transpose(2, 0, 1)) < 0.3
@@ -210,7 +282,7 @@ def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: in
 
 
 def _corner_points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The best corner (n, 1, 2) of every cell that has one nearly as good as the others'; few when one part has all."""
+    """The best corner (n, 1, 2) of every cell of a grid; none where one part of the picture holds nearly all."""
     strength = cv2.cornerMinEigenVal(picture, 7)
     strength[:8], strength[-8:], strength[:, :8], strength[:, -8:] = 0, 0, 0, 0
     rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, GRID_CELLS, strict=True))
@@ -228,7 +300,7 @@ def _corner_points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _shifted(picture: Picture, by: Array) -> Picture:
-    """The picture read at a place moved by `by` px, its edge continued."""
+    """Picture read at positions shifted by `by` px, its edge continued."""
     matrix = np.array([[1, 0, by[0]], [0, 1, by[1]]], dtype=np.float64)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     size = (picture.shape[1], picture.shape[0])
@@ -236,7 +308,24 @@ def _shifted(picture: Picture, by: Array) -> Picture:
 
 
 def light_ratio(picture: Picture, background: Picture) -> float:
-    """By how much a picture is brighter than the background: flicker and drift of the lamp."""
+    """Compute how much brighter a picture is than the background.
+
+    Parameters
+    ----------
+    picture, background : array (h, w)
+        Grey values.
+
+    Returns
+    -------
+    float
+        Median ratio of bright pixels; 1 where it is implausible.
+
+    Examples
+    --------
+    >>> light_ratio(np.full((9, 9), 60.0, np.float32), np.full((9, 9), 50.0, np.float32))
+    1.2000000476837158
+
+    """
     sparse, still = picture[::3, ::3], background[::3, ::3]
     bright = still > 0.5 * np.median(still)
     ratio = float(np.median(sparse[bright] / np.maximum(still[bright], 1)))
@@ -244,20 +333,34 @@ def light_ratio(picture: Picture, background: Picture) -> float:
 
 
 def _foreground(difference: Picture, noise: float) -> Mask:
-    """Where the picture differs from the background by more than noise, as closed patches."""
+    """Pixels that differ from the background by more than noise, as closed regions."""
     energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
     # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
     return clean_mask(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
 
 
 def clean_mask(mask: Mask, close: int) -> Mask:
-    """The mask without gaps narrower than `close` px and without specks."""
+    """Close gaps in a mask and remove specks.
+
+    Parameters
+    ----------
+    mask : array of bool (h, w)
+        Pixels.
+    close : int
+        Gaps narrower than this are closed, px.
+
+    Returns
+    -------
+    array of bool (h, w)
+        Cleaned mask.
+
+    """
     bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
     return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
 def _rim(difference: Picture, noise: float) -> Mask:
-    """Single pixels along the picture's edge that differ from the background; patches reach further than they."""
+    """Single pixels along the picture's edge that differ from the background."""
     rim = np.abs(difference) > 4 * max(noise, 0.5)
     rim[1:-1, 1:-1] = False
     return np.asarray(rim)
@@ -274,7 +377,23 @@ def _blobs(mask: Mask, rim: Mask) -> list[Blob]:
 
 
 def cut_window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Picture:
-    """A window of the picture, float32, continued by its edge where it reaches beyond."""
+    """Cut a window out of a picture, continued by its edge where it reaches beyond.
+
+    Parameters
+    ----------
+    picture : array (H, W)
+        Grey values.
+    corner : array of int (2,)
+        Upper left corner (x, y), px.
+    shape : tuple of int
+        Height and width, px.
+
+    Returns
+    -------
+    array (h, w)
+        float32.
+
+    """
     height, width = picture.shape
     rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
     columns = np.clip(np.arange(shape[1]) + corner[0], 0, width - 1)
@@ -282,7 +401,23 @@ def cut_window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, in
 
 
 def read_subpixel(picture: NDArray[Any], corner: Array, shape: tuple[int, int]) -> Picture:
-    """A window of the picture at a `corner` between the pixels, by cubic interpolation."""
+    """Read a window at a position between the pixels, by cubic interpolation.
+
+    Parameters
+    ----------
+    picture : array (H, W)
+        Grey values.
+    corner : array (2,)
+        Upper left corner (x, y), px.
+    shape : tuple of int
+        Height and width, px.
+
+    Returns
+    -------
+    array (h, w)
+        float32.
+
+    """
     whole = np.floor(corner).astype(int)
     part = cut_window(picture, whole - 2, (shape[0] + 5, shape[1] + 5))
     return _shifted(part, corner - whole)[2 : 2 + shape[0], 2 : 2 + shape[1]]

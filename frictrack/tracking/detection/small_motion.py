@@ -1,11 +1,11 @@
-"""Motion of less than a pixel: which windows of the picture move by more than their noise.
+"""Detect motion of less than a pixel: windows of the picture that move by more than their noise.
 
 For a motion u that is small against the texture, frame k differs from the mean picture R of the frames by
 
-    I_k - R = -u_k . grad R + a_k R + b_k + noise        a_k, b_k: the window's own light
+    I_k - R = -u_k . grad R + a_k R + b_k + noise        a_k, b_k: light of the window
 
 and u_k is least squares in each window (Lucas & Kanade 1981, Proc. IJCAI, p. 674). A window moves where the motions of
-all frames explain more than noise would (F test). All sums are taken over small cells once, so that any window is a
+all frames explain more than noise would (F test). All sums are taken over small cells once, so that any window costs a
 few additions.
 """
 
@@ -47,7 +47,7 @@ N_PARAMETERS = 4  # of a window in a frame: two of motion, two of light
 
 @dataclass(frozen=True, eq=False)
 class WindowMotions:
-    """Motion of some windows in all frames, and what that is worth."""
+    """Motion of some windows in all frames, with its information and noise."""
 
     motion: Array  # (m, k, 2) px
     information: Array  # (m, 2, 2), inverse covariance of one frame's motion times the variance of the noise
@@ -68,14 +68,14 @@ class WindowMotions:
         return np.where(weakest > 0, np.sqrt(self.noise / np.maximum(weakest, 1e-300)), np.inf)
 
     def moving(self, common: Array | None = None) -> Mask:
-        """Windows (m,) that move by more than noise, and by more than what else happens in them."""
+        """Windows (m,) that move by more than noise and by more than other changes in them."""
         free = self.motion_dof(common)
         explained = self.power(common)
         noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._residual_dof) * self.noise
         return ~noisy & self.explained
 
     def power(self, common: Array | None = None) -> Array:
-        """What the motion explains (m,), DN^2, other than in proportion to a `common` motion (k, 2)."""
+        """Sum of squares (m,), DN^2, that motion explains beyond a part proportional to a `common` motion (k, 2)."""
         motion_left = self.motion
         if common is not None:  # an error of the linear model is in proportion to it
             basis = np.linalg.qr(common)[0]
@@ -83,17 +83,17 @@ class WindowMotions:
         return np.asarray(np.einsum("mki,mij,mkj->m", motion_left, self.information, motion_left))
 
     def motion_dof(self, common: Array | None = None) -> int:
-        """Free numbers of the motion in all frames; the mean picture has taken one frame's, a common motion two."""
+        """Degrees of freedom of the motion; the mean picture has taken those of one frame, a common motion two."""
         return 2 * max(self.frames - 1 - (0 if common is None else 2), 1)
 
     def agreement(self, motion: Array) -> Array:
-        """Log-likelihood ratio times two (m,) of a `motion` (k, 2) against rest."""
+        """Twice the log-likelihood ratio (m,) of a `motion` (k, 2) to rest."""
         motion_left = self.motion - motion
         residual = np.einsum("mki,mij,mkj->m", motion_left, self.information, motion_left)
         return np.asarray((self.power() - residual) / self.noise)
 
     def mean(self, among: Mask) -> Array:
-        """Mean motion (k, 2) of some windows, by their information."""
+        """Mean motion (k, 2) of some windows, weighted by their information."""
         weight = (self.information / self.noise[:, None, None])[among]
         both = np.einsum("mij,mkj->ik", weight, self.motion[among])
         return np.asarray(np.linalg.solve(weight.sum(axis=0), both).T)
@@ -104,7 +104,7 @@ class WindowMotions:
 
     @property
     def explained(self) -> Mask:
-        """Windows (m,) in which a small motion explains more than it leaves beyond the noise of their light."""
+        """Windows (m,) in which a small motion explains more than remains beyond the noise at their light."""
         expected = np.median(self.noise) * np.maximum(self.light / max(float(np.median(self.light)), 1e-9), 1.0)
         small = np.sqrt(np.mean(np.sum(self.motion**2, axis=2), axis=1)) < MAX_MOTION_PX
         return np.asarray(small & (self.power() >= self._residual_dof * (self.noise - MAX_NOISE_RATIO * expected)))
@@ -112,7 +112,7 @@ class WindowMotions:
 
 @dataclass(frozen=True, eq=False)
 class CellSums:
-    """Sums over all cells above and left of each corner; those of any window follow by subtraction."""
+    """Cumulative sums over all cells above and left of each corner; those of any window follow by subtraction."""
 
     cell: int
     normal: Array  # (h + 1, w + 1, 4, 4)
@@ -143,10 +143,9 @@ class CellSums:
         return WindowMotions(motion, information, np.maximum(residual / free, 1 / 12 / k), pixels, light)
 
     def agreement(self, window: WindowMotions, common: Array | None) -> Array:
-        """By how much each cell (h, w) moves with a window (one) rather than with the `common` motion.
+        """Twice the log-likelihood ratio of each cell (h, w): motion with a window, or the `common` motion.
 
-        Log-likelihood ratio times two, without what the noise of the motion takes from it, less the share that a cell
-        must reach which moves altogether.
+        The part that noise of the motion makes is subtracted, and so is the share that a moving cell must reach.
         """
         motion, noise = window.motion[0], window.noise[0]
         normal, right = (_per_cell(s)[:, :, :2] for s in (self.normal, self.right))
@@ -159,12 +158,12 @@ class CellSums:
 
 
 def _per_cell(sums: Array) -> Array:
-    """Cumulated sums (h + 1, w + 1, ...) -> those of each cell."""
+    """Cumulative sums (h + 1, w + 1, ...) -> sums of each cell."""
     return np.asarray(np.diff(np.diff(sums, axis=0), axis=1))
 
 
 def _cell_sums(scene: SampledScene) -> CellSums:
-    """The sums of a scene's sampled frames, in the light of the background."""
+    """Sums over the sampled frames of a scene, normalised to the light of the background."""
     mean = np.zeros(scene.frames[0].shape)
     for frame in _normalised_frames(scene):
         mean += frame / len(scene.frames)
@@ -182,20 +181,20 @@ def _cell_sums(scene: SampledScene) -> CellSums:
 
 
 def _normalised_frames(scene: SampledScene) -> Iterator[Array]:
-    """The sampled frames, each in the light of the background."""
+    """Sampled frames, normalised to the light of the background."""
     for frame, light in zip(scene.frames, scene.light, strict=True):
         yield frame.astype(np.float64) / light
 
 
 def _cumulated(picture: Array, cell: int) -> Array:
-    """A picture (H, W) summed over cells and from the upper left corner on: (h + 1, w + 1)."""
+    """Cumulative cell sums (h + 1, w + 1) of a picture (H, W)."""
     h, w = (side // cell for side in picture.shape)
     cells = picture[: h * cell, : w * cell].reshape(h, cell, w, cell).sum(axis=(1, 3))
     return np.pad(np.cumsum(np.cumsum(cells, axis=0), axis=1), ((1, 0), (1, 0)))
 
 
 def _boxes(shape: tuple[int, int], sides: Sequence[int] = WINDOW_SIDES) -> NDArray[np.int64]:
-    """Windows (m, 4) of all sizes that fit, half overlapping, in cells."""
+    """Half-overlapping windows (m, 4) of all sizes that fit, in cells."""
     found = []
     for side in sides:
         for tall, wide in WINDOW_SHAPES:
@@ -209,7 +208,19 @@ def _boxes(shape: tuple[int, int], sides: Sequence[int] = WINDOW_SIDES) -> NDArr
 
 
 def most_moving_patch(scene: SampledScene) -> Rectangle | None:
-    """The rectangle (x, y, w, h) px whose motion stands out most; where none does, the best textured; None without."""
+    """Find the rectangle with the most significant motion; where nothing moves, the one with the best texture.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+
+    Returns
+    -------
+    tuple of int or None
+        x, y, w, h in px; None without texture.
+
+    """
     sums = _cell_sums(scene)
     boxes = _boxes(sums.shape)
     if len(boxes) == 0 or len(scene.frames) < 2:
@@ -227,7 +238,7 @@ def most_moving_patch(scene: SampledScene) -> Rectangle | None:
 
 
 def _seed_window(windows: WindowMotions, among: Mask, common: Array | None) -> int:
-    """Of the windows whose motion stands out most, the one that moves farthest: in the others some part rests."""
+    """Of the windows with significant motion, the one that moves farthest: in the others a part rests."""
     power = np.where(among, windows.power(common), 0.0)
     chance = windows.motion_dof(common) * windows.noise
     size = (power - chance) / np.trace(windows.information, axis1=1, axis2=2)
@@ -235,7 +246,7 @@ def _seed_window(windows: WindowMotions, among: Mask, common: Array | None) -> i
 
 
 def _common_motion(windows: WindowMotions, sums: CellSums) -> Array | None:
-    """Motion (k, 2) of all that is seen, where hardly anything rests: the camera shakes. Otherwise None."""
+    """Motion (k, 2) of the whole picture where hardly anything rests: camera shake. Otherwise None."""
     moving = windows.moving()
     if not moving.any():
         return None
@@ -251,7 +262,19 @@ def _common_motion(windows: WindowMotions, sums: CellSums) -> Array | None:
 
 
 def moving_cells(scene: SampledScene) -> Mask:
-    """Where (H, W) the picture moves by more than its noise; nowhere where hardly any of it rests: it shakes."""
+    """Mark where a picture moves by more than its noise.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+
+    Returns
+    -------
+    array of bool (H, W)
+        All false where hardly anything rests: then the camera shakes.
+
+    """
     out = np.zeros(scene.frames[0].shape, np.bool_)
     if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE_PX or len(scene.frames) < 2:
         return out
@@ -270,7 +293,7 @@ def moving_cells(scene: SampledScene) -> Mask:
 
 
 def _best_textured(sums: CellSums, boxes: NDArray[np.int64], windows: WindowMotions) -> Rectangle | None:
-    """The patch of a usual size, or the smallest, that is tracked best."""
+    """Patch of the default size, or the smallest, that can be tracked best."""
     side = int(np.clip(DEFAULT_SIDE_PX // sums.cell, WINDOW_SIDES[0], None))
     size = np.max(boxes[:, 2:], axis=1)
     sigma = np.where(size <= max(side, int(size.min())), windows.sigma, np.inf)
@@ -279,7 +302,7 @@ def _best_textured(sums: CellSums, boxes: NDArray[np.int64], windows: WindowMoti
 
 
 def _adjust_window(sums: CellSums, box: NDArray[np.int64], common: Array | None) -> NDArray[np.int64]:
-    """The window (4,) that takes in what moves with a first one and leaves out what rests."""
+    """Adjust a window (4,) to include what moves with it and exclude what rests."""
     for _ in range(MAX_ROUNDS):
         window = sums.windows(box[None])
         better = _largest(sums.agreement(window, common))
@@ -292,9 +315,9 @@ def _adjust_window(sums: CellSums, box: NDArray[np.int64], common: Array | None)
 
 
 def _largest(values: Array) -> NDArray[np.int64] | None:
-    """The box (x, y, w, h) over which values (h, w) have the largest sum; None where that is not positive.
+    """Box (x, y, w, h) with the largest sum of values (h, w); None where that is not positive.
 
-    For each top row, the best bottom row and columns by running sums (Kadane's method: Bentley 1984, CACM 27:865).
+    For each top row, the best bottom row and columns follow by running sums (Kadane: Bentley 1984, CACM 27:865).
     """
     total = np.pad(np.cumsum(np.cumsum(values, axis=0), axis=1), ((1, 0), (1, 0)))
     best, found = 0.0, None

@@ -1,4 +1,4 @@
-"""What to track: a click, a rectangle, a template picture or nothing -> the rectangle and the frame it refers to."""
+"""Resolve a target given as click, rectangle, outline, picture or nothing to a rectangle and its frame."""
 
 from __future__ import annotations
 
@@ -30,11 +30,31 @@ GOOD_SCORE, MIN_SCORE = 0.85, 0.6  # score that ends the search, and score below
 
 
 def resolve_target(recording: Recording, target: Target = None, template: int = 0) -> tuple[Rectangle, int]:
-    """Rectangle (x, y, w, h) px of the target and the number of the frame that it refers to.
+    """Resolve a target to a rectangle and the frame to which it refers.
 
-    `target` is a rectangle [x, y, w, h], an outline [[x, y], ...] or a click [x, y] in frame `template`, a picture of
-    the target (a path or a 2-D array, at the film's scale), or None: the body that moves. Raises `FrictrackError` when
-    that does not describe anything in this film.
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    target : list, array or path, optional
+        Rectangle [x, y, w, h], outline [[x, y], ...] or click [x, y] in frame `template`, px; a picture of the target
+        at
+        the film's scale (a path or a 2-D array); None for the moving body.
+    template : int
+        Number of the frame in which `target` is given.
+
+    Returns
+    -------
+    rectangle : tuple of int
+        x, y, w, h in px.
+    frame : int
+        Number of the frame.
+
+    Raises
+    ------
+    FrictrackError
+        For a target that is malformed, outside the picture, or not in this film.
+
     """
     if target is None:
         return locate_target(recording)
@@ -56,7 +76,7 @@ def resolve_target(recording: Recording, target: Target = None, template: int = 
 
 
 def _check_rectangle(target: Array, recording: Recording) -> Rectangle:
-    """The rectangle in whole pixels, inside the picture."""
+    """Rectangle in whole pixels; it must lie in the picture."""
     height, width = recording.shape
     x, y, w, h = (round(float(v)) for v in target)
     if w < MIN_SIDE_PX or h < MIN_SIDE_PX:
@@ -83,7 +103,7 @@ def _resolve_click(recording: Recording, click: Array, template: int) -> Rectang
 
 
 def _body_under_click(scene: SampledScene, click: Array, template: int) -> Rectangle | None:
-    """Rectangle in frame `template` of the body that moves under the click, None where nothing does."""
+    """Rectangle in frame `template` of the moving body under the click; None without one."""
     row = scene.index.index(template)
     at = click / scene.factor - scene.shake[row]
     boxes = sorted((b.box for b in scene.blobs[row] if _contains(at, b.box)), key=lambda box: box[2] * box[3])
@@ -103,7 +123,7 @@ def _contains(point: Array, box: Sequence[float], grace: float = 0.0) -> bool:
 
 
 def _grow_region(frame: Frame, click: Array) -> Rectangle:
-    """A region round the click that takes in what is about as textured as its middle."""
+    """Region round the click that includes everything about as textured as its middle."""
     gy, gx = np.gradient(cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0))
     energy = gx**2 + gy**2
     height, width = frame.shape
@@ -136,7 +156,7 @@ def _read_picture(path: Path) -> Frame:
 
 
 def _find_picture(recording: Recording, picture: Frame, name: str) -> tuple[Rectangle, int]:
-    """Where the picture fits: in the frames of a first look, else in the whole film."""
+    """Locate a picture of the target: in a few frames first, then in the whole film."""
     h, w = picture.shape
     if min(h, w) < MIN_SIDE_PX or h > recording.shape[0] or w > recording.shape[1]:
         height, width = recording.shape
@@ -155,7 +175,7 @@ def _find_picture(recording: Recording, picture: Frame, name: str) -> tuple[Rect
 
 
 def _best_fit(recording: Recording, picture: Frame, most: int) -> tuple[float, tuple[int, int], int]:
-    """Score, corner and frame of the first good fit, or the best, among `most` frames spread over the film."""
+    """Score, corner and frame of the first good match, or of the best, among frames spread over the film."""
     stride = max(1, recording.n_frames // most)
     wanted = picture.astype(np.float32)
     best, at, frame = -1.0, (0, 0), 0

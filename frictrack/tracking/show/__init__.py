@@ -1,4 +1,4 @@
-"""The track to look at: a contact sheet, a film with the rectangle drawn in."""
+"""Show a track: a contact sheet, and a video with the target drawn in."""
 
 from frictrack.tracking.show.overlay import overlay_video
 from frictrack.tracking.show.sheet import contact_sheet, target_line

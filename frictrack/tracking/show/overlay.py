@@ -1,4 +1,4 @@
-"""The overlay video: the film with what was tracked in it, to be looked at."""
+"""Draw the overlay video: the film with the tracked targets."""
 
 from __future__ import annotations
 
@@ -32,10 +32,31 @@ Canvas = NDArray[np.uint8]
 def overlay_video(
     recording: Recording, track: Track, path: str | Path, *, others: Sequence[Track] = (), frames: int = MAX_FRAMES
 ) -> Path:
-    """Write an AVI or MP4 of the film with the tracked rectangle, its trail, and the numbers of every frame.
+    """Write an AVI or MP4 of the film with target, trail and numbers of every frame.
 
-    `others` (a reference, further targets) are drawn in other colours. At most about `frames` are written, spread
-    over the film. Returns the path written; a film appears whole or not at all.
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    track : Track
+        Track of the target.
+    path : str or Path
+        File to write, ending in .avi or .mp4.
+    others : sequence of Track
+        Reference and further targets, drawn in other colours.
+    frames : int
+        Approximate number of frames to write, spread over the film.
+
+    Returns
+    -------
+    Path
+        The file; it appears complete or not at all.
+
+    Raises
+    ------
+    FrictrackError
+        For another file type, a folder that cannot be written, or a film without readable frames.
+
     """
     path = Path(path)
     if path.suffix.lower() not in CODECS:
@@ -49,7 +70,7 @@ def overlay_video(
 
 
 def _write_video(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks: Sequence[Track]) -> None:
-    """Every frame with what was tracked in it; `steps` are the zoom and the frames from one to the next."""
+    """Write every frame with its targets; `steps` are the zoom and the number of frames from one to the next."""
     zoom, stride = steps
     writer: cv2.VideoWriter | None = None
     low, high = 0.0, 1.0
@@ -82,7 +103,7 @@ def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
 
 
 def _grey_limits(frame: Frame) -> tuple[float, float]:
-    """Grey values shown black and white, the same for the whole film: flicker shall be seen."""
+    """Grey values shown black and white, the same for the whole film, so that flicker stays visible."""
     low, high = np.percentile(frame, [0.2, 99.8])
     return float(low), float(max(high, low + 1))
 
@@ -96,13 +117,13 @@ def _canvas(frame: Frame, limits: tuple[float, float], zoom: int) -> Canvas:
 
 
 def _pad_even(picture: Canvas, size: tuple[int, int]) -> Canvas:
-    """Codecs want even sides."""
+    """Pad to even sides, which codecs require."""
     right, below = size[0] - picture.shape[1], size[1] - picture.shape[0]
     return np.asarray(np.pad(picture, ((0, below), (0, right), (0, 0))))
 
 
 def _draw_frame(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> Canvas:
-    """The picture with all tracks of frame i and a line of text for each."""
+    """Draw all tracks of frame i, with a line of text for each."""
     bar = np.zeros((TEXT_BAR_PX * len(tracks), picture.shape[1], 3), np.uint8)
     for k, track in enumerate(tracks):
         colour = COLOURS[k % len(COLOURS)]
@@ -118,23 +139,51 @@ def _draw_frame(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> 
 
 
 def corners(track: Track, i: int) -> Array:
-    """Corners (n, 2) px of the target's outline in frame i, turned by its angle."""
+    """Compute the corners of the target's outline in a frame.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    i : int
+        Number of the frame.
+
+    Returns
+    -------
+    array (n, 2)
+        Corners (x, y), rotated by the target's angle, px.
+
+    """
     return _place_polygon(track, track.outline or box(track), i)
 
 
 def box(track: Track) -> Polygon:
-    """Corners of the target's rectangle in its own frame: the outer edges of its pixels."""
+    """Return the corners of the target's rectangle in its own frame: the outer edges of its pixels, px."""
     assert track.target is not None
     return polygon(list(track.target))
 
 
 def drawn_areas(track: Track, i: int) -> list[Array]:
-    """Corners (n, 2) px of the parts that are excluded, where they are in frame i, and of the obstacles."""
+    """Compute the corners of excluded parts and obstacles in a frame.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    i : int
+        Number of the frame.
+
+    Returns
+    -------
+    list of array (n, 2)
+        Corners (x, y), px; excluded parts move with the target.
+
+    """
     return [_place_polygon(track, one, i) for one in track.exclude] + [np.array(one) for one in track.obstacles]
 
 
 def _place_polygon(track: Track, outline: Polygon, i: int) -> Array:
-    """A polygon of the target's own frame as frame i shows it (n, 2), px."""
+    """Polygon of the target's own frame as it appears in frame i, (n, 2) px."""
     assert track.target is not None
     x, y, w, h = track.target
     angle = float(np.nan_to_num(track.angle[i]))
@@ -144,7 +193,7 @@ def _place_polygon(track: Track, outline: Polygon, i: int) -> Array:
 
 
 def _trail(picture: Canvas, track: Track, i: int, zoom: int, colour: tuple[int, int, int]) -> None:
-    """Where the target was, up to frame i, broken where it was lost."""
+    """Draw the path up to frame i, interrupted where the target was lost."""
     at = np.stack([track.x_px, track.y_px], axis=1)[: i + 1]
     found = np.flatnonzero(track.found[: i + 1])
     for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
@@ -153,7 +202,7 @@ def _trail(picture: Canvas, track: Track, i: int, zoom: int, colour: tuple[int, 
 
 
 def _to_opencv(at: Array, zoom: int) -> NDArray[Any]:
-    """Places (n, 2) px as OpenCV draws them on the enlarged picture; pixel centres are integers."""
+    """Positions (n, 2) px in OpenCV's fixed-point coordinates of the enlarged picture; pixel centres are integers."""
     return np.rint(((at + 0.5) * zoom - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
 
 

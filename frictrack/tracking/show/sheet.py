@@ -1,4 +1,4 @@
-"""The contact sheet: a glance at whether the right thing was tracked, and the line to paste if not."""
+"""Draw the contact sheet: frames with the tracked target, and the line that repeats the track."""
 
 from __future__ import annotations
 
@@ -23,7 +23,19 @@ OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targe
 
 
 def target_line(track: Track) -> str:
-    """The lines for the study file that repeat this track: its rectangle or outline, its frame if not the first."""
+    """Write the lines for the study file that repeat this track.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+
+    Returns
+    -------
+    str
+        Rectangle or outline, frame if it is not the first, excluded parts and obstacles.
+
+    """
     x, y, w, h = _rectangle(track)
     lines = [f"target = {_format_polygon(track.outline)}" if track.outline else f"target = [{x}, {y}, {w}, {h}]"]
     if track.template:
@@ -35,14 +47,29 @@ def target_line(track: Track) -> str:
 
 
 def _format_polygon(corners: Sequence[tuple[float, float]]) -> str:
-    """A polygon as it stands in the study file."""
+    """Format a polygon for the study file."""
     return "[" + ", ".join(f"[{x:g}, {y:g}]" for x, y in corners) + "]"
 
 
 def contact_sheet(recording: Recording, track: Track, path: str | Path, others: Sequence[Track] = ()) -> Path:
-    """Write a PNG of a handful of frames with the tracked rectangle and path, and of the target itself.
+    """Write a PNG of some frames with the tracked target and its path, and of the target itself.
 
-    `others` (a reference, further targets) are drawn with their names. Returns the path written.
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    track : Track
+        Track of the target.
+    path : str or Path
+        File to write.
+    others : sequence of Track
+        Reference and further targets, drawn with their names.
+
+    Returns
+    -------
+    Path
+        The file.
+
     """
     found = np.flatnonzero(track.found)
     shown = np.unique(found[np.linspace(0, len(found) - 1, N_FRAMES).astype(int)])
@@ -74,7 +101,7 @@ def _figure(recording: Recording, columns: int) -> Figure:
 
 
 def _set_spacing(figure: Figure, rows: int) -> None:
-    """Room for titles and labels, in inches; a layout that is sought takes as long as all the rest."""
+    """Set the spacing for titles and labels in inches; an automatic layout takes as long as all other drawing."""
     height, gap = figure.get_figheight(), 0.6
     panel = (height - 1.9 - gap * (rows - 1)) / rows
     figure.subplots_adjust(0.035, 1.0 / height, 0.99, 1 - 0.9 / height, wspace=0.1, hspace=gap / panel)
@@ -101,13 +128,13 @@ def _draw_frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: in
 
 
 def _draw_excluded(panel: Axes, track: Track, i: int) -> None:
-    """What counts nothing in frame i, hatched."""
+    """Hatch the areas that are excluded in frame i."""
     for polygon in drawn_areas(track, i):
         panel.add_patch(Polygon(polygon, fill=False, ec=EXCLUDED_COLOUR, lw=1.5, hatch="//"))
 
 
 def _draw_other(panel: Axes, track: Track, i: int, colour: str) -> None:
-    """Rectangle and name of a further track, where it was found."""
+    """Draw rectangle and name of a further track, where it was found."""
     if track.target is None or i >= len(track) or not track.found[i]:
         return
     panel.add_patch(Polygon(corners(track, i), fill=False, ec=colour, lw=2))
@@ -116,7 +143,7 @@ def _draw_other(panel: Axes, track: Track, i: int, colour: str) -> None:
 
 
 def _draw_target(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
-    """The target with a little of what surrounds it."""
+    """Draw the target with some of its surroundings."""
     x, y, w, h = _rectangle(track)
     _show_picture(panel, picture, bit_depth)
     panel.add_patch(Polygon(track.outline or box(track), fill=False, ec=TARGET_COLOUR, lw=2.5))
