@@ -160,7 +160,7 @@ def test_where_peak_locking_cannot_be_told():
 
 def test_a_note_only_where_it_matters():
     (note,) = self_test(a_track(slide(K), locking=0.004)).notes
-    assert "by 0.004" in note
+    assert "peak locking of 0.004" in note
     assert "at the typical speed an oscillation of" in note
     assert self_test(a_track(slide(K), locking=0.0)).notes == ()
     assert self_test(a_track(slide(K), locking=0.0002)).notes == ()

@@ -40,7 +40,7 @@ def test_a_target_that_passes_under_a_lamp_is_found_all_the_way(seed: int) -> No
     result = track(lit_by_a_lamp(seed), [30, 20, *SIZE[::-1]])
     error, stated = off(result), np.hypot(result.sigma_px, result.systematic)
     assert result.found.mean() > 0.95  # 0.69 to 0.91 where a changing look counts as hidden
-    assert any("look of the target changes along its path" in note for note in result.notes)
+    assert any("appearance of the target changes along its path" in note for note in result.notes)
     assert np.nanmean((error / stated) ** 2) < 2
     assert np.nanmax(np.abs(error / stated)) < 5
     assert result.systematic < 3 * np.nanstd(error)
@@ -48,7 +48,7 @@ def test_a_target_that_passes_under_a_lamp_is_found_all_the_way(seed: int) -> No
 
 def test_nothing_is_said_of_a_look_that_stays() -> None:
     result = track(block_film(path(), size=SIZE, shape=SHAPE, seed=3), [30, 20, *SIZE[::-1]])
-    assert not any("look of the target" in note for note in result.notes)
+    assert not any("appearance of the target" in note for note in result.notes)
     assert result.systematic < 2e-3
 
 
