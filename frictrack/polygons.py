@@ -1,4 +1,4 @@
-"""Polygons in a picture: checked once, and as masks of the pixels inside. Pixel centres are integers, y points down."""
+"""Read polygons in a picture, and mark the pixels inside. Pixel centres are integers, y points down."""
 
 from __future__ import annotations
 
@@ -16,10 +16,22 @@ Polygon = tuple[tuple[float, float], ...]  # corners (x, y) px, in order
 
 
 def polygon(raw: Any) -> Polygon:
-    """A polygon from corners [[x, y], ...] or a rectangle [x, y, width, height], px.
+    """Read a polygon from corners or a rectangle.
 
-    Raises `FrictrackError` for fewer than three corners, for what are no places in a picture, for sides that cross
-    and for corners on one line.
+    Parameters
+    ----------
+    raw : list, tuple or array
+        Corners [[x, y], ...] or a rectangle [x, y, width, height], px.
+
+    Returns
+    -------
+    tuple of tuple of float
+        Corners (x, y), px; those of a rectangle are the outer edges of its pixels.
+
+    Raises
+    ------
+    FrictrackError
+        For fewer than three corners, values that are no positions in a picture, crossing sides, or corners on one line.
 
     Examples
     --------
@@ -47,16 +59,53 @@ def polygon(raw: Any) -> Polygon:
 
 
 def polygons(raw: Any) -> tuple[Polygon, ...]:
-    """Several polygons, each as in `polygon`."""
+    """Read several polygons.
+
+    Parameters
+    ----------
+    raw : list or tuple
+        Polygons or rectangles, each as in `polygon`.
+
+    Returns
+    -------
+    tuple of polygons
+        Corners (x, y), px.
+
+    Raises
+    ------
+    FrictrackError
+        As `polygon`, and for a single rectangle.
+
+    """
     if not isinstance(raw, list | tuple) or _are_numbers(raw, 4):
         raise FrictrackError(f"expected a list of polygons [[[x, y], [x, y], [x, y]], ...] in px but got {_shown(raw)}")
     return tuple(polygon(one) for one in raw)
 
 
 def inside(corners: Polygon, shape: tuple[int, ...], origin: tuple[int, int] = (0, 0)) -> NDArray[np.bool_]:
-    """Pixels (h, w) whose centres lie within a polygon, in a picture whose upper left pixel is at `origin` (x, y).
+    """Mark the pixels whose centres lie inside a polygon.
 
     A ray from each pixel crosses the outline an odd number of times (Shimrat 1962, Commun. ACM 5:434).
+
+    Parameters
+    ----------
+    corners : sequence of tuple of float
+        Polygon, px.
+    shape : tuple of int
+        Height and width of the mask, px.
+    origin : tuple of int
+        Upper left pixel (x, y) of the mask in the picture.
+
+    Returns
+    -------
+    array of bool (h, w)
+        True inside.
+
+    Examples
+    --------
+    >>> inside(polygon([1, 0, 2, 1]), (2, 4)).astype(int).tolist()
+    [[0, 1, 1, 0], [0, 0, 0, 0]]
+
     """
     x, y = np.arange(shape[1]) + origin[0], (np.arange(shape[0]) + origin[1])[:, None]
     odd = np.zeros(shape[:2], np.bool_)
@@ -68,7 +117,23 @@ def inside(corners: Polygon, shape: tuple[int, ...], origin: tuple[int, int] = (
 
 
 def check_within(corners: Polygon, shape: tuple[int, int], what: str) -> None:
-    """Raise `FrictrackError` where a corner lies more than half a pixel outside of the picture (h, w)."""
+    """Check that a polygon lies in the picture, to within half a pixel.
+
+    Parameters
+    ----------
+    corners : sequence of tuple of float
+        Polygon, px.
+    shape : tuple of int
+        Height and width of the picture, px.
+    what : str
+        Name of the polygon for the message.
+
+    Raises
+    ------
+    FrictrackError
+        Where a corner lies outside.
+
+    """
     h, w = shape
     for x, y in corners:
         if not (-0.5 <= x <= w - 0.5 and -0.5 <= y <= h - 0.5):
@@ -85,7 +150,7 @@ def _rectangle(x: float, y: float, w: float, h: float) -> Polygon:
 
 
 def _are_numbers(raw: Any, count: int) -> bool:
-    """Whether these are so many numbers, none beyond any picture."""
+    """Whether these are `count` numbers within any picture."""
     listed = isinstance(raw, list | tuple | np.ndarray) and len(raw) == count
     return listed and all(_is_place(v) for v in raw)
 
@@ -101,7 +166,7 @@ def _shown(raw: Any) -> str:
 
 
 def _crossing(at: NDArray[np.float64]) -> tuple[int, int] | None:
-    """The first two sides of a closed line (n, 2) that meet though they are no neighbours, or lie on each other."""
+    """The first two sides of a closed polygon (n, 2) that meet without being neighbours, or overlap."""
     n = len(at)
     end = np.roll(at, -1, axis=0)
     for i in range(n):
@@ -116,13 +181,13 @@ def _crossing(at: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def _side(a: NDArray[np.float64], b: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
-    """On which side of the line from a to b a point p lies: the sign of the cross product."""
+    """Side of the line from a to b on which a point p lies: the sign of the cross product."""
     (ux, uy), (vx, vy) = (b - a).T, (p - a).T
     return np.asarray(ux * vy - uy * vx)
 
 
 def _folded(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], d: NDArray[np.float64]) -> Any:
-    """Whether neighbouring sides a-b and c-d (n, 2) run back on each other, or have no length."""
+    """Whether neighbouring sides a-b and c-d (n, 2) overlap, or have no length."""
     u, v = b - a, d - c
     along = v @ u
     across = u[0] * v[:, 1] - u[1] * v[:, 0]

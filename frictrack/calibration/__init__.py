@@ -1,7 +1,6 @@
-"""Pixels -> metres: scale, lens, plane and direction of the course, and a fixed reference point to subtract.
+"""Calibrate pixels to metres: scale, lens, plane and direction of the course, and correction of camera shake.
 
-Every way of giving the scale ends in one thing, a `PlaneMap` from the picture to the plane of the course; `calibrate`
-sends the track through it.
+Every kind of scale yields a `PlaneMap` from the picture to the plane of the course; `calibrate` applies it to a track.
 """
 
 from frictrack.calibration.displacement import calibrate

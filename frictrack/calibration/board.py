@@ -1,4 +1,4 @@
-"""Pictures of a checkerboard or ChArUco board -> where its inner corners are seen."""
+"""Find the inner corners of a checkerboard or ChArUco board in pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,20 @@ MIN_CHARUCO_CORNERS = 6
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """One picture of the board: its corners (n, 2) px and their places on the board (n, 2) m."""
+    """One picture of the board.
+
+    Attributes
+    ----------
+    name, number : str, int
+        Name of the picture and its number in the series.
+    points : array (n, 2)
+        Corners (x, y) in the picture, px.
+    places : array (n, 2)
+        The same corners on the board, m.
+    size : tuple of int
+        Width and height of the picture, px.
+
+    """
 
     name: str
     number: int
@@ -41,7 +54,22 @@ class BoardView:
 
 @dataclass(frozen=True)
 class Board:
-    """A board of known squares, sides in m; a ChArUco board has a `dictionary` and `marker`."""
+    """Board of known squares; a ChArUco board also has a dictionary and markers.
+
+    Attributes
+    ----------
+    squares : tuple of int
+        Number of squares along and across.
+    square : float
+        Side of a square, m.
+    relative : float
+        Relative standard deviation of the side.
+    dictionary : str
+        OpenCV's name of the marker dictionary; "" for a checkerboard.
+    marker : float
+        Side of a marker, m.
+
+    """
 
     squares: tuple[int, int]
     square: float
@@ -51,20 +79,32 @@ class Board:
 
     @property
     def kind(self) -> str:
-        """What it is called."""
+        """Name of the kind of board."""
         return "ChArUco board" if self.dictionary else "checkerboard"
 
     @property
     def inner(self) -> tuple[int, int]:
-        """Corners along and across that four squares share."""
+        """Number of inner corners along and across."""
         return self.squares[0] - 1, self.squares[1] - 1
 
     def corners(self, grey: Grey) -> tuple[Array, Array] | None:
-        """Corners seen (n, 2) px and their places (n, 2) m; None where the board is not found."""
+        """Find the corners of the board in a picture.
+
+        Parameters
+        ----------
+        grey : array of uint8 (h, w)
+            Picture.
+
+        Returns
+        -------
+        tuple of array (n, 2) or None
+            Corners in the picture (px) and on the board (m); None where the board is not found.
+
+        """
         return self._charuco(grey) if self.dictionary else self._checker(grey, self.inner)
 
     def _checker(self, grey: Grey, inner: tuple[int, int]) -> tuple[Array, Array] | None:
-        """All corners of a checkerboard (Duda & Frese 2018, BMVC: sector based)."""
+        """Find all corners of a checkerboard (sector-based: Duda & Frese 2018, BMVC)."""
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
         found, at = cv2.findChessboardCornersSB(grey, inner, flags=flags)
         if not found:
@@ -74,7 +114,7 @@ class Board:
         return _refined(grey, np.asarray(at, dtype=np.float32).reshape(inner[1], inner[0], 2)), places
 
     def _charuco(self, grey: Grey) -> tuple[Array, Array] | None:
-        """The corners of a ChArUco board that are seen; it may be partly hidden."""
+        """Find the visible corners of a ChArUco board; part of it may be hidden."""
         for detector, places in self._detectors:
             at, numbers, _, _ = detector.detectBoard(grey)
             if numbers is not None and len(numbers) >= MIN_CHARUCO_CORNERS:
@@ -83,7 +123,7 @@ class Board:
 
     @cached_property
     def _detectors(self) -> list[tuple[Any, Array]]:
-        """Both layouts that OpenCV has had for an even number of rows."""
+        """Detectors for both layouts that OpenCV has used for an even number of rows."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         out = []
         for legacy in (False, True):
@@ -94,7 +134,19 @@ class Board:
         return out
 
     def squares_hint(self, grey: Grey) -> str:
-        """What to write instead, where the inner corners were counted for squares; "" where that is not it."""
+        """Suggest the right number of squares where the inner corners were counted instead.
+
+        Parameters
+        ----------
+        grey : array of uint8 (h, w)
+            Picture in which the board was not found.
+
+        Returns
+        -------
+        str
+            Text for an error message; "" where this is not the cause.
+
+        """
         if self.dictionary or self._checker(grey, self.squares) is None:
             return ""
         columns, rows = (n + 1 for n in self.squares)
@@ -102,7 +154,7 @@ class Board:
 
 
 def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
-    """Corners (rows, columns, 2) to the saddle between their four squares: three times nearer than they were found."""
+    """Refine corners (rows, columns, 2) to the saddle points between four squares: three times more accurate."""
     side = min(float(np.min(np.linalg.norm(np.diff(at, axis=axis), axis=2))) for axis in (0, 1))
     reach = int(np.clip(REFINEMENT_REACH * side, 2, 15))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
@@ -111,7 +163,29 @@ def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
 
 
 def parse_board(scale: Mapping[str, Any]) -> Board:
-    """The board as a scale describes it."""
+    """Create the board that a scale describes.
+
+    Parameters
+    ----------
+    scale : mapping
+        Scale by a board, with the keys board, squares and square.
+
+    Returns
+    -------
+    Board
+        With sides in m.
+
+    Raises
+    ------
+    FrictrackError
+        For impossible numbers of squares, lengths or dictionaries.
+
+    Examples
+    --------
+    >>> parse_board({"board": "board.png", "squares": [9, 6], "square": "10 mm"}).inner
+    (8, 5)
+
+    """
     check_board(scale)
     square, std = parse_length(scale["square"], "the side of a square")
     if "dictionary" not in scale:
@@ -136,17 +210,36 @@ FoundViews = tuple[list[BoardView], list[str]]  # views, and the names of pictur
 
 
 def find_views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> FoundViews:
-    """The board in every picture that shows it, at most 20 that differ, the one in the plane of the course first.
+    """Find the board in all pictures.
 
-    `shape` (h, w) is that of the film. Raises `FrictrackError` when the board is in no picture, not in the picture
-    `plane`, or the pictures are of another size than the film.
+    Parameters
+    ----------
+    scale : mapping
+        Scale by a board.
+    board : Board
+        The same board, parsed.
+    shape : tuple of int, optional
+        Height and width of the film, px; the pictures must have the same size.
+
+    Returns
+    -------
+    views : list of BoardView
+        At most `MAX_VIEWS` that differ; the one in the plane of the course first.
+    missed : list of str
+        Names of pictures in which the board was not found.
+
+    Raises
+    ------
+    FrictrackError
+        Where no picture shows the board, the one in the plane does not, or sizes differ.
+
     """
     paths = tuple(board_files(scale))
     return _cached_views(paths, _modification_times(paths), scale.get("plane"), board, shape)
 
 
 def _modification_times(paths: tuple[Path, ...]) -> tuple[int, ...]:
-    """When the files were written: the runs of one camera share its board, which is looked for once."""
+    """Modification times of the files: runs of one camera share its board, which is searched once."""
     each = [p for path in paths for p in (sorted(path.iterdir()) if path.is_dir() else [path])]
     return tuple(p.stat().st_mtime_ns for p in each if p.exists())
 
@@ -184,7 +277,7 @@ def _cached_views(
 
 
 def _select_views(found: list[BoardView], plane: int | None) -> list[BoardView]:
-    """The view in the plane of the course first, and not too many more."""
+    """Put the view in the plane of the course first, and limit the number of views."""
     chosen = next((v for v in found if v.number == plane), None)
     if plane is not None and chosen is None:
         raise FrictrackError(f"expected plane as the number of a picture of the board but got {plane}")
@@ -217,7 +310,7 @@ def _not_found(board: Board, name: str, grey: Grey) -> str:
 
 
 def _differs(view: BoardView, other: BoardView) -> bool:
-    """Whether the board was moved between two pictures; parts of it that only one shows do not count."""
+    """Whether the board was moved between two pictures."""
     if len(view.points) != len(other.points):
         return True
     moved = float(np.max(np.linalg.norm(view.points - other.points, axis=1)))
@@ -233,7 +326,7 @@ def _is_film(paths: tuple[Path, ...]) -> bool:
 
 
 def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int, str, Grey]]:
-    """Number, name and grey picture of every file, or of those in a folder."""
+    """Number, name and grey picture of every file, or of all files in a folder."""
     if len(paths) == 1 and paths[0].is_dir():
         paths = tuple(sorted(p for p in paths[0].iterdir() if p.suffix.lower() in PICTURE_SUFFIXES))
     if not paths:
@@ -266,7 +359,7 @@ def _frames(path: Path, plane: int | None) -> Iterator[tuple[int, str, Grey]]:
 
 
 def _read_grey(path: Path) -> Grey:
-    """A picture file as 8-bit grey values."""
+    """Read a picture file as 8-bit grey values."""
     if not path.exists():
         raise FrictrackError(f"expected a picture of the board {path} but there is no such file; check the path")
     try:
@@ -279,7 +372,7 @@ def _read_grey(path: Path) -> Grey:
 
 
 def _grey8(picture: NDArray[Any]) -> Grey:
-    """Grey values in 8 bits, the brightest at 255 where there were more bits."""
+    """Grey values in 8 bits; pictures with more bits are scaled to their maximum."""
     if picture.dtype == np.uint8:
         return np.ascontiguousarray(picture)
     top = max(float(np.max(picture)), 1.0)

@@ -1,8 +1,8 @@
-"""Views of a board -> the plane that the first of them shows.
+"""Calibrate camera, lens and the plane of the course from views of a board.
 
-Several views give the camera matrix, the lens distortion and the board's pose together (Zhang 2000, IEEE PAMI
-22:1330, through OpenCV); the covariance is that of all of them at once, from the residuals of the corners. One view
-gives a homography, and one radial coefficient where that view determines it.
+Several views determine camera matrix, lens distortion (Brown-Conrady: Brown 1971, Photogramm. Eng. 37:855) and the
+poses of the board together (Zhang 2000, IEEE PAMI 22:1330, through OpenCV). The covariance follows from the residuals
+of all corners. One view determines a homography, and one radial coefficient if the view is suitable.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TOO_FEW_VIEWS = (
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
-    """A camera fitted to views: its lens, the poses (v, 6), and how far the corners lie from it."""
+    """Camera fitted to views: lens, poses (v, 6), and reprojection error."""
 
     lens: Lens
     poses: Array
@@ -41,7 +41,33 @@ class _Camera:
 
 
 def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
-    """The map to the plane of the first view, m; `lens` is one that was calibrated before."""
+    """Compute the map to the plane of the first view.
+
+    Parameters
+    ----------
+    views : list of BoardView
+        Views of the board, that in the plane of the course first.
+    board : Board
+        The board.
+    lens : Lens, optional
+        Lens that was calibrated before.
+
+    Returns
+    -------
+    PlaneMap
+        Picture points (px) to points of the plane (m), with covariance.
+
+    Raises
+    ------
+    FrictrackError
+        For too few corners, or a lens file that does not fit.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. Pattern Anal. Mach. Intell. 22 (2000),
+    1330-1334.
+
+    """
     plane = _from_known_lens(views[0], lens, board) if lens else _from_all_views(views, board)
     if plane is None:
         plane = _from_one_view(views[0], board)
@@ -53,7 +79,7 @@ def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = N
 
 
 def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
-    """One view: homography, and the radial coefficient where the view tells it well."""
+    """Fit a homography to one view, with a radial coefficient if the view determines it well."""
     unit_sigma = np.ones(len(first.points))
     width, height = first.size
     frame = Normalisation(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
@@ -86,7 +112,7 @@ def _variance(fitted: Homography) -> float:
 
 
 def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
-    """Camera, lens and pose from several views; None where the views do not tell the camera."""
+    """Fit camera, lens and pose to several views; None where these do not determine the camera."""
     best = _calibrated(views) if len(views) >= MIN_VIEWS else None
     if best is None:
         return None
@@ -104,7 +130,7 @@ def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
 
 
 def _calibrated(views: list[BoardView]) -> _Camera | None:
-    """Camera, lens and poses; None where OpenCV finds none in front of which all boards lie."""
+    """Fit camera, lens and poses with OpenCV; None where no solution has all boards before the camera."""
     solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in views]
     without_radial = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in views]
     start = cv2.initCameraMatrix2D(solid, without_radial, views[0].size)
@@ -127,7 +153,7 @@ def _intrinsics(lens: Lens) -> Array:
 
 
 def _covariance(views: list[BoardView], camera: _Camera) -> Array | None:
-    """Covariance (15, 15) of camera, lens and first pose, with all other poses free (their part eliminated)."""
+    """Covariance (15, 15) of camera, lens and first pose; all other poses are eliminated (Schur complement)."""
     normal = np.zeros((N_INTRINSICS, N_INTRINSICS))
     square, count = 0.0, -N_INTRINSICS
     own = cross = None
@@ -150,7 +176,7 @@ def _covariance(views: list[BoardView], camera: _Camera) -> Array | None:
 
 
 def _corner_jacobians(v: BoardView, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
-    """Change of the corners (2 n,) with the pose (2 n, 6) and with camera and lens (2 n, 9), and their misfit."""
+    """Derivatives of the corners (2 n,) by the pose (2 n, 6) and by camera and lens (2 n, 9); residuals."""
     solid = np.column_stack([v.places, np.zeros(len(v.places))])
     pose = camera.poses[k]
     at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
@@ -163,13 +189,13 @@ def _floats(raw: Any) -> Array:
 
 
 def _points_on_plane(values: Array, points: Array) -> Array:
-    """Picture points on the plane z = 0 of a board, m."""
+    """Project picture points to the plane z = 0 of a board, m."""
     lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:N_INTRINSICS])
     return _on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
 def _on_plane(rays: Array, pose: Array) -> Array:
-    """Where normalised directions (n, 2) meet the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
+    """Intersect directions (n, 2) with the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
     turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
     views = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
     inverse = np.linalg.inv(views)
@@ -177,7 +203,7 @@ def _on_plane(rays: Array, pose: Array) -> Array:
 
 
 def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
-    """The pose of the board under a lens that is known."""
+    """Fit the pose of the board with a known lens."""
     if lens.size and lens.size != first.size:
         raise FrictrackError(
             f"expected the board in pictures of {lens.size[0]}x{lens.size[1]} px, as the lens was calibrated on, but "

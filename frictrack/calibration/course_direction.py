@@ -1,4 +1,4 @@
-"""The direction of the course: image right, as given, or that of the path itself."""
+"""Determine the direction of the course: image right, a given axis, or the direction of the path."""
 
 from __future__ import annotations
 
@@ -23,7 +23,18 @@ MIN_TRAVEL_SIGMAS = 20.0  # standard deviations a target must travel for its pat
 
 @dataclass(frozen=True, eq=False)
 class PathLine:
-    """The direction of a path in the plane: a unit vector, the angle's deviation and the bend over its length, rad."""
+    """Direction of a path in the plane.
+
+    Attributes
+    ----------
+    direction : array (2,)
+        Unit vector.
+    std : float
+        Standard deviation of its angle, rad.
+    bend, bend_std : float
+        Change of direction over the path and its standard deviation, rad.
+
+    """
 
     direction: Array
     std: float
@@ -32,7 +43,30 @@ class PathLine:
 
 
 def directions(axis: Axis) -> tuple[Array, Array]:
-    """Unit vectors in the picture along the course and across it, the second pointing up (y is down)."""
+    """Compute unit vectors in the picture along and across the course.
+
+    Parameters
+    ----------
+    axis : sequence of float, "track" or None
+        Direction [dx, dy] px with y down; "track" and None stand for image right.
+
+    Returns
+    -------
+    along, across : array (2,)
+        The second points up (y is down).
+
+    Raises
+    ------
+    FrictrackError
+        For anything else.
+
+    Examples
+    --------
+    >>> along, across = directions([0, 2])
+    >>> along.tolist(), abs(across).tolist()
+    ([0.0, 1.0], [1.0, 0.0])
+
+    """
     wrong = FrictrackError(f'expected the course axis as [dx, dy] px or "track" but got {axis!r}')
     if isinstance(axis, str) and axis != "track":
         raise wrong
@@ -48,7 +82,26 @@ def directions(axis: Axis) -> tuple[Array, Array]:
 
 
 def axes_in_plane(plane: PlaneMap, direction: Array, across: Array) -> tuple[Array, Array]:
-    """The same in the plane of the course: `direction` as the map turns it, the other at a right angle to it."""
+    """Transform the directions along and across the course to the plane.
+
+    Parameters
+    ----------
+    plane : PlaneMap
+        Map from the picture to the plane.
+    direction, across : array (2,)
+        Directions in the picture.
+
+    Returns
+    -------
+    x, y : array (2,)
+        Orthogonal unit vectors in the plane.
+
+    Raises
+    ------
+    FrictrackError
+        Where the map has no direction at its centre.
+
+    """
     jacobian = plane.jacobian(np.array([plane.centre]))[0]
     if not np.all(np.isfinite(jacobian)):
         raise FrictrackError("the calibration gives no direction at its own middle; check its points")
@@ -59,7 +112,23 @@ def axes_in_plane(plane: PlaneMap, direction: Array, across: Array) -> tuple[Arr
 
 
 def fit_path(at: Array, sigma: Array) -> PathLine | None:
-    """Robust line through places (n, 2) m with standard deviations (n,); None where nothing travels far enough."""
+    """Fit a robust line to the path of a target.
+
+    The weights are those of Huber (1964, Ann. Math. Stat. 35:73), iterated.
+
+    Parameters
+    ----------
+    at : array (n, 2)
+        Positions, m.
+    sigma : array (n,)
+        Standard deviations across the path, m.
+
+    Returns
+    -------
+    PathLine or None
+        None where the target does not travel far enough.
+
+    """
     if len(at) < MIN_FRAMES:
         return None
     middle = np.median(at, axis=0)
@@ -81,7 +150,7 @@ def fit_path(at: Array, sigma: Array) -> PathLine | None:
 
 
 def _fit_bend(direction: Array, place: Array, weight: Array, noise: float) -> PathLine:
-    """Angle and bend from a parabola across the path; neighbours that are wrong together count as fewer."""
+    """Fit angle and bend by a parabola across the path; correlated residuals reduce the number of frames that count."""
     s, deviation = place
     half = float(np.ptp(s)) / 2
     u = (s - (s.min() + s.max()) / 2) / half
@@ -99,20 +168,67 @@ def _fit_bend(direction: Array, place: Array, weight: Array, noise: float) -> Pa
 
 
 def frames_per_independent(residual: Array) -> float:
-    """How many residuals (n,) count as one, by the correlation of neighbours; 1 at the least."""
+    """Compute how many correlated residuals count as one independent one.
+
+    Parameters
+    ----------
+    residual : array (n,)
+        Residuals in order.
+
+    Returns
+    -------
+    float
+        (1 + r) / (1 - r) with r the correlation of neighbours; at least 1.
+
+    Examples
+    --------
+    >>> frames_per_independent(np.array([1.0, -1.0, 1.0, -1.0]))
+    1.0
+
+    """
     correlation = float(np.sum(residual[1:] * residual[:-1]) / max(float(np.sum(residual**2)), 1e-300))
     return max((1 + correlation) / max(1 - correlation, 1e-3), 1.0)
 
 
 def orient_forward(direction: Array, jacobian: Array) -> Array:
-    """The direction with the sign that all runs of a camera share; `jacobian` (2, 2) m/px leads from the picture."""
+    """Choose the sign of a direction that all runs of a camera share.
+
+    Parameters
+    ----------
+    direction : array (2,)
+        Unit vector in the plane.
+    jacobian : array (2, 2)
+        Derivative of the plane by the picture, m/px.
+
+    Returns
+    -------
+    array (2,)
+        Pointing right in the picture, or down where it is steeper than `STEEP_ANGLE`.
+
+    """
     in_picture = np.linalg.solve(jacobian, direction)
     steep = abs(in_picture[1]) > np.tan(STEEP_ANGLE) * abs(in_picture[0])
     return direction if (in_picture[1] if steep else in_picture[0]) > 0 else -direction
 
 
 def direction_notes(line: PathLine | None, x: Array, axis: Axis) -> tuple[str, ...]:
-    """What the path's direction has against the axis, in words, with what it costs."""
+    """Describe how the direction of the path differs from the axis, and the resulting error.
+
+    Parameters
+    ----------
+    line : PathLine or None
+        Direction of the path.
+    x : array (2,)
+        Axis in the plane.
+    axis : sequence of float, "track" or None
+        Axis as it was given.
+
+    Returns
+    -------
+    tuple of str
+        Notes for the user.
+
+    """
     if line is None:
         return ()
     notes = []

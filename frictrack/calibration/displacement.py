@@ -1,4 +1,4 @@
-"""A track in pixels, sent through the map to the plane of the course: displacement along it and across."""
+"""Convert a track in pixels to displacement along and across the course, in metres."""
 
 from __future__ import annotations
 
@@ -36,20 +36,50 @@ def calibrate(
     x_offset: float = 0.0,
     reference: Track | None = None,
 ) -> Displacement:
-    """Displacement along the course and across it, from a track in pixels.
+    """Convert a track in pixels to displacement along and across the course.
 
-    `scale` is what `plane_map` takes or gives. `axis` is the direction of +x in the picture, [dx, dy] px with y down,
-    at the middle of the scale's points (default image right), or "track": the path's own direction, +x to the right,
-    or downward where the path is steeper than 60 degrees. `origin_px` is the pixel [x, y] where x = 0 and y = 0
-    (default the picture's corner, or the zero of the board or of the known places, so that all runs of one camera share
-    it); `x_offset` is added to x, m. `reference` is the track of something fixed: what it moves beyond its own noise is
-    camera shake and is subtracted (`shake`). Of a target that turns by a quarter or more, the point is taken that moves
-    along a straight course (`straight`).
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    scale : number, str, mapping, list or PlaneMap
+        Scale as `plane_map` takes it, or its result.
+    axis : sequence of float or "track", optional
+        Direction of +x in the picture, [dx, dy] px with y down, at the middle of the scale's points; image right by
+        default. "track" follows the path: +x to the right, or down where the path is steeper than 60 degrees.
+    origin_px : sequence of float, optional
+        Pixel [x, y] with x = 0 and y = 0. By default the corner of the picture, or the zero of the board or of the
+        known
+        places, so that all runs of one camera share it.
+    x_offset : float
+        Added to x, m.
+    reference : Track, optional
+        Track of a fixed object. Its motion beyond its own noise is camera shake and is subtracted.
 
-    x runs along the axis, y across it (upward in the picture), the angle counter-clockwise. Where the target was lost,
-    or the reference of a shaking film, they are NaN and ``valid`` is false. ``pixel_pitch`` is that in the middle of
-    the path, ``relative_scale_error`` the standard deviation of the length of the path over it: common to all frames,
-    and to all runs of one camera.
+    Returns
+    -------
+    Displacement
+        x along the axis, y across it (up in the picture), angle counter-clockwise. NaN and ``valid`` false where the
+        target, or the reference of a shaking film, was lost. ``pixel_pitch`` is the pitch in the middle of the path;
+        ``relative_scale_error`` is the relative standard deviation of the path's length, common to all frames and to
+        all
+        runs of one camera.
+
+    Raises
+    ------
+    FrictrackError
+        For a target lost in all frames, or a map that cannot place all frames.
+
+    Notes
+    -----
+    For a target that rotates by a quarter turn or more, the point that moves along a straight course is used
+    (`rotating_target`).
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> displacement = ft.calibrate(track, scale="0.5 mm/px")  # doctest: +SKIP
+
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
     track, shake_notes = subtract_shake(track, reference)
@@ -88,6 +118,7 @@ def calibrate(
 
 
 def _check_placed(place: Array, valid: Mask) -> None:
+    """Check that the target was found and that the map places all frames."""
     if not np.any(valid):
         raise FrictrackError(
             "expected a target that is found but it is lost in every frame; check target and reference"
@@ -107,7 +138,7 @@ def _sigma(variance: Array, jacobian: Array, direction: Array) -> Array:
 
 
 def _path_axes(plane: PlaneMap, line: PathLine | None, y: Array) -> tuple[Array, Array]:
-    """Unit vectors along the path's own direction and across it, the second on the side of `y`."""
+    """Unit vectors along and across the path, the second on the side of `y`."""
     if line is None:
         raise FrictrackError('expected a target that travels for axis = "track" but it rests; give axis = [dx, dy]')
     x = orient_forward(line.direction, plane.jacobian(np.array([plane.centre]))[0])
@@ -116,14 +147,14 @@ def _path_axes(plane: PlaneMap, line: PathLine | None, y: Array) -> tuple[Array,
 
 
 def _zero(plane: PlaneMap, origin_px: Sequence[float] | None) -> Array:
-    """The point of the plane (2,) m that is 0."""
+    """Origin in the plane (2,) m."""
     if origin_px is None and plane.zero is not None:
         return np.asarray(plane.zero)
     return plane(np.reshape(np.asarray([0.0, 0.0] if origin_px is None else origin_px, dtype=np.float64), (1, 2)))[0]
 
 
 def _ends(at: Array, x: Array) -> Array:
-    """Picture points (2, 2) px at both ends of the path; some px apart even for a target that rests."""
+    """Picture points (2, 2) px at both ends of the path; at least `MIN_PATH_PX` apart."""
     ends = at[[int(np.argmin(x)), int(np.argmax(x))]]
     if np.hypot(*(ends[1] - ends[0])) < MIN_PATH_PX:
         ends = ends.mean(axis=0) + np.array([[-MIN_PATH_PX / 2, 0.0], [MIN_PATH_PX / 2, 0.0]])
@@ -131,13 +162,13 @@ def _ends(at: Array, x: Array) -> Array:
 
 
 def _pitch(plane: PlaneMap, middle: Array, x: Array) -> float:
-    """Metres per pixel in the middle of the path, along the course."""
+    """Pitch along the course at a point of the picture, m/px."""
     turn = plane.jacobian(middle[None])[0]
     return plane.pitch(middle, np.linalg.solve(turn, x))
 
 
 def _scale_notes(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
-    """What the scale is made from, how good it is on this path, and what is to be said of it."""
+    """Describe the origin of the scale and its accuracy on this path."""
     if not plane.used:
         return plane.notes
     first, last, middle = (_pitch(plane, p, x) for p in (*ends, ends.mean(axis=0)))

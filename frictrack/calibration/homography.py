@@ -1,8 +1,8 @@
-"""Points of known place on a plane -> homography, with the covariance of its numbers.
+"""Fit a homography to points at known places on a plane, with the covariance of its parameters.
 
-The errors are those of the picture points: their squares are minimised in the picture (Hartley & Zisserman 2004,
-Multiple View Geometry, 4.2), on coordinates moved and scaled to order one. One radial coefficient k of the lens,
-p = c + (q - c)(1 + k |q - c|^2 / R^2), can be fitted with it.
+The errors are those of the picture points, and their squares are minimised in the picture, on normalised coordinates
+(Hartley & Zisserman 2004, Multiple View Geometry, 4.2 and 4.4). One radial coefficient k of the lens,
+p = c + (q - c)(1 + k |q - c|^2 / R^2), can be fitted as well.
 """
 
 from __future__ import annotations
@@ -27,23 +27,36 @@ MAX_RADIAL_COEFFICIENT = 0.3  # a larger k is no lens
 
 @dataclass(frozen=True, eq=False)
 class Normalisation:
-    """Coordinates of order one: (points - middle) / size."""
+    """Normalise coordinates to order one: (points - middle) / size."""
 
     middle: Array
     size: float
 
     def __call__(self, points: Array) -> Array:
-        """To order one."""
+        """Normalise points (n, 2)."""
         return np.asarray((points - self.middle) / self.size, dtype=np.float64)
 
     def restore(self, points: Array) -> Array:
-        """To what they were."""
+        """Undo the normalisation of points (n, 2)."""
         return np.asarray(points * self.size + self.middle, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Homography:
-    """A fitted view of a plane: its map, and how far the points lie from it."""
+    """Fitted view of a plane.
+
+    Attributes
+    ----------
+    map : PlaneMap
+        Map from the picture to the plane.
+    rms : float
+        Rms distance of the points, px.
+    chi2 : float
+        Sum of squares over the given variances.
+    degrees : int
+        Degrees of freedom.
+
+    """
 
     map: PlaneMap
     rms: float  # px, of the distance
@@ -54,10 +67,35 @@ class Homography:
 def fit_view(
     points: Array, places: Array, sigma: Array, straight: Straight = as_seen, lens: Normalisation | None = None
 ) -> Homography:
-    """Fit a plane to points (n, 2) px at known places (n, 2) m; `sigma` (n,) px of each point, along x and y.
+    """Fit the view of a plane to points at known places.
 
-    With `lens` (the picture's middle, and the distance from it to a corner) one radial coefficient is fitted too.
-    Raises `FrictrackError` when the points do not determine a plane that lies before the camera.
+    Parameters
+    ----------
+    points : array (n, 2)
+        Points in the picture, px.
+    places : array (n, 2)
+        The same points on the plane, m.
+    sigma : array (n,)
+        Standard deviation of each point along x and y, px.
+    straight : callable
+        Removes the distortion of a known lens from points (n, 2) px.
+    lens : Normalisation, optional
+        Middle of the picture and distance to a corner. If it is given, one radial coefficient is fitted.
+
+    Returns
+    -------
+    Homography
+        The map and its quality.
+
+    Raises
+    ------
+    FrictrackError
+        Where the points do not determine a plane before the camera.
+
+    References
+    ----------
+    R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision (2004), ch. 4.
+
     """
     _check_spread(points, "points")
     _check_spread(places, "places on the plane")
@@ -92,7 +130,7 @@ def _fit(
     data: tuple[Array, Array],
     sigma: Array,
 ) -> tuple[Array, Array, Array]:
-    """Values, covariance, and the residuals (2, n) in standard deviations."""
+    """Fit by least squares: values, covariance, and residuals (2, n) in standard deviations."""
     (plane_norm, picture, distortion), (points, places) = transforms, data
     flat = plane_norm(places)
 
@@ -113,13 +151,13 @@ def _fit(
 
 
 def _distort(k: float, points: Array, lens: Normalisation) -> Array:
-    """Where a lens of radial coefficient k shows straight points (n, 2) px."""
+    """Apply the radial coefficient k to straight points (n, 2) px."""
     q = lens(points)
     return lens.restore(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
 
 
 def _undistort(k: float, points: Array, lens: Normalisation) -> Array:
-    """The straight points of those seen (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
+    """Remove the radial coefficient k from points (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
     straightened = lens(points)
     radius = np.linalg.norm(straightened, axis=1)
     r = radius.copy()
@@ -133,13 +171,13 @@ def _matrix(values: Array) -> Array:
 
 
 def _inverse(values: Array) -> Array:
-    """From the picture to the plane, its sign such that w > 0 where the middle of the points is seen."""
+    """Matrix from the picture to the plane, with w > 0 where the middle of the points is visible."""
     inverse = np.linalg.inv(_matrix(values))
     return np.asarray(inverse * np.sign(inverse[2] @ [values[2], values[5], 1.0]), dtype=np.float64)
 
 
 def _linear(places: Array, points: Array) -> Array:
-    """The eight numbers of the direct linear transform, h33 = 1 (it maps the middle, so it is not 0)."""
+    """Parameters (8,) of the direct linear transform with h33 = 1; it maps the middle, so that h33 is not 0."""
     one = np.ones(len(places))
     x, y = points.T
     at = np.column_stack([places, one])

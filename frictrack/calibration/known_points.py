@@ -1,4 +1,4 @@
-"""Four or more points of known place: the perspective of a plane that the camera sees at an angle."""
+"""Compute the map of a plane from four or more points at known places."""
 
 from __future__ import annotations
 
@@ -18,7 +18,26 @@ ALPHA_MISFIT = 1e-3  # significance level at which the points fit worse than the
 
 
 def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
-    """The map of ``{points = [[x, y], ...], plane = [[X, Y], ...]}``; five and more points are checked too."""
+    """Compute the map of ``{points = [[x, y], ...], plane = [[X, Y], ...]}``.
+
+    Parameters
+    ----------
+    scale : mapping
+        Points in the picture (px) and their places on the plane.
+    straight : callable
+        Removes the distortion of a known lens from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        With five or more points their misfit is tested; a significant one enlarges the covariance and gives a note.
+
+    Raises
+    ------
+    FrictrackError
+        For points that do not determine a plane.
+
+    """
     points, places, std = check_points(scale)
     click = click_std(scale)
     sigma = np.full(len(points), click)
@@ -31,6 +50,7 @@ def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> Plane
 
 
 def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
+    """Add the misfit of the points to the map: a description, or a note and a larger covariance."""
     n, degrees = len(points), fitted.degrees
     used = f"scale by {n} points of known place, clicked to {click:g} px"
     if degrees == 0:

@@ -1,4 +1,4 @@
-"""A lens that was calibrated before: its camera matrix and distortion from a file that OpenCV or others wrote."""
+"""Read camera matrix and lens distortion from a calibration file of OpenCV or similar programs."""
 
 from __future__ import annotations
 
@@ -31,14 +31,41 @@ MAX_ROUND_TRIP_PX = 0.01  # a point undistorted and distorted again must come ba
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """Camera `matrix` (3, 3) px, `distortion` (k,) in OpenCV's order, and the `size` (width, height) px it is for."""
+    """Calibrated lens with the Brown-Conrady distortion model.
+
+    Attributes
+    ----------
+    matrix : array (3, 3)
+        Camera matrix, px.
+    distortion : array (k,)
+        Coefficients in OpenCV's order: k1, k2, p1, p2, k3, ...
+    size : tuple of int or None
+        Width and height of the pictures to which it applies, px.
+
+    References
+    ----------
+    D. C. Brown, "Close-range camera calibration", Photogramm. Eng. 37 (1971), 855-866.
+
+    """
 
     matrix: Array
     distortion: Array
     size: tuple[int, int] | None = None
 
     def rays(self, points: Array) -> Array:
-        """Normalised directions (n, 2) of picture points (n, 2) px; NaN where the distortion cannot be undone."""
+        """Compute normalised directions of picture points.
+
+        Parameters
+        ----------
+        points : array (n, 2)
+            Points in the picture, px.
+
+        Returns
+        -------
+        array (n, 2)
+            NaN where the distortion cannot be inverted.
+
+        """
         flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros((0, 2))
@@ -49,22 +76,37 @@ class Lens:
         return np.where((off < MAX_ROUND_TRIP_PX)[:, None], rays, np.nan)
 
     def project_rays(self, rays: Array) -> Array:
-        """Picture points (n, 2) px of normalised directions (n, 2)."""
+        """Project normalised directions (n, 2) to picture points (n, 2) px."""
         solid = np.column_stack([rays, np.ones(len(rays))])
         points, _ = cv2.projectPoints(solid, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(points, dtype=np.float64).reshape(-1, 2)
 
     def undistorted(self, points: Array) -> Array:
-        """Where the lens without its distortion would show the points (n, 2) px."""
+        """Remove the distortion from picture points (n, 2) px."""
         focal, centre = np.diag(self.matrix)[:2], self.matrix[:2, 2]
         return self.rays(points) * focal + centre
 
 
 def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
-    """Camera matrix and distortion from OpenCV's YAML, XML or JSON, or a plain JSON of lists.
+    """Read a lens from OpenCV's YAML, XML or JSON, or from a JSON of lists.
 
-    `shape` (h, w) is that of the film. Raises `FrictrackError` for a file that is missing, is none of these, lacks
-    one of the two, holds another lens model, or is made for pictures of another size.
+    Parameters
+    ----------
+    path : Path
+        Calibration file.
+    shape : tuple of int, optional
+        Height and width of the film, px; the lens must be calibrated for this size.
+
+    Returns
+    -------
+    Lens
+        Camera matrix and distortion.
+
+    Raises
+    ------
+    FrictrackError
+        For a missing or unreadable file, another lens model, or another picture size.
+
     """
     fields = _fields(path)
     matrix = _field(fields, MATRIX, path, "a camera matrix")
@@ -121,7 +163,7 @@ def _size(fields: dict[str, Any], path: Path) -> tuple[int, int] | None:
 
 
 def _fields(path: Path) -> dict[str, Any]:
-    """The names at the top of the file with numbers, texts and matrices (as lists) behind them."""
+    """Top-level names of the file with their numbers, texts and matrices (as lists)."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise FrictrackError(f"{path.name}: expected a lens file but it has {path.stat().st_size / 1e6:.0f} MB")
@@ -140,7 +182,7 @@ def _fields(path: Path) -> dict[str, Any]:
 
 
 def _nesting(text: str) -> int:
-    """How deep brackets stand in brackets at most: a parser's time goes with the square of it."""
+    """Largest depth of nested brackets: the time of a parser grows with its square."""
     steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
     return max(accumulate(steps), default=0)
 
@@ -150,19 +192,19 @@ def _json(text: str) -> dict[str, Any]:
 
 
 def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
-    """Matrices as their numbers alone."""
+    """Replace matrices by their numbers."""
     return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without references, by which a short text can stand for an endless one."""
+    """YAML loader without aliases, by which a short text can expand without limit."""
 
     def fetch_alias(self) -> None:
-        """Raise YAMLError."""
+        """Reject aliases with a YAMLError."""
         raise yaml.YAMLError("references are not read")
 
     def construct_matrix(self, node: yaml.Node) -> Any:
-        """The numbers of OpenCV's matrix."""
+        """Numbers of OpenCV's matrix type."""
         return self.construct_mapping(node, deep=True).get("data")
 
 
@@ -170,7 +212,7 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_mat
 
 
 def _yaml_or_xml(text: str) -> dict[str, Any]:
-    """OpenCV's own format, or YAML without its first line (ROS writes such). OpenCV's parser may never return."""
+    """Parse OpenCV's format, or YAML without its first line as ROS writes it. OpenCV's own parser may hang."""
     if text.lstrip().startswith("<?xml"):
         return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
@@ -181,7 +223,7 @@ def _yaml_or_xml(text: str) -> dict[str, Any]:
 
 
 def _element(element: ElementTree.Element) -> Any:
-    """A matrix, a list, a number or a text."""
+    """Value of an XML element: a matrix, a list, a number or a text."""
     data = element.find("data")
     if data is not None:
         return (data.text or "").split()

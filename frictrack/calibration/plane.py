@@ -1,7 +1,7 @@
-"""The one thing that every calibration yields: a map from the picture to the plane of the course.
+"""The map from the picture to the plane of the course, which every calibration yields.
 
-A map is a function of some numbers (a pitch, a homography, a camera and its pose) and of picture points; with the
-covariance of the numbers it carries their uncertainty to every length that is measured through it.
+A map is a function of some values (a pitch, a homography, a camera and its pose) and of picture points. The covariance
+of the values gives the uncertainty of every length that is measured through it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,27 @@ DIFFERENCE_STEP = 0.01  # of central differences: px, and the share of a standar
 
 @dataclass(frozen=True, eq=False)
 class PlaneMap:
-    """Picture points (px, y down) -> points of the course's plane (m).
+    """Map from picture points (px, y down) to points of the course's plane (m).
 
-    `place(values, points)` maps points (n, 2) px to (n, 2) m; NaN beyond the horizon. `values` (k,) are the
-    numbers of the calibration and `covariance` (k, k) theirs. `centre` is the picture point at which directions
-    in the picture are turned into directions in the plane, `zero` the point of the plane that is 0 (m; None: where
-    the picture's corner lies), `reach` the length that was measured in the picture (px, 0 where that says nothing),
-    `used` says in words what it was made from.
+    Attributes
+    ----------
+    values : array (k,)
+        Parameters of the calibration.
+    covariance : array (k, k)
+        Their covariance.
+    place : callable
+        ``place(values, points)`` maps points (n, 2) px to (n, 2) m; NaN beyond the horizon.
+    used : str
+        Description of the data from which it was made.
+    centre : tuple of float
+        Picture point at which directions are transformed to the plane, px.
+    zero : tuple of float or None
+        Origin in the plane, m; None for the corner of the picture.
+    reach : float
+        Length that was measured in the picture, px; 0 where it does not matter.
+    notes : tuple of str
+        Notes for the user.
+
     """
 
     values: Array
@@ -40,22 +54,62 @@ class PlaneMap:
     notes: tuple[str, ...] = ()
 
     def __call__(self, points: Array) -> Array:
-        """Points of the plane (n, 2) m."""
+        """Map picture points (n, 2) px to points of the plane (n, 2) m."""
         return self.place(self.values, np.asarray(points, dtype=np.float64))
 
     def jacobian(self, points: Array) -> Array:
-        """Change (n, 2, 2) of the point in the plane, m, per px of movement in the picture."""
+        """Compute the derivative of the plane by the picture.
+
+        Parameters
+        ----------
+        points : array (n, 2)
+            Picture points, px.
+
+        Returns
+        -------
+        array (n, 2, 2)
+            m/px.
+
+        """
         points = np.asarray(points, dtype=np.float64)
         sides = [(self(points + d) - self(points - d)) / (2 * DIFFERENCE_STEP) for d in DIFFERENCE_STEP * np.eye(2)]
         return np.stack(sides, axis=2)
 
     def pitch(self, at: Array, direction: Array) -> float:
-        """Metres per pixel at a picture point (2,), along a direction (2,) in the picture."""
+        """Compute the pitch at a picture point along a direction.
+
+        Parameters
+        ----------
+        at : array (2,)
+            Picture point, px.
+        direction : array (2,)
+            Direction in the picture.
+
+        Returns
+        -------
+        float
+            m/px.
+
+        """
         step_px = np.asarray(direction, dtype=np.float64)
         return float(np.linalg.norm(self.jacobian(np.reshape(at, (1, 2)))[0] @ step_px) / np.linalg.norm(step_px))
 
     def length(self, ends: Array) -> tuple[float, float]:
-        """Distance in m between two picture points (2, 2) px, and its relative standard deviation."""
+        """Compute the distance of two picture points in the plane.
+
+        Parameters
+        ----------
+        ends : array (2, 2)
+            Picture points, px.
+
+        Returns
+        -------
+        length : float
+            m.
+        relative : float
+            Relative standard deviation from the covariance of the values (linear propagation).
+
+        """
         length = _distance(self.place(self.values, ends))
         slope = np.zeros(len(self.values))
         for k in range(len(slope)):
@@ -68,7 +122,21 @@ class PlaneMap:
         return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
 
     def scaled(self, factor: float, relative: float) -> PlaneMap:
-        """The map times a factor that is itself known to a relative standard deviation."""
+        """Multiply the map by an uncertain factor.
+
+        Parameters
+        ----------
+        factor : float
+            Factor.
+        relative : float
+            Its relative standard deviation.
+
+        Returns
+        -------
+        PlaneMap
+            With the factor as one more value.
+
+        """
         k, place = len(self.values), self.place
         covariance = np.zeros((k + 1, k + 1))
         covariance[:k, :k], covariance[k, k] = self.covariance, (relative * factor) ** 2
@@ -83,7 +151,28 @@ class PlaneMap:
 
 
 def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
-    """The same pitch everywhere on the straightened picture; `pitch(values)` in m/px."""
+    """Create a map with the same pitch everywhere on the undistorted picture.
+
+    Parameters
+    ----------
+    values, covariance : array-like
+        Parameters of the pitch and their covariance.
+    pitch : callable
+        ``pitch(values)`` in m/px.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Linear map.
+
+    Examples
+    --------
+    >>> uniform([5e-4], [[1e-12]], lambda values: float(values[0]), as_seen)(np.array([[100.0, 20.0]])).tolist()
+    [[0.05, 0.01]]
+
+    """
     return PlaneMap(
         np.asarray(values, dtype=np.float64),
         np.asarray(covariance, dtype=np.float64),

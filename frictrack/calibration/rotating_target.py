@@ -1,8 +1,8 @@
-"""Follow the point of a turning target that moves on a straight course: its centre of mass, as far as a film can tell.
+"""Follow the point of a rotating target that moves along a straight course: its centre of mass, as far as visible.
 
-A point that lies at (a, b) from the followed one, in the target's own directions, is at p + R(angle) (a, b). Across the
-course nothing drives the mass, so that its own path there is smooth and what copies the angle is the arm. A target that
-rocks by a few degrees turns about its contact instead, and is left as it is.
+A point at (a, b) from the tracked one, in the target's own axes, is at p + R(angle) (a, b). Across the course nothing
+drives the mass: its own path is smooth there, and any part proportional to the rotation is due to the arm (a, b). A
+target that rocks by a few degrees rotates about its contact instead and is not changed.
 """
 
 from __future__ import annotations
@@ -23,24 +23,26 @@ N_ROUNDS = 4  # of the direction of the course and the arm; two are enough where
 
 @dataclass(frozen=True)
 class _Arm:
-    """The straight point from the followed one: (2,) px in the target's directions, and its standard deviation."""
+    """Arm from the tracked to the straight-moving point: (2,) px in the target's axes, and its deviation."""
 
     at: Array
     std: float
 
 
 def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
-    """Places of the point of a target that moves along a straight course, and in words how far off it lies.
+    """Move a track to the point of the target that moves along a straight course.
 
     Parameters
     ----------
-    track
-        Places (px, y down) and angles (rad, from x to y) of the followed point.
+    track : Track
+        Positions (px, y down) and angles (rad, from x to y) of the tracked point.
 
     Returns
     -------
-    track, notes
-        The same track where the target turns by less than a quarter, or the followed point is that point already.
+    track : Track
+        The same track where the target rotates by less than a quarter turn, or no arm is significant.
+    notes : tuple of str
+        The length of the arm.
 
     """
     known = track.found & np.isfinite(track.angle)
@@ -72,13 +74,13 @@ def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
 
 
 def _turned(arm: Array, angle: Array) -> Array:
-    """The arm (2,) at every angle (n,), px: (n, 2)."""
+    """Arm (2,) rotated by every angle (n,): (n, 2) px."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], axis=1)
 
 
 def _arm(place: Array, angle: Array) -> _Arm:
-    """The arm with which the path of places (n, 2) is smoothest across its own direction, by least squares."""
+    """Fit the arm for which the path of places (n, 2) is smoothest across its own direction."""
     at = np.zeros(2)
     for _ in range(N_ROUNDS):
         path = place + _turned(at, angle)

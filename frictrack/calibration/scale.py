@@ -1,4 +1,4 @@
-"""The scale as it is written: a number, a ruler, four points, the target's size, a board. Text -> numbers here."""
+"""Parse a scale: a number, a ruler, known points, the target's size, or a board."""
 
 from __future__ import annotations
 
@@ -30,12 +30,31 @@ MIN_RULER_SHARE = 0.2  # of the path: a shorter ruler gets a note
 
 
 def parse_scale(scale: Scale | None) -> tuple[float, float]:
-    """Metres per pixel and its relative standard deviation, as far as they can be told without pictures.
+    """Parse a scale as far as possible without pictures.
 
-    Accepts ``"0.5 mm/px"``, ``"0.500 +/- 0.002 mm/px"``, a number in m/px, or a ruler
-    ``{"points": [[x, y], [x, y]], "length": "100 +/- 0.1 mm", "click": "0.5 px"}`` whose two clicks count too.
-    What needs a picture or a place (target, board, points with plane) is checked as it is written and gives NaN.
-    Raises `FrictrackError` in one sentence.
+    Parameters
+    ----------
+    scale : str, float, mapping or sequence
+        ``"0.5 mm/px"``, ``"0.500 +/- 0.002 mm/px"``, a number in m/px, or a ruler
+        ``{"points": [[x, y], [x, y]], "length": "100 +/- 0.1 mm", "click": "0.5 px"}``.
+
+    Returns
+    -------
+    pitch : float
+        m/px; NaN for scales that need a picture (target, board, points with plane), whose syntax is checked only.
+    relative : float
+        Relative standard deviation; for a ruler it includes the two clicks.
+
+    Raises
+    ------
+    FrictrackError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_scale("0.5 mm/px")
+    (0.0005, 0.0)
+
     """
     kind, written = scale_kind(scale), cast(Any, scale)
     if kind == "number":
@@ -51,7 +70,29 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
 
 
 def scale_kind(scale: Any) -> str:
-    """Which way of giving the scale this is: number, ruler, points, target, board, or several of them."""
+    """Determine the kind of a scale.
+
+    Parameters
+    ----------
+    scale
+        Scale as the user gave it.
+
+    Returns
+    -------
+    str
+        "number", "ruler", "points", "target", "board" or "several".
+
+    Raises
+    ------
+    FrictrackError
+        For a missing scale or wrong keys.
+
+    Examples
+    --------
+    >>> scale_kind({"target": "40 mm"})
+    'target'
+
+    """
     if scale is None:
         raise FrictrackError(
             'expected a scale but got none; give scale = "0.5 mm/px", or two points of known distance as '
@@ -69,7 +110,7 @@ def scale_kind(scale: Any) -> str:
 
 
 def _describe_wrong_keys(keys: frozenset[str]) -> str:
-    """What is wrong with the keys of a scale: the kind that comes nearest, and what it lacks or has too much."""
+    """Describe what is wrong with the keys: the nearest kind, and its missing or unknown keys."""
     words = {"board": {"board", "squares", "square"}, "target": {"target"}, "points": {"plane"}}
     nearest_kind = next((kind for kind, marks in words.items() if keys & marks), "ruler")
     needed, allowed = KINDS[nearest_kind]
@@ -92,13 +133,41 @@ def _parse_number(scale: Any) -> tuple[float, float]:
 
 
 def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
-    """The map of a scale that is a number."""
+    """Create the map of a scale that is a number.
+
+    Parameters
+    ----------
+    scale : str or float
+        Such as ``"0.5 mm/px"``.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Map with the same pitch everywhere.
+
+    """
     value, std = _parse_number(scale)
     return uniform([value], [[std**2]], lambda values: float(values[0]), straight)
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
-    """The map of two points of known distance: its numbers are the length and the four clicks."""
+    """Create the map of two points at a known distance; its values are the length and the four coordinates.
+
+    Parameters
+    ----------
+    scale : mapping
+        Points, length and optional click.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Map with the same pitch everywhere.
+
+    """
     points = _picture_points(scale["points"], 2)
     length, std = parse_length(scale["length"], "the length between the two points")
     click = click_std(scale)
@@ -117,7 +186,7 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
 
 
 def _picture_points(raw: Any, min_count: int) -> Array:
-    """Points (n, 2) px of the picture; exactly two of them, or at least `min_count`."""
+    """Parse points (n, 2) px of the picture: exactly two, or at least `min_count`."""
     wanted = "two points [[x, y], [x, y]]" if min_count == 2 else f"at least {min_count} points [[x, y], ...]"
     try:
         points = np.asarray(raw, dtype=np.float64)
@@ -131,7 +200,33 @@ def _picture_points(raw: Any, min_count: int) -> Array:
 
 
 def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
-    """A length above 0 and its standard deviation."""
+    """Parse a positive length.
+
+    Parameters
+    ----------
+    raw
+        Text or number.
+    what : str
+        Its name for error messages.
+    unit : str
+        Unit of the result and of a number.
+
+    Returns
+    -------
+    tuple of float
+        Length and its standard deviation.
+
+    Raises
+    ------
+    FrictrackError
+        For a length that is not above 0.
+
+    Examples
+    --------
+    >>> parse_length("40 mm", "the target's size")
+    (0.04, 0.0)
+
+    """
     value, std = parse_quantity(raw, unit, what)
     if not value > 0:
         raise FrictrackError(f"expected {what} above 0 {unit} but got {raw!r}")
@@ -139,14 +234,14 @@ def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
 
 
 def click_std(scale: Mapping[str, Any]) -> float:
-    """Standard deviation of a click, px."""
+    """Return the standard deviation of a click, px."""
     return parse_length(scale.get("click", DEFAULT_CLICK), "click, the standard deviation of a click,", "px")[0]
 
 
 def _plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Places (n, 2) m of the points on the plane and their standard deviations (n, 2) m.
+    """Parse places (n, 2) m of points on the plane, and their standard deviations (n, 2) m.
 
-    Numbers are metres, or of the `unit` that stands beside them; texts carry their own.
+    Numbers are in metres or in the `unit` of the scale; texts have their own unit.
     """
     raw, unit = scale["plane"], scale.get("unit", "m")
     factor = parse_quantity(f"1 {unit}", "m", "the unit of plane")[0]
@@ -162,7 +257,7 @@ def _plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
 
 
 def check_points(scale: Mapping[str, Any]) -> tuple[Array, Array, Array]:
-    """Picture points (n, 2) px, their places (n, 2) m and the places' standard deviations."""
+    """Parse points of known place: picture points (n, 2) px, places (n, 2) m, and the places' standard deviations."""
     points = _picture_points(scale["points"], 4)
     places, std = _plane_points(scale)
     click_std(scale)
@@ -172,7 +267,7 @@ def check_points(scale: Mapping[str, Any]) -> tuple[Array, Array, Array]:
 
 
 def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
-    """Number of squares along and across the board."""
+    """Return the number of squares along and across the board."""
     raw = scale["squares"]
     whole = isinstance(raw, list | tuple) and len(raw) == 2 and all(type(n) is int for n in raw)
     min_count = 3 if "dictionary" in scale else 4
@@ -185,7 +280,7 @@ def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def check_board(scale: Mapping[str, Any]) -> None:
-    """A board as it is written; its pictures are read later."""
+    """Check the description of a board; its pictures are read later."""
     board_squares(scale)
     square, _ = parse_length(scale["square"], "the side of a square")
     if ("dictionary" in scale) != ("marker" in scale):
@@ -198,7 +293,7 @@ def check_board(scale: Mapping[str, Any]) -> None:
 
 
 def board_files(scale: Mapping[str, Any]) -> list[Path]:
-    """The files that a board's pictures lie in."""
+    """Return the files with the pictures of a board."""
     raw = scale["board"]
     files = list(raw) if isinstance(raw, list | tuple) else [raw]
     if not files or not all(isinstance(part, str | Path) and str(part) for part in files):

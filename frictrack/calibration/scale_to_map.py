@@ -1,4 +1,4 @@
-"""A scale as it is written -> the map to the plane of the course: which way of calibrating it is."""
+"""Create the map to the plane of the course from a scale of any kind."""
 
 from __future__ import annotations
 
@@ -31,19 +31,39 @@ def plane_map(
     film: Recording | None = None,
     axis: Axis = None,
 ) -> PlaneMap:
-    """The map from the picture to the plane of the course, from whatever the scale is given by.
+    """Create the map from the picture to the plane of the course.
 
-    `scale` is a number (``"0.500 +/- 0.002 mm/px"``), a ruler (``{"points": [[x, y], [x, y]], "length": "100 mm"}``),
-    the target's own size along the course (``{"target": "40 mm"}``, which needs `track`), a board
-    (``{"board": "board.png", "squares": [9, 6], "square": "10 mm"}``, with ``dictionary`` and ``marker`` a ChArUco
-    board; several pictures or a recording give lens and perspective too; it lies in the plane of the course in picture
-    ``plane``, the first), or four and more points of known place (``{"points": [[x, y], ...], "plane": [[X, Y], ...]}``
-    in metres, or of the ``unit`` beside them). Of several in a list the first is used and the others are checked
-    against it. `lens` is a calibration file with camera matrix and distortion; `film` is where outline and picture size
-    are read; `axis` as `calibrate` takes it.
+    Parameters
+    ----------
+    scale : number, str, mapping or list
+        A number (``"0.500 +/- 0.002 mm/px"``), a ruler (``{"points": [[x, y], [x, y]], "length": "100 mm"}``), the
+        target's size along the course (``{"target": "40 mm"}``), a board (``{"board": "board.png", "squares": [9, 6],
+        "square": "10 mm"}``; with ``dictionary`` and ``marker`` a ChArUco board; several pictures or a recording also
+        give
+        lens and perspective; picture number ``plane``, by default the first, lies in the plane of the course), or four
+        and
+        more points of known place (``{"points": [[x, y], ...], "plane": [[X, Y], ...]}`` in m or in ``unit``). Of
+        several
+        in a list the first is used, and the others are compared with it.
+    lens : str or Path, optional
+        Calibration file with camera matrix and distortion.
+    track : Track, optional
+        Track of the target, for its size and direction.
+    film : Recording, optional
+        Film, for the outline of the target and the size of the picture.
+    axis : sequence of float or "track", optional
+        As in `calibrate`.
 
-    Raises `FrictrackError` in one sentence for what is no scale, files that cannot be read, boards that are not found,
-    points that determine no plane.
+    Returns
+    -------
+    PlaneMap
+        Map with its covariance.
+
+    Raises
+    ------
+    FrictrackError
+        For a malformed scale, unreadable files, a board that is not found, or points that determine no plane.
+
     """
     kind = scale_input.scale_kind(scale)
     if kind == "several":
@@ -99,7 +119,7 @@ def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, in
 
 
 def _direction(track: Track | None, axis: Axis) -> Array:
-    """The course in the picture: the axis, or that of the path where this is asked for."""
+    """Direction of the course in the picture: the axis, or that of the path for "track"."""
     if isinstance(axis, str) and track is not None:
         found = track.found
         line = fit_path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
@@ -111,7 +131,7 @@ def _direction(track: Track | None, axis: Axis) -> Array:
 def _map_by_target(
     scale: dict[str, Any], track_and_film: tuple[Track | None, Recording | None], direction: Array, straight: Straight
 ) -> PlaneMap:
-    """The map whose numbers are the target's size in m and the two ends of its outline along the course."""
+    """Create the map whose values are the target's size in m and its width in px."""
     from frictrack.calibration.target_size import target_width  # noqa: PLC0415
 
     track, film = track_and_film
@@ -131,7 +151,7 @@ def _map_by_target(
 
 
 def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
-    """The first of several maps, with a note on each that disagrees with it in the middle of the path."""
+    """Return the first of several maps, with a note on each that differs from it in the middle of the path."""
     first = maps[0]
     at = np.array(first.centre)
     if track is not None and np.any(track.found):

@@ -1,8 +1,8 @@
-"""Camera shake, told by the track of something fixed: only what of its movement is more than its own noise.
+"""Estimate camera shake from the track of a fixed object, and subtract it.
 
-Subtracting a reference as it was measured would add its noise to every frame of the target. Its movement is therefore
-taken apart: steady tones are fitted, the rest is shrunk in the spectrum (Wiener 1949: power less noise over power)
-where it stands out of the white noise, and what does not stand out is zero: a camera that rests costs nothing.
+Subtracting the measured reference would add its noise to every frame of the target. Its motion is therefore decomposed:
+steady tones are fitted, and the remainder is filtered in the spectrum (Wiener 1949: power less noise over power). What
+does not exceed the white noise is zero, so that a camera at rest costs nothing.
 """
 
 from __future__ import annotations
@@ -27,10 +27,21 @@ MAX_ROUNDS = 8  # of Gauss-Newton on their frequencies
 
 @dataclass(frozen=True, eq=False)
 class Shake:
-    """Movement of the picture (n, 2) px as far as it can be told from noise, and what is left of the reference.
+    """Motion of the picture beyond its measurement noise.
 
-    `sigma` (2,) px is the standard deviation of `movement`, `size` (2,) px its rms, `frequency` Hz where it is
-    strongest (None without shake), `floor` (2,) px the rms of what the reference does beyond it: the live noise floor.
+    Attributes
+    ----------
+    movement : array (n, 2)
+        Shake in every frame, px.
+    sigma, size : array (2,)
+        Standard deviation and rms of the movement, px.
+    floor : array (2,)
+        Rms of the reference without it, px: the noise floor.
+    frequency : float or None
+        Where it is strongest, Hz; None without shake.
+    left_in : float
+        Rms of shake that is too small to be subtracted, px.
+
     """
 
     movement: Array
@@ -42,18 +53,34 @@ class Shake:
 
     @property
     def detected(self) -> bool:
-        """Whether there is any."""
+        """Whether shake was detected."""
         return self.frequency is not None
 
 
 def estimate_shake(reference: Track, min_rms: float = 0.0) -> Shake:
-    """Shake told by the track of something fixed; none where it moves hardly more than its own noise.
+    """Estimate camera shake from the track of a fixed object.
 
-    For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
-    would not make such a one in a thousand films; so do, in what they leave, the cosines (reflecting ends: a drift
-    leaks little) whose mean power over five neighbours is above what noise alone reaches. Lost frames are bridged.
-    Shake smaller than `min_rms` px (rms) is none, and its size is told by `left_in`.
-    Raises `FrictrackError` for a reference that is found in no frame.
+    On each axis the noise is white, at the level of the upper half of the spectrum. Tones count where noise alone would
+    make such a tone in one of a thousand films. In the remainder those frequencies count whose mean power over five
+    neighbours exceeds what noise alone reaches (cosine transform: a drift leaks little). Lost frames are interpolated.
+
+    Parameters
+    ----------
+    reference : Track
+        Track of the fixed object.
+    min_rms : float
+        Smaller shake is ignored and reported as `left_in`, px.
+
+    Returns
+    -------
+    Shake
+        Zero movement where no shake is detected.
+
+    Raises
+    ------
+    FrictrackError
+        For a reference that is found in no frame.
+
     """
     if not np.any(reference.found):
         raise FrictrackError(f'the reference "{reference.name}" was found in no frame; choose another one')
@@ -79,11 +106,30 @@ def estimate_shake(reference: Track, min_rms: float = 0.0) -> Shake:
 
 
 def subtract_shake(track: Track, reference: Track | None, min_rms: float = 0.0) -> tuple[Track, tuple[str, ...]]:
-    """The track without the camera's shake, and in words what was done; as it is without a reference.
+    """Subtract camera shake from a track.
 
-    Shake smaller than `min_rms` px (rms) is left in. The uncertainty that the reference adds goes into sigma. Where
-    shake is subtracted and the reference was lost, the track is unknown. Raises `FrictrackError` where the two are
-    not of one film.
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    reference : Track or None
+        Track of a fixed object in the same film; None leaves the track unchanged.
+    min_rms : float
+        Smaller shake is left in, px.
+
+    Returns
+    -------
+    track : Track
+        With the uncertainty of the reference added to sigma. Where shake is subtracted and the reference was lost, the
+        position is NaN.
+    notes : tuple of str
+        What was done.
+
+    Raises
+    ------
+    FrictrackError
+        Where the two tracks have different lengths.
+
     """
     if reference is None:
         return track, ()
@@ -107,15 +153,30 @@ def subtract_shake(track: Track, reference: Track | None, min_rms: float = 0.0) 
 
 
 def _interpolate_lost(at: Array, found: Mask) -> Array:
-    """Places (n, 2) with lost frames interpolated."""
+    """Positions (n, 2) with lost frames interpolated."""
     n = np.arange(len(at))
     return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
 
 
 def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[Array, float]:
-    """What of a series x (n,) about zero is more than its white noise, and the variance of what is told.
+    """Extract from a series what exceeds its white noise.
 
-    The noise is at least a quarter of the `stated_sigma` variance, or a film without noise would shake.
+    Parameters
+    ----------
+    x : array (n,)
+        Series with mean zero.
+    t : array (n,)
+        Times, s.
+    stated_sigma : float
+        Standard deviation that the measurement states; the noise is at least a quarter of its square.
+
+    Returns
+    -------
+    motion : array (n,)
+        Zero where nothing is significant.
+    variance : float
+        Variance of this motion.
+
     """
     window = np.hanning(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2
@@ -133,9 +194,9 @@ def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[A
 
 
 def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
-    """Sum of the steady tones in x (n,) and their number: the strongest first, all fitted again with each new one.
+    """Sum of the steady tones in x (n,) and their number; all are fitted again with each new one.
 
-    `time` (n,) is in frames; where frames are missing, it has gaps.
+    `time` (n,) is in frames, with gaps where frames are missing.
     """
     n, model = len(x), np.zeros(len(x))
     min_rms = (
@@ -153,7 +214,7 @@ def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
 
 
 def _fit_tones(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
-    """Tones fitted to x (n,) from first frequencies (k,) in cycles per frame: their sum and the frequencies."""
+    """Fit tones to x (n,) from initial frequencies (k,) in cycles per frame: their sum and the frequencies."""
     k, model = len(cycles), np.zeros(len(x))
     for _ in range(MAX_ROUNDS):
         turn = 2 * np.pi * time[:, None] * cycles
@@ -170,7 +231,7 @@ def _fit_tones(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
 
 
 def _wiener_gain(power: Array, noise: float) -> Array:
-    """Share of each cosine that is kept."""
+    """Wiener gain of each cosine; zero where its neighbourhood does not exceed the noise."""
     smooth = uniform_filter1d(power, N_SMOOTHED, mode="nearest")
     stands_out = smooth > noise * float(chi2.isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
     kept_band = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0

@@ -1,9 +1,8 @@
-"""The target's own size as the scale: its outline, edge to edge along the course, on its averaged picture.
+"""Measure the width of the target in the picture, from edge to edge along the course, for a scale by its size.
 
-The picture is the median of cut-outs over the run, so that the background goes grey while the target stays. Along
-the course the two places are found at which the grey value is half-way between background and target. Squared chords
-of a rectangle are constant from line to line, those of a disc or ellipse a parabola whose top is the diameter: the
-width is read there.
+The picture is the median of cut-outs over the run, in which the background averages out. On each line along the course
+the two places are found at which the grey value is half-way between background and target. The squared chords of a
+rectangle are constant from line to line; those of a disc or ellipse form a parabola whose maximum is the diameter.
 """
 
 from __future__ import annotations
@@ -34,7 +33,18 @@ PROFILE_REACH_PX, EDGE_ZONE_PX = 7, 3  # px from the edge within which its two l
 
 @dataclass(frozen=True, eq=False)
 class TargetWidth:
-    """The target's extent along the course: the two `ends` (2, 2) px of the picture, and its deviation, px."""
+    """Extent of the target along the course.
+
+    Attributes
+    ----------
+    ends : array (2, 2)
+        Both ends in the picture, px.
+    std : float
+        Standard deviation of the width, px.
+    used : str
+        Description for the user.
+
+    """
 
     ends: Array
     std: float
@@ -42,14 +52,32 @@ class TargetWidth:
 
     @property
     def px(self) -> float:
-        """Length in the picture."""
+        """Width in the picture, px."""
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
 
 
 def target_width(track: Track, direction: Array, film: Recording | None = None) -> TargetWidth:
-    """Extent of the target along `direction` (2,) of the picture, from the film or else the track's own picture.
+    """Measure the extent of the target along the course.
 
-    Raises `FrictrackError` when the outline does not stand out from the background on both sides.
+    Parameters
+    ----------
+    track : Track
+        Track with the target's rectangle.
+    direction : array (2,)
+        Direction of the course in the picture.
+    film : Recording, optional
+        Film; without it the picture of the track is used.
+
+    Returns
+    -------
+    TargetWidth
+        Ends and standard deviation.
+
+    Raises
+    ------
+    FrictrackError
+        Where the outline does not contrast with the background on both sides.
+
     """
     if track.target is None or (film is None and track.picture is None):
         raise FrictrackError("expected a track with its target's rectangle for a scale by the target's size")
@@ -67,7 +95,7 @@ def target_width(track: Track, direction: Array, film: Recording | None = None) 
 
 
 def _median_picture(track: Track, film: Recording) -> Array:
-    """Median (h, w) of cut-outs with a rim round the rectangle, registered to a small part of a pixel."""
+    """Median (h, w) of cut-outs with a margin round the rectangle, registered to a small part of a pixel."""
     assert track.target is not None
     w, h = (round(s) for s in track.target[2:])
     size = tuple(s + 2 * max(RIM_PX, s // 5) for s in (w, h))

@@ -1,4 +1,4 @@
-"""Open a high-speed recording: frames on demand with true times, one file format per module."""
+"""Open a high-speed recording: frames on demand with true times; one file format per module."""
 
 from __future__ import annotations
 
@@ -20,14 +20,33 @@ FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new 
 
 
 def open_recording(path: str | Path, fps: float | None = None) -> Recording:
-    """Open a recording: Photron (.mraw with .cih or .cihx, named by either), Phantom (.cine), TIFF, film or folder.
+    """Open a recording.
 
-    A film is .avi, .mp4, .mov, .mkv or .m4v; a TIFF has many pages, BigTIFF included; a folder holds one numbered
-    picture per frame, gaps in the numbers are gaps in time. Uncompressed ones are `direct`: see `Recording.cut`.
-    `fps` is the camera's frame rate, 1/s, and wins over what the file says; `Recording.timebase` says what was found.
-    Raises `FrictrackError` when the
-    recording is missing, no film, truncated to nothing, one frame long, or when neither `fps` nor the file
-    gives a frame rate that can be believed.
+    Parameters
+    ----------
+    path : str or Path
+        Photron (.mraw with .cih or .cihx, named by either), Phantom (.cine), TIFF with many pages (BigTIFF included), a
+        video (.avi, .mp4, .mov, .mkv, .m4v), or a folder with one numbered picture per frame; gaps in the numbers are
+        gaps in time.
+    fps : float, optional
+        Frame rate of the camera, 1/s; it overrides that of the file. `Recording.timebase` shows what was found.
+
+    Returns
+    -------
+    Recording
+        Uncompressed recordings are `direct`: any part of any frame can be read at once (`Recording.cut`).
+
+    Raises
+    ------
+    FrictrackError
+        For a recording that is missing, of another format, truncated to nothing, or one frame long, and where neither
+        `fps` nor the file gives a credible frame rate.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> recording = ft.open_recording("strike_01.avi", fps=4000)  # doctest: +SKIP
+
     """
     path = Path(path)
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""What every recording offers, whatever its file format: a format adds `_open` and `_read`."""
+"""The interface of all recordings; a file format adds `_open` and `_read`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,37 @@ _HASHED_BYTES = 1 << 20  # bytes hashed at the head, in the middle and at the ta
 
 
 class Recording(ABC):
-    """A high-speed recording: frames on demand with their true times, never all in memory.
+    """High-speed recording: frames on demand with their true times, never all in memory.
 
-    Attributes: `path`, `fps` (1/s), `n_frames`, `shape` (h, w), `bit_depth`, `t` (n_frames,) in s from the
-    first frame, `notes` (findings about the file, in words), `exposure` (s) or None, `stamps` (n_frames,) in s or None
-    (the file's own; `clocked`: the camera wrote them, not a container), `trigger` (number of the frame at the trigger)
-    or None, `timebase` (the audit of the time base: `rows` to print), `direct`: True where any part of any frame can
-    be read at once (see `opened` for the others).
+    Attributes
+    ----------
+    path : Path
+        File or folder.
+    fps : float
+        Frame rate, 1/s.
+    n_frames : int
+        Number of frames.
+    shape : tuple of int
+        Height and width, px.
+    bit_depth : int
+        Bits of a grey value.
+    t : array (n_frames,)
+        Time from the first frame, s.
+    notes : tuple of str
+        Findings about the file.
+    exposure : float or None
+        Exposure time, s.
+    stamps : array (n_frames,) or None
+        Time stamps in the file, s.
+    clocked : bool
+        Whether the camera wrote the time stamps, not a container.
+    trigger : int or None
+        Number of the frame at the trigger.
+    timebase : Timebase
+        Audit of the time base.
+    direct : bool
+        Whether any part of any frame can be read at once; see `random_access` for other recordings.
+
     """
 
     suffixes: ClassVar[tuple[str, ...]]
@@ -50,25 +74,66 @@ class Recording(ABC):
 
     @abstractmethod
     def _open(self) -> Header:
-        """Look at the file; raise `FrictrackError` when it is not of this format."""
+        """Read the header of the file; raise `FrictrackError` for another format."""
 
     @abstractmethod
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
-        """The frames of these rising indices, one by one; stop early where the file breaks off.
+        """Yield the frames of these rising indices; stop where the file breaks off.
 
-        A single picture that cannot be decoded is returned black, the frames after it go on.
+        A single picture that cannot be decoded is black; later frames follow.
         """
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """Frames `start` to `stop` (exclusive) in order, each (h, w) uint8 or uint16."""
+        """Yield frames in order.
+
+        Parameters
+        ----------
+        start, stop, step : int
+            First frame, end (exclusive) and stride, as in `slice`.
+
+        Yields
+        ------
+        array (h, w)
+            uint8 or uint16.
+
+        """
         return self._read(self._in_file(range(self.n_frames)[start:stop:step]))
 
     def pick(self, indices: Iterable[int]) -> list[Frame]:
-        """The frames of these rising `indices`, in one pass over the file."""
+        """Read some frames in one pass over the file.
+
+        Parameters
+        ----------
+        indices : iterable of int
+            Rising numbers of frames.
+
+        Returns
+        -------
+        list of array (h, w)
+            uint8 or uint16; shorter where the file breaks off.
+
+        """
         return list(self._read(self._in_file(indices)))
 
     def frame(self, i: int) -> Frame:
-        """Frame `i`, (h, w) uint8 or uint16; negative `i` counts from the end."""
+        """Read one frame.
+
+        Parameters
+        ----------
+        i : int
+            Number of the frame; negative numbers count from the end.
+
+        Returns
+        -------
+        array (h, w)
+            uint8 or uint16.
+
+        Raises
+        ------
+        FrictrackError
+            For a frame that does not exist or cannot be read.
+
+        """
         if not -self.n_frames <= i < self.n_frames:
             raise FrictrackError(f"{self.path.name}: expected a frame from 0 to {self.n_frames - 1} but got {i}")
         for frame in self._read(self._in_file([i % self.n_frames])):
@@ -76,11 +141,29 @@ class Recording(ABC):
         raise FrictrackError(self._breaks_off(i))
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
-        """Boxes (n, h, w) of `size` (h, w) px, uint8 or uint16, out of the frames `indices` (n,).
+        """Cut boxes out of frames.
 
-        `corners` (n, 2) are the whole x and y of the upper left pixels; every box lies inside the picture. Quick
-        only where `direct`; elsewhere the indices rise and whole frames are decoded. Raises `FrictrackError` where
-        a frame or a box is not in the film.
+        This is fast only if the recording is `direct`; otherwise the indices must rise and whole frames are decoded.
+
+        Parameters
+        ----------
+        indices : array of int (n,)
+            Numbers of the frames.
+        corners : array of int (n, 2)
+            Upper left pixels (x, y) of the boxes.
+        size : tuple of int
+            Height and width of the boxes, px.
+
+        Returns
+        -------
+        array (n, h, w)
+            uint8 or uint16.
+
+        Raises
+        ------
+        FrictrackError
+            Where a frame or a box is outside the film.
+
         """
         indices, corners = self._boxes(indices, corners, size)
         out = np.empty((len(indices), *size), np.uint8 if self.bit_depth <= 8 else np.uint16)
@@ -95,7 +178,7 @@ class Recording(ABC):
     def _boxes(
         self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices (n,) in the file and corners (n, 2) as whole numbers, checked against the film."""
+        """Check boxes against the film: indices (n,) in the file and corners (n, 2)."""
         indices, corners = np.asarray(indices, np.int64), np.asarray(corners, np.int64).reshape(-1, 2)
         if len(indices) != len(corners):
             raise FrictrackError(f"expected one corner per frame but got {len(corners)} for {len(indices)} frames")
@@ -117,6 +200,7 @@ class Recording(ABC):
         return indices if self._kept is None else self._kept[list(indices)].tolist()
 
     def _breaks_off(self, i: int) -> str:
+        """Error message for a truncated file."""
         return (
             f"{self.path.name}: frame {i} cannot be read, the file breaks off before it; "
             "copy the recording from the camera again"
@@ -126,7 +210,7 @@ class Recording(ABC):
     def hash(self) -> str:
         """SHA-256 over names, sizes and the first, middle and last megabyte of the recording's files.
 
-        Raises `FrictrackError` where one has vanished since it was opened, or cannot be read.
+        Raises `FrictrackError` where a file has vanished since it was opened, or cannot be read.
         """
         digest = hashlib.sha256()
         try:
@@ -166,7 +250,24 @@ class Recording(ABC):
 
 
 def grey(picture: NDArray[Any]) -> Frame:
-    """Grey values of a picture (h, w) or (h, w, 3 or 4) in R, G, B order: luma of ITU-R BT.601."""
+    """Convert a picture to grey values (luma of ITU-R BT.601).
+
+    Parameters
+    ----------
+    picture : array (h, w) or (h, w, 3 or 4)
+        Grey, or colours in R, G, B order.
+
+    Returns
+    -------
+    array (h, w)
+        In the type of the picture.
+
+    Examples
+    --------
+    >>> grey(np.array([[[255, 0, 0]]], np.uint8)).tolist()
+    [[76]]
+
+    """
     if picture.ndim == 2:
         return picture
     luma = picture[..., :3] @ np.array([0.299, 0.587, 0.114])

@@ -1,4 +1,4 @@
-"""A folder of numbered pictures; gaps in the numbers are gaps in time."""
+"""Read a folder of numbered pictures; gaps in the numbers are gaps in time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 
 
 class Folder(Recording):
-    """A recording as one picture per frame (png, tif, bmp, jpg), in the order of their numbers."""
+    """Recording as one picture per frame (png, tif, bmp, jpg), in the order of their numbers."""
 
     suffixes: ClassVar[tuple[str, ...]] = ()
 
@@ -54,7 +54,7 @@ class Folder(Recording):
 
 
 def _of_one_kind(folder: Path) -> list[Path]:
-    """The pictures of the suffix that is most frequent: a stray note.png beside 4000 tif is no frame."""
+    """Pictures with the most frequent suffix: a stray note.png among 4000 tif files is no frame."""
     pictures = [p for p in folder.iterdir() if p.suffix.lower() in _PICTURES]
     if not pictures:
         return []
@@ -63,16 +63,17 @@ def _of_one_kind(folder: Path) -> list[Path]:
 
 
 def _natural(pictures: list[Path]) -> list[Path]:
-    """Sorted so that img_9 comes before img_10."""
+    """Sort such that img_9 comes before img_10."""
     return sorted(pictures, key=lambda p: [(len(d.lstrip("0")), d.lstrip("0"), s) for s, d in _parts(p)])
 
 
 def _parts(picture: Path) -> list[tuple[str, str]]:
+    """Split a file name into texts and numbers."""
     return re.findall(r"(\D*)(\d*)", picture.stem)
 
 
 def _ticks(pictures: list[Path]) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
-    """Frame intervals since the first picture, read off the last number in each name."""
+    """Frame intervals since the first picture, from the last number in each name."""
     numbers = [re.findall(r"\d+", p.stem) for p in pictures]
     if len(pictures) < 2 or not all(numbers):
         return None, ()
@@ -87,7 +88,7 @@ def _ticks(pictures: list[Path]) -> tuple[NDArray[np.int64] | None, tuple[str, .
 
 
 def _load(picture: Path) -> Frame | None:
-    """Grey values as stored; None when the file is no picture."""
+    """Read grey values as stored; None for a file that is no picture."""
     data = np.fromfile(picture, np.uint8)  # imread itself cannot open names outside ASCII on Windows
     if not data.size:
         return None

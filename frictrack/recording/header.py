@@ -1,4 +1,4 @@
-"""What a file format says of a recording."""
+"""The header of a recording, as each file format reads it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,31 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Header:
-    """What a format knows of a recording before any frame is used.
+    """Facts about a recording before any frame is used.
 
-    `ticks` counts frame intervals since the first frame (None: 0, 1, 2, ...), so that gaps stay gaps. `stamps`:
-    the camera's own time of each frame, s, NaN where there is none. `exposure`: s. `trigger`: number of the frame
-    at the trigger, 0 is the first of the film (may lie outside it). `camera`: rate and stamps are those of filming,
-    not a container's, which may be those of showing.
+    Attributes
+    ----------
+    n_frames : int
+        Number of frames in the file.
+    shape : tuple of int
+        Height and width, px.
+    bit_depth : int
+        Bits of a grey value.
+    fps : float or None
+        Frame rate in the file, 1/s.
+    ticks : array of int (n_frames,) or None
+        Frame intervals since the first frame; gaps are kept. None for 0, 1, 2, ...
+    notes : tuple of str
+        Findings about the file.
+    stamps : array (n_frames,) or None
+        Time stamp of each frame, s; NaN where there is none.
+    exposure : float or None
+        Exposure time, s.
+    trigger : int or None
+        Number of the frame at the trigger, counted from the first of the film; it may lie outside.
+    camera : bool
+        Whether rate and stamps are those of the camera; those of a container may be for playback.
+
     """
 
     n_frames: int

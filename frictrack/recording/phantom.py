@@ -1,6 +1,6 @@
-"""Phantom .cine: frames with a time stamp and an exposure each.
+"""Read Phantom recordings (.cine): frames with a time stamp and an exposure each.
 
-Fields and places after the maker's "Cine File Format" (Vision Research); all numbers are little-endian.
+Fields and offsets follow the maker's "Cine File Format" (Vision Research); all numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MAX_BLOCKS = 100
 
 
 class Phantom(DirectRecording):
-    """A Phantom recording (8 bit, 10 bit packed and companded, 12 bit packed, 16 bit)."""
+    """Phantom recording (8 bit, 10 bit packed and companded, 12 bit packed, 16 bit)."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".cine",)
 
@@ -79,7 +79,7 @@ class Phantom(DirectRecording):
         )
 
     def _pixels(self, head: _CineHeader) -> tuple[int, int, int]:
-        """Height (negative: stored from the top), width and bits of a pixel, all possible."""
+        """Height (negative: stored from the top), width and bits of a pixel, all checked."""
         bits = _PACKED.get(head.packed, head.bit_count)
         if bits not in (8, 10, 12, 16) or head.compression not in (0, 2) or head.packed not in (0, *_PACKED):
             raise FrictrackError(
@@ -99,6 +99,7 @@ class Phantom(DirectRecording):
         return head.height, head.width, bits
 
     def _depth(self, head: _CineHeader, bits: int) -> int:
+        """Bit depth of the grey values."""
         if bits != 16:
             return 12 if bits == 10 else bits
         return head.setup["bits"] if 8 < head.setup["bits"] <= 16 else 16
@@ -106,7 +107,7 @@ class Phantom(DirectRecording):
 
 @dataclass(frozen=True)
 class _CineHeader:
-    """The fields of the file, bitmap and setup headers that are used."""
+    """Used fields of the file, bitmap and setup headers."""
 
     mark: bytes
     compression: int
@@ -125,7 +126,7 @@ class _CineHeader:
 
     @classmethod
     def read(cls, file: BinaryIO) -> _CineHeader:
-        """Raises `struct.error` where the file is too short."""
+        """Read the headers; raises `struct.error` where the file is too short."""
         file.seek(0)
         fields = _FILE.unpack(file.read(_FILE.size))
         off_bitmap, off_setup, off_offsets = fields[8:11]
@@ -142,17 +143,18 @@ class _CineHeader:
 
     @property
     def rate(self) -> float | None:
-        """Frames per second that the camera was set to."""
+        """Frame rate that the camera was set to, 1/s."""
         return float(self.setup["rate"] or self.setup["rate_16"]) or None
 
 
 def _number(file: BinaryIO, at: int, kind: str) -> int:
+    """Read one number of the struct type `kind` at a byte of the file."""
     file.seek(at)
     return int(struct.unpack(kind, file.read(struct.calcsize(kind)))[0])
 
 
 def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDArray[np.int64]:
-    """Bytes at which the pictures start that are complete, up to the first that is not."""
+    """Bytes at which complete pictures start, up to the first incomplete one."""
     most = min(head.count, max(0, size - head.off_offsets) // 8)
     file.seek(head.off_offsets)
     places = np.frombuffer(file.read(8 * most), "<i8")
@@ -168,7 +170,7 @@ def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDAr
 
 
 def _blocks(file: BinaryIO, head: _CineHeader, size: int) -> dict[int, NDArray[Any]]:
-    """The tagged blocks of stamps and exposures, as stored."""
+    """Tagged blocks of time stamps and exposures, as stored."""
     found: dict[int, NDArray[Any]] = {}
     at = head.off_setup + head.setup_bytes
     for _ in range(_MAX_BLOCKS):
@@ -188,7 +190,7 @@ def _blocks(file: BinaryIO, head: _CineHeader, size: int) -> dict[int, NDArray[A
 
 
 def _stamps(block: NDArray[Any] | None, head: _CineHeader, count: int) -> NDArray[np.float64] | None:
-    """Times of the pictures in s from the trigger; NaN where none was written."""
+    """Times of the pictures from the trigger, s; NaN where none was written."""
     if block is None or len(block) < 2:
         return None
     stored = block[:count]
@@ -200,18 +202,20 @@ def _stamps(block: NDArray[Any] | None, head: _CineHeader, count: int) -> NDArra
 
 
 def _exposure(block: NDArray[Any] | None, head: _CineHeader) -> float | None:
-    """Exposure in s: that of most pictures, else the one the camera was set to."""
+    """Exposure, s: the median of the pictures, else the setting of the camera."""
     if block is not None and len(block) and np.median(block) > 0:
         return float(np.median(block)) * 2.0**-32
     return (head.setup["shutter_ns"] * 1e-9 or head.setup["shutter"] * 1e-6) or None
 
 
 def _linearisation_table() -> NDArray[np.uint16]:
-    """12 bit grey values of the 1024 codes of P10.
+    """Grey values of 12 bit for the 1024 codes of the packed 10 bit format.
 
     The camera compands 12 bit to 10 by the transfer curve of ITU-R BT.709 above its black level of 64, so that a code
-    is about as wide as the shot noise. This is the inverse curve; from code 1 on it is within one count of the maker's
-    printed table, whose neighbouring codes stand one to nine counts apart. White (4095) is every code above 1014.
+    is
+    about as wide as the shot noise. This is the inverse curve. From code 1 on it is within one count of the maker's
+    printed
+    table, whose neighbouring codes differ by one to nine counts. White (4095) is every code above 1014.
     """
     a, b = 0.0992965, 0.0180539  # BT.709 with the digits that make it smooth
     code = np.arange(1024)

@@ -1,4 +1,4 @@
-"""Photron: bare pixels in an .mraw file, everything about them in a .cih (text) or .cihx (XML) file beside it."""
+"""Read Photron recordings: pixels in an .mraw file, the header in a .cih (text) or .cihx (XML) file next to it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Facts = dict[str, str]
 
 
 class Photron(DirectRecording):
-    """A Photron recording (8, 10 packed, 12 packed or 16 bit), named by its header or by its .mraw file."""
+    """Photron recording (8, 10 packed, 12 packed or 16 bit), named by its header or by its .mraw file."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mraw", *_HEADERS)
 
@@ -66,7 +66,7 @@ class Photron(DirectRecording):
         )
 
     def _pixels(self, facts: Facts) -> tuple[tuple[int, int], int]:
-        """Shape (h, w) and bits of a pixel, both possible."""
+        """Shape (h, w) and bits of a pixel, both checked."""
         if facts.get("format", "mraw").lower() != "mraw":
             raise FrictrackError(
                 f'{self._head.name}: expected the header of an mraw film but its pictures are "{facts["format"]}"; '
@@ -87,6 +87,7 @@ class Photron(DirectRecording):
         return shape, bits
 
     def _whole_number(self, facts: Facts, key: str, low: int, high: int) -> int:
+        """Whole number of the header within limits."""
         number = _number(facts.get(key, ""))
         if number is None or number != int(number) or not low <= number <= high:
             raise FrictrackError(
@@ -96,7 +97,7 @@ class Photron(DirectRecording):
         return int(number)
 
     def _trigger(self, facts: Facts) -> int | None:
-        """Photron counts frames from the trigger; the film's first frame is number `start`."""
+        """Frame at the trigger: Photron counts frames from the trigger, and the film starts at number `start`."""
         start = _number(facts.get("start", ""))
         if start is None:
             return None
@@ -107,7 +108,7 @@ class Photron(DirectRecording):
 
 
 def _header_and_data(path: Path) -> tuple[Path, Path]:
-    """The header and the pixels of a recording that is named by either."""
+    """Header and pixel file of a recording that is named by either."""
     files_by_suffix = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
     files_by_suffix[path.suffix.lower()] = path
     heads = [files_by_suffix[s] for s in _HEADERS if s in files_by_suffix]
@@ -122,13 +123,14 @@ def _header_and_data(path: Path) -> tuple[Path, Path]:
 
 
 def _read_header(head: Path) -> Facts:
+    """Read the header of either kind."""
     with head.open("rb") as file:
         text = file.read(_MAX_HEADER_BYTES).decode("utf-8", "replace")
     return _from_xml(head, text) if head.suffix.lower() == ".cihx" else _from_text(text)
 
 
 def _from_text(text: str) -> Facts:
-    """`Key : value` lines up to END: after it stands the header of the film that this one was saved from."""
+    """Parse `Key : value` lines up to END; after it follows the header of the film from which this one was saved."""
     lines: Facts = {}
     for line in text.splitlines():
         if line.strip() == "END":
@@ -140,6 +142,7 @@ def _from_text(text: str) -> Facts:
 
 
 def _from_xml(head: Path, text: str) -> Facts:
+    """Parse the XML header."""
     start, end = text.find("<cih>"), text.rfind("</cih>")
     if start < 0 or end < 0 or "<!ENTITY" in text:
         raise FrictrackError(f"{head.name}: expected a Photron header but found no <cih> in it; copy it again")
@@ -162,11 +165,12 @@ def _number(text: str) -> float | None:
 
 
 def _step(facts: Facts) -> int:
+    """Save step: number of recorded frames per frame in the file."""
     return max(1, int(_number(facts.get("step", "")) or 1))
 
 
 def _rate(facts: Facts) -> tuple[float | None, tuple[str, ...]]:
-    """Frames per second in this file: a film saved with a step holds only every n-th frame of the record."""
+    """Frame rate of this file: a film saved with a step holds only every n-th frame of the recording."""
     fps, step = _number(facts.get("fps", "")), _step(facts)
     if fps is None or fps <= 0:
         return None, ()
@@ -180,7 +184,7 @@ def _rate(facts: Facts) -> tuple[float | None, tuple[str, ...]]:
 
 
 def _exposure(facts: Facts) -> float | None:
-    """Exposure in s. "Shutter Speed(s)" holds 1/15371, or its inverse 50000.0, whatever its name says."""
+    """Exposure, s. The field "Shutter Speed(s)" holds 1/15371 or its inverse 50000.0, despite its name."""
     nanoseconds = _number(facts.get("shutter_ns", ""))
     if nanoseconds is not None and nanoseconds > 0:
         return nanoseconds * 1e-9
@@ -191,7 +195,7 @@ def _exposure(facts: Facts) -> float | None:
 
 
 def _in_order(layout: PixelLayout, shape: tuple[int, int], depth: int) -> PixelLayout:
-    """The layout with the byte order in which the first picture does not exceed its bit depth."""
+    """Layout with the byte order in which the first picture does not exceed its bit depth."""
     if layout.bits != 16 or depth == 16:
         return layout
     first = np.fromfile(layout.path, "<u2", shape[0] * shape[1])

@@ -1,6 +1,6 @@
-"""Uncompressed pictures in a file: only the bytes of the wanted box are touched, in bounded memory.
+"""Read boxes from uncompressed recordings: only the wanted bytes, in bounded memory.
 
-A format whose pixels lie bare in its file derives from `DirectRecording` and sets `_layout` when it is opened.
+A format with uncompressed pixels derives from `DirectRecording` and sets `_layout` when it is opened.
 """
 
 from __future__ import annotations
@@ -26,12 +26,27 @@ _GROUPS = {8: (1, 1), 10: (4, 5), 12: (2, 3), 16: (1, 2)}  # bits: pixels and by
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """Where the pictures lie and how a pixel is stored.
+    """Position and coding of the pixels in a file.
 
-    `path`: the file of pixels. `offsets`: byte at which each picture starts. `bits`: 8, 16, or 10 and 12 for pixels
-    packed without a gap, high bits first (four pixels in five bytes, two in three). `upward`: the lowest row is
-    stored first. `shift`: bits to the right (values stored in the high bits). `padded`: bytes of a row are a multiple
-    of it. `table`: grey value of each stored code (companded recordings).
+    Attributes
+    ----------
+    path : Path
+        File with the pixels.
+    offsets : array of int or range
+        Byte at which each picture starts.
+    bits : int
+        8 or 16, or 10 or 12 for pixels packed without gaps, high bits first (four pixels in five bytes, two in three).
+    byte_order : str
+        "<", ">" or "=".
+    upward : bool
+        Whether the lowest row is stored first.
+    shift : int
+        Bits to shift right, for values stored in the high bits.
+    padded : int
+        Number of bytes of which the length of a row is a multiple.
+    table : array of uint16 or None
+        Grey value of each stored code, for companded recordings.
+
     """
 
     path: Path
@@ -44,35 +59,66 @@ class PixelLayout:
     table: NDArray[np.uint16] | None = None
 
     def starts(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Bytes at which these pictures start."""
+        """Compute where pictures start.
+
+        Parameters
+        ----------
+        indices : array of int (n,)
+            Numbers of the pictures in the file.
+
+        Returns
+        -------
+        array of int (n,)
+            Bytes from the beginning of the file.
+
+        """
         if isinstance(self.offsets, range):
             return self.offsets.start + self.offsets.step * indices
         return self.offsets[indices]
 
     def pitch(self, width: int) -> int:
-        """Bytes from one row to the next."""
+        """Bytes from one row of `width` px to the next."""
         pixels, size = _GROUPS[self.bits]
         return -(-width // pixels * size // self.padded) * self.padded
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the grey values that come out."""
+        """Type of the resulting grey values."""
         return np.dtype(np.uint8 if self.bits == 8 else np.uint16)
 
 
 def picture_bytes(shape: tuple[int, int], bits: int) -> int:
-    """Bytes of one picture (h, w) at 8, 10 packed, 12 packed or 16 bit."""
+    """Compute the size of a picture.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width, px.
+    bits : int
+        8, 16, or 10 or 12 for packed pixels.
+
+    Returns
+    -------
+    int
+        Bytes.
+
+    Examples
+    --------
+    >>> picture_bytes((100, 200), 12)
+    30000
+
+    """
     return shape[0] * shape[1] * bits // 8
 
 
 class DirectRecording(Recording):
-    """A recording of which any part of any frame can be read at once."""
+    """Recording of which any part of any frame can be read at once."""
 
     direct = True
     _layout: PixelLayout
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
-        """See `Recording.cut`; only the bytes of the boxes are read."""
+        """Read only the bytes of the boxes; see `Recording.cut`."""
         if not self.direct:
             return super().cut(indices, corners, size)
         indices, corners = self._boxes(indices, corners, size)
@@ -89,7 +135,16 @@ class DirectRecording(Recording):
 
 
 class BoxReader:
-    """Boxes out of the pictures of one layout."""
+    """Read boxes out of pictures with one layout.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width of the pictures, px.
+    layout : PixelLayout
+        Position and coding of the pixels.
+
+    """
 
     def __init__(self, shape: tuple[int, int], layout: PixelLayout) -> None:
         self._layout, self._shape = layout, shape
@@ -98,7 +153,23 @@ class BoxReader:
         self._pitch = layout.pitch(shape[1])
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
-        """Grey values (n, h, w) of the boxes; nothing is checked."""
+        """Read grey values of boxes, without any check.
+
+        Parameters
+        ----------
+        indices : array of int (n,)
+            Numbers of the pictures in the file.
+        corners : array of int (n, 2)
+            Upper left pixels (x, y).
+        size : tuple of int
+            Height and width, px.
+
+        Returns
+        -------
+        array (n, h, w)
+            uint8 or uint16.
+
+        """
         out = np.empty((len(indices), *size), self._layout.dtype)
         if self._layout.bits in (8, 16):
             self._gather(out, indices, corners[:, 0], corners[:, 1])
@@ -133,8 +204,9 @@ class BoxReader:
     def _filled(self, buffer: bytearray, starts: list[int]) -> Iterator[None]:
         """Fill `buffer` with the bytes from each of `starts` in turn.
 
-        Reading beats mapping here: a mapped page is met once, and being met costs more than being copied (measured, a
-        box of 53 x 83 px from frames of 1024 x 128 px: 5 us against 14 us).
+        Reading is faster than memory mapping here, because each page is used once (measured for a box of 53 x 83 px
+        from
+        frames of 1024 x 128 px: 5 us against 14 us).
         """
         with FileIO(self._layout.path) as file:
             if self._sparse and hasattr(os, "posix_fadvise"):  # not on Windows
@@ -147,7 +219,7 @@ class BoxReader:
                 yield
 
     def _unpacked(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
-        """Boxes of packed pixels: whole groups are read, then what lies left and right of the box is cut off."""
+        """Boxes of packed pixels: whole groups are read, then the pixels left and right of the box are removed."""
         per_row = self._shape[1] // self._group
         count = min(per_row, (size[1] + self._group - 2) // self._group + 1)
         first = np.minimum(corners[:, 0] // self._group, per_row - count)
@@ -162,6 +234,7 @@ class BoxReader:
         return out
 
     def _graded(self, codes: Frame) -> Frame:
+        """Grey values of stored codes."""
         if self._layout.table is not None:
             return self._layout.table[codes]
         if self._layout.shift:
@@ -170,7 +243,26 @@ class BoxReader:
 
 
 def unpack(packed: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
-    """Pixels (..., m) of 10 or 12 bit out of bytes (..., k) in which they are packed high bits first."""
+    """Unpack pixels of 10 or 12 bit, stored high bits first.
+
+    Parameters
+    ----------
+    packed : array of uint8 (..., k)
+        Bytes of whole groups.
+    bits : int
+        10 or 12.
+
+    Returns
+    -------
+    array of uint16 (..., m)
+        Pixels.
+
+    Examples
+    --------
+    >>> unpack(np.array([0xAB, 0xCD, 0xEF], np.uint8), 12).tolist() == [0xABC, 0xDEF]
+    True
+
+    """
     pixels, size = _GROUPS[bits]
     groups = packed.reshape(*packed.shape[:-1], -1, size).astype(np.uint16)
     out = np.empty((*groups.shape[:-1], pixels), np.uint16)

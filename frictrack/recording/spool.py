@@ -1,4 +1,4 @@
-"""A compressed recording decoded once, ahead of its reader, into a place that can be read at random."""
+"""Decode a compressed recording once, in a thread, into a store with random access."""
 
 from __future__ import annotations
 
@@ -27,14 +27,31 @@ MAX_MEMORY_BYTES = 512 << 20  # of decoded film; a longer film goes to a tempora
 
 @contextmanager
 def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recording]:
-    """Give `recording` itself if it is direct, else a spool that a thread decodes it into, once.
+    """Provide random access to a recording.
 
-    With `once` the frames are gone through in their order and only the last few hundred of them are kept, where
-    those fit into memory: fresh memory for a whole film costs as much as a quarter of its decoding.
+    A `direct` recording is returned as it is; others are decoded once, in a thread, into memory or a temporary file.
+    The
+    spool's `cut`, `frame`, `frames` and `pick` wait for their frames and raise the errors of the decoder. Leaving the
+    context ends the thread and frees memory and disk.
 
-    The spool's `cut`, `frame`, `frames` and `pick` wait until the frames are there, and raise what the decoder
-    raised; frames after the place where the file breaks off cannot be read. Leaving the context ends the thread
-    and gives memory and disk back. Raises `FrictrackError` where the disk has no room for the decoded film.
+    Parameters
+    ----------
+    recording : Recording
+        Open recording.
+    once : bool
+        Whether frames are read once, in their order. Then only the last few hundred are kept, if these fit into memory:
+        allocating memory for a whole film costs a quarter of its decoding.
+
+    Yields
+    ------
+    Recording
+        Recording with random access.
+
+    Raises
+    ------
+    FrictrackError
+        Where the disk has no room for the decoded film.
+
     """
     if recording.direct:
         yield recording
@@ -47,7 +64,7 @@ def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recor
 
 
 class Spool(Recording):
-    """The decoded frames of another recording, with random access; made by `random_access`."""
+    """Decoded frames of another recording, with random access; created by `random_access`."""
 
     suffixes: ClassVar[tuple[str, ...]] = ()
 
@@ -67,18 +84,18 @@ class Spool(Recording):
 
     @property
     def hash(self) -> str:
-        """That of the recording which is decoded."""
+        """Hash of the decoded recording."""
         return self._source.hash
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
-        """See `Recording.cut`; waits for the frames."""
+        """Wait for the frames and cut boxes out of them; see `Recording.cut`."""
         indices, corners = self._boxes(indices, corners, size)
         if len(indices) and not self._wait(int(indices.max()), int(indices.min())):
             raise FrictrackError(self._breaks_off(int(indices.max())))
         return self._store.cut(indices, corners, size)
 
     def close(self) -> None:
-        """End the decoder and give the memory back; may be called again."""
+        """Stop the decoder and free the memory; it may be called again."""
         atexit.unregister(self.close)
         if self._stop:
             return
@@ -99,7 +116,7 @@ class Spool(Recording):
             yield self._store.cut(np.array([index]), corner, self.shape)[0]
 
     def _wait(self, index: int, first: int | None = None) -> bool:
-        """Wait for this frame, `first` being the first one wanted; False where the film breaks off before it."""
+        """Wait for a frame, `first` being the first one wanted; False where the film breaks off before it."""
         first = index if first is None else first
         if self._store.kept is not None:
             if first < self._ready - self._store.kept:
@@ -121,6 +138,7 @@ class Spool(Recording):
         return index < self._ready
 
     def _decode(self) -> None:
+        """Decode all frames; runs in the thread."""
         try:
             for i, frame in enumerate(self._source.frames()):
                 if not self._wait_for_room(i):
@@ -135,7 +153,7 @@ class Spool(Recording):
                 self._condition.notify_all()
 
     def _wait_for_room(self, i: int) -> bool:
-        """Wait until frame `i` may take the place of an older one; False where nobody wants it any more."""
+        """Wait until frame `i` may replace an older one; False where no reader is left."""
         if self._store.kept is not None:
             kept = self._store.kept
             with self._condition:
@@ -143,6 +161,7 @@ class Spool(Recording):
         return not self._stop
 
     def _announce(self, ready: int) -> None:
+        """Tell readers that the frames before `ready` are decoded."""
         with self._condition:
             self._ready = ready
             if ready > self._wanted:  # a reader that is woken for every frame takes time from the decoder
@@ -199,6 +218,7 @@ class _DiskStore:
 
 
 def _store(source: Recording, once: bool = False) -> _MemoryStore | _DiskStore:
+    """Choose the store by the size of the decoded film."""
     bits = 8 if source.bit_depth <= 8 else 16
     kind = np.uint8 if bits == 8 else np.uint16
     frame = picture_bytes(source.shape, bits)

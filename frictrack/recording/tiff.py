@@ -1,4 +1,4 @@
-"""Multi-page TIFF, page by page."""
+"""Read multi-page TIFF recordings page by page."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
 
 
 class Tiff(DirectRecording):
-    """A recording in one TIFF or BigTIFF file (8, 12 or 16 bit); ImageJ's contiguous stacks included.
+    """Recording in one TIFF or BigTIFF file (8, 12 or 16 bit), contiguous stacks of ImageJ included.
 
-    Direct where every page is grey, uncompressed and in one piece.
+    It is direct where every page is grey, uncompressed and in one piece.
     """
 
     suffixes: ClassVar[tuple[str, ...]] = (".tif", ".tiff")
@@ -72,7 +72,7 @@ class Tiff(DirectRecording):
         return Header(in_file, shape, _bit_depth(page), _rate(tif), notes=notes)
 
     def _offsets(self, tif: tifffile.TiffFile, count: int, frame_bytes: int) -> NDArray[np.int64] | range | None:
-        """Where each bare picture starts; None where pages are compressed, coloured or in strips."""
+        """Start of each uncompressed picture; None where pages are compressed, coloured or in strips."""
         if not _is_plain_page(tif.pages[0]):
             return None
         if self._contiguous:
@@ -87,12 +87,13 @@ class Tiff(DirectRecording):
         return np.array([page.dataoffsets[0] for page in pages], np.int64)
 
     def _promised(self, tif: tifffile.TiffFile) -> int:
+        """Number of frames according to the tags."""
         if self._contiguous:
             return int((tif.imagej_metadata or {}).get("images", 1))
         return len(tif.pages)
 
     def _pages_in_file(self, tif: tifffile.TiffFile, frame_bytes: int) -> int:
-        """Pages whose data ends within the file."""
+        """Number of pages whose data ends within the file."""
         size = self.path.stat().st_size
         if self._contiguous:
             return min(self._promised(tif), (size - self._at) // frame_bytes)
@@ -110,7 +111,7 @@ class Tiff(DirectRecording):
                 yield self._picture(tif, index)
 
     def _picture(self, tif: tifffile.TiffFile, index: int) -> Frame:
-        """Grey values of a page; black where it cannot be decoded or is no picture of this film."""
+        """Grey values of a page; black where it cannot be decoded or has another format."""
         try:
             page = tif.pages[index]
             if page.shape == self._page_shape and page.dtype == self._kind:
@@ -121,7 +122,7 @@ class Tiff(DirectRecording):
 
 
 def _in_one_block(tif: tifffile.TiffFile, at: int, frame_bytes: int) -> bool:
-    """ImageJ's stacks: all pictures lie behind the first page's tags, and before the second page's, if there is one."""
+    """Whether this is a stack of ImageJ: all pictures follow the tags of the first page without gaps."""
     about = tif.imagej_metadata
     if about is None:
         return False
@@ -129,7 +130,7 @@ def _in_one_block(tif: tifffile.TiffFile, at: int, frame_bytes: int) -> bool:
 
 
 def _is_plain_page(page: Any) -> bool:
-    """One uncompressed grey picture in one piece, its rows without padding."""
+    """Whether a page is one uncompressed grey picture in one piece, with rows without padding."""
     starts, counts = np.array(page.dataoffsets), np.array(page.databytecounts)
     gapless = bool(np.all(starts[:-1] + counts[:-1] == starts[1:]))
     plain = page.compression == tifffile.COMPRESSION.NONE and page.fillorder == tifffile.FILLORDER.MSB2LSB
@@ -140,10 +141,12 @@ def _is_plain_page(page: Any) -> bool:
 
 
 def _end(page: Any) -> int:
+    """Byte at which the data of a page ends."""
     return max(a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True))
 
 
 def _bit_depth(page: Any) -> int:
+    """Bits of a grey value, from the maximum in the tags where it is given."""
     tag = page.tags.get(_MAX_SAMPLE_VALUE)
     if tag is not None:
         return max(1, int(np.max(tag.value)).bit_length())
@@ -151,6 +154,6 @@ def _bit_depth(page: Any) -> int:
 
 
 def _rate(tif: tifffile.TiffFile) -> float | None:
-    """Frames per second from ImageJ's frame interval, where there is one."""
+    """Frame rate from ImageJ's frame interval, if it is given."""
     interval = (tif.imagej_metadata or {}).get("finterval")
     return 1 / float(interval) if interval else None

@@ -1,8 +1,9 @@
-"""The time base of a recording, judged before any derivative is taken.
+"""Audit the time base of a recording before derivatives are taken.
 
-Friction goes with the square of the frame rate, so the user's rate, the header's and the stamps' are held against each
-other, and missing, doubled and corrupt stamps are found. Times are whole frame intervals of one rate wherever the
-stamps allow it: a missing frame becomes a gap and no shift, a corrupt stamp is passed over.
+Friction is proportional to the square of the frame rate. The rates of user, header and time stamps are compared, and
+missing, repeated and corrupt stamps are found. Where the stamps allow it, times are whole frame intervals of one rate:
+a
+missing frame becomes a gap, and a corrupt stamp is ignored.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Ticks = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class AuditRow:
-    """One line of the audit: what was looked at, its value, what is made of it."""
+    """One line of the audit: the quantity, its value, and the verdict."""
 
     name: str
     value: str
@@ -39,10 +40,21 @@ class AuditRow:
 
 @dataclass(frozen=True, eq=False)
 class Timebase:
-    """The frame rate and the times that are used, and why.
+    """Frame rate and times that are used, with the audit.
 
-    `t` (n_kept,) s from the first frame; `kept` numbers the frames of the file that stay (None: all);
-    `rows` print as a table, `notes` as sentences.
+    Attributes
+    ----------
+    fps : float
+        Frame rate, 1/s.
+    t : array (n_kept,)
+        Times from the first frame, s.
+    rows : tuple of AuditRow
+        The audit as a table.
+    notes : tuple of str
+        The audit as sentences.
+    kept : array of int or None
+        Numbers of the frames of the file that are kept; None for all.
+
     """
 
     fps: float
@@ -54,7 +66,20 @@ class Timebase:
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """What the stamps say: frame intervals since the first (-1 where corrupt), their rate, and the odd frames."""
+    """Time stamps as frame numbers.
+
+    Attributes
+    ----------
+    ticks : array of int (n,)
+        Frame intervals since the first frame; -1 where the stamp is corrupt.
+    step : float
+        Frame interval, s.
+    corrupt, doubled, gaps : array of int
+        Frames with a corrupt stamp, frames that repeat the stamp before, and frames before which others are missing.
+    uneven : bool
+        Whether the frames deviate from the even grid by more than rounding.
+
+    """
 
     ticks: Ticks
     step: float  # s between frames
@@ -65,10 +90,28 @@ class Stamps:
 
 
 def audit(name: str, given: float | None, header: Header) -> Timebase:
-    """Judge the time base of the recording `name`: the header, its stamps, and the rate `given` by the user (1/s).
+    """Audit the time base of a recording.
 
-    A container's rate and stamps (`header.camera` is False) may be those of showing and are believed only above 60
-    fps. Raises `FrictrackError` where no rate can be believed.
+    Parameters
+    ----------
+    name : str
+        Name of the recording, for messages.
+    given : float or None
+        Frame rate from the user, 1/s.
+    header : Header
+        Header with the rate and the time stamps of the file. Those of a container may be for playback and are used only
+        above `PLAYBACK_FPS`.
+
+    Returns
+    -------
+    Timebase
+        Rate, times and findings.
+
+    Raises
+    ------
+    FrictrackError
+        Where no rate is credible.
+
     """
     stamps, n = header.stamps, header.n_frames
     parsed = read_stamps(stamps) if stamps is not None and header.ticks is None else None
@@ -89,7 +132,24 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
 
 
 def read_stamps(stamps: Array) -> Stamps | None:
-    """Make frame numbers out of `stamps` (n,) s; None where they are too few or too coarse for that."""
+    """Convert time stamps to frame numbers.
+
+    Parameters
+    ----------
+    stamps : array (n,)
+        Time stamps, s; NaN where there is none.
+
+    Returns
+    -------
+    Stamps or None
+        None where the stamps are too few or too coarse.
+
+    Examples
+    --------
+    >>> read_stamps(np.array([0.0, 0.001, 0.002, 0.004, 0.005])).ticks.tolist()
+    [0, 1, 2, 4, 5]
+
+    """
     good = np.flatnonzero(np.isfinite(stamps))
     steps = np.diff(stamps[good])
     forward = steps[steps > 0]
@@ -120,9 +180,9 @@ def read_stamps(stamps: Array) -> Stamps | None:
 
 
 def _rounding(steps: Array) -> float:
-    """To how many frames the stamps are rounded: few values occur among the intervals (in frames), off whole ones.
+    """Rounding of the stamps in frames: the intervals then have few values, away from whole frames.
 
-    The difference of two numbers rounded to q is off by q / sqrt(6) rms.
+    The difference of two numbers rounded to q has an rms error of q / sqrt(6).
     """
     near = steps[steps < 3]
     if len(np.unique(np.round(near, 2))) > 4:
@@ -138,7 +198,7 @@ def _written_twice(ticks: Ticks) -> Ticks:
 
 
 def _uneven(ticks: Ticks, stamps: Array, step: float) -> bool:
-    """Whether the frames are off the even grid by more than rounding; a clock that was set says nothing of that."""
+    """Whether the frames deviate from the even grid by more than rounding; false for a clock that was reset."""
     steps = np.diff(stamps)
     if np.any((steps < -0.5 * step) | (steps > _MAX_GAP_FRAMES * step)):
         return False
@@ -147,7 +207,7 @@ def _uneven(ticks: Ticks, stamps: Array, step: float) -> bool:
 
 
 def _consecutive(stamps: Array, step: float) -> Ticks | None:
-    """0, 1, 2, ... where every interval is one frame: nearly always."""
+    """0, 1, 2, ... where every interval is one frame, as in nearly all films."""
     steps = np.diff(stamps)
     if np.all((steps > 0.5 * step) & (steps < 1.5 * step)):
         return np.arange(len(stamps))
@@ -155,7 +215,7 @@ def _consecutive(stamps: Array, step: float) -> Ticks | None:
 
 
 def _count_ticks(stamps: Array, step: float) -> Ticks:
-    """Frame intervals since the first good stamp, -1 where a stamp is corrupt; a clock that was set counts on."""
+    """Frame intervals since the first good stamp; -1 where a stamp is corrupt; a clock that was reset is continued."""
     ticks = np.full(len(stamps), -1, np.int64)
     last = _first_confirmed(stamps, step)
     ticks[last] = last
@@ -175,13 +235,14 @@ def _count_ticks(stamps: Array, step: float) -> Ticks:
 
 
 def _first_confirmed(stamps: Array, step: float) -> int:
-    """The first stamp that the next one bears out."""
+    """The first stamp that the next one confirms."""
     steps = np.diff(stamps) / step
     near = np.flatnonzero((steps > 0.5) & (steps < 1.5))
     return int(near[0]) if len(near) else 0
 
 
 def _continues(stamps: Array, disagreeing: Sequence[int], i: int, step: float) -> bool:
+    """Whether stamp `i` follows the last disagreeing one by one interval."""
     return bool(disagreeing) and 0.5 < (stamps[i] - stamps[disagreeing[-1]]) / step < 1.5
 
 
@@ -197,7 +258,7 @@ def _is_credible(passed: float, i: int, last: int, stamps: Array, step: float) -
 
 
 def _fit_interval(ticks: Ticks, stamps: Array, step: float) -> float:
-    """Seconds per frame by a straight line through the stamps, without those that lie off it."""
+    """Seconds per frame by a line through the stamps, without outliers."""
     use = np.ones(len(ticks), dtype=bool)
     for _ in range(3):
         slope, start = np.polyfit(ticks[use] - ticks[0], stamps[use] - stamps[0], 1)
@@ -207,7 +268,7 @@ def _fit_interval(ticks: Ticks, stamps: Array, step: float) -> float:
 
 
 def _times(parsed: Stamps, stamps: Array | None, fps: float) -> Array:
-    """Times (n,) s: whole intervals, or the stamps themselves where these are uneven; corrupt ones interpolated."""
+    """Times (n,) s: whole intervals, or the stamps themselves where they are uneven; corrupt ones are interpolated."""
     n = np.arange(len(parsed.ticks))
     known = parsed.ticks >= 0
     ticks = np.interp(n, n[known], parsed.ticks[known])
@@ -220,7 +281,7 @@ def _times(parsed: Stamps, stamps: Array | None, fps: float) -> Array:
 
 
 def _true_rate(name: str, given: float | None, header: Header, stamped: float | None) -> float:
-    """The frame rate of the camera: the user's, else that of its stamps, else a header that can be believed."""
+    """Frame rate of the camera: from the user, else from its stamps, else from a credible header."""
     if given is not None:
         if not (np.isfinite(given) and given > 0):
             raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
@@ -240,6 +301,7 @@ def _true_rate(name: str, given: float | None, header: Header, stamped: float | 
 
 
 def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> tuple[list[AuditRow], list[str]]:
+    """Rows and notes on the frame rates."""
     rows, notes = [], []
     used = "given" if given is not None else "stamps" if stamped == fps else "header"
     for source, rate in (("given", given), ("header", header.fps), ("stamps", stamped)):
@@ -262,6 +324,7 @@ _SOURCE_PHRASES = {"header": "of the file's header", "stamps": "of the time stam
 
 
 def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[AuditRow], list[str]]:
+    """Rows and notes on the time stamps."""
     if stamps is None:
         return [], []
     if parsed is None:
@@ -304,6 +367,7 @@ def _list_frames(frames: Ticks) -> str:
 
 
 def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[AuditRow], list[str]]:
+    """Rows and notes on the exposure."""
     if exposure is None:
         return [], []
     share = exposure * fps

@@ -1,7 +1,7 @@
-"""AVI, MP4 and other video containers, decoded in order by OpenCV's FFmpeg.
+"""Read AVI, MP4 and other video containers in order, through OpenCV's FFmpeg.
 
-Positions in a container are never trusted: seeking returns other frames than asked for (opencv#9053), so
-going back means opening again. The number of frames is that of the packets in the file, not the header's.
+Seeking in a container can return other frames than asked for (opencv#9053): going back means opening the file again.
+The number of frames is that of the packets in the file, not that of the header.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LUMA_FIRST = {b"Y800": 8, b"I420": 8, b"Y42B": 8, b"Y1\x00\x10": 16}
 
 
 class Video(Recording):
-    """A recording in a video container (8 bit, or 16 bit grey)."""
+    """Recording in a video container (8 bit, or 16 bit grey)."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".avi", ".mp4", ".mov", ".mkv", ".m4v")
 
@@ -68,6 +68,7 @@ class Video(Recording):
 
     def _capture(self) -> cv2.VideoCapture:
         # A name such as "concat:a|b.avi" would be a command; that of a whole path cannot be.
+        """Open the container; luma is read as stored where possible."""
         capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             raise FrictrackError(f"{self.path.name}: expected a film but the file cannot be read as one")
@@ -77,7 +78,7 @@ class Video(Recording):
         return capture
 
     def _stamps(self) -> NDArray[np.float64]:
-        """When each frame of the file is shown, s; read off the packets without decoding them."""
+        """Presentation time of each frame, s; read from the packets without decoding."""
         capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
         stamps = []
         while capture.grab():

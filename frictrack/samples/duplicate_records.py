@@ -1,7 +1,7 @@
-"""Find records that are the same measurement: their noise agrees, and so does their course to better than the noise.
+"""Find records that are the same measurement: their noise agrees, and their motion agrees to better than the noise.
 
-The noise of two measurements has nothing in common, however alike the motion. A copy may be cut, shifted in time or
-place, or written with other digits.
+The noise of two measurements is independent, however similar the motion. A copy may be cut, shifted in time or
+position, or written with other digits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,17 @@ CLIP_SIGMAS = 4.0  # robust deviations at which a difference is clipped: an outl
 
 
 def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
-    """Pairs of displacements that are the same measurement, by their numbers.
+    """Find pairs of displacements that are the same measurement.
+
+    Parameters
+    ----------
+    displacements : sequence of Displacement
+        Records of a study.
+
+    Returns
+    -------
+    list of tuple of int
+        Numbers of the records of each pair.
 
     Examples
     --------
@@ -48,7 +58,7 @@ def _known_rows(d: Displacement) -> Array:
 
 
 def _clipped_differences(x: Array) -> Array:
-    """Fourth differences, cut where they stand out, of length one."""
+    """Fourth differences, clipped at `CLIP_SIGMAS`."""
     if len(x) < MIN_COMMON_ROWS:
         return np.zeros(0)
     difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")

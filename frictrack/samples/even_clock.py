@@ -1,7 +1,7 @@
-"""Bring the rows of a table onto an even clock: stamps that jitter, are rounded, or are written twice.
+"""Bring the rows of a table to an even clock: stamps that jitter, are rounded, or are repeated.
 
-Stamps may be wrong while the samples are even (a computer wrote them down when it found the time), or right while the
-samples are not. The motion says which: with the wrong choice a moving mass shows its jitter as noise.
+Stamps may be wrong while the samples are even (a computer wrote them with delay), or right while the samples are
+uneven. The motion decides: with the wrong choice a moving mass shows the jitter as noise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,18 @@ Ticks = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class EvenClock:
-    """Times of rows on an even clock (n,) s, how late each was sampled (n,) s, and findings in words."""
+    """Times of rows on an even clock.
+
+    Attributes
+    ----------
+    t : array (n,)
+        Times, s.
+    late : array (n,)
+        How late each row was sampled, s.
+    notes : tuple of str
+        Findings.
+
+    """
 
     t: Array
     late: Array
@@ -33,7 +44,24 @@ class EvenClock:
 
 
 def is_even(t: Array) -> bool:
-    """Whether time stamps rise by whole multiples (within 1 %) of the usual interval."""
+    """Test whether time stamps rise by whole multiples (within 1 %) of the median interval.
+
+    Parameters
+    ----------
+    t : array (n,)
+        Time stamps, s.
+
+    Returns
+    -------
+    bool
+        Gaps are allowed.
+
+    Examples
+    --------
+    >>> is_even(np.array([0.0, 0.1, 0.2, 0.4])), is_even(np.array([0.0, 0.1, 0.25, 0.3]))
+    (True, False)
+
+    """
     usual = float(np.median(np.diff(t)))
     if usual <= 0:
         return False
@@ -42,7 +70,19 @@ def is_even(t: Array) -> bool:
 
 
 def rounded_clock(t: Array) -> EvenClock | None:
-    """An even clock through stamps (n,) that are rounded so far that they repeat; None where they are not."""
+    """Compute an even clock through stamps that are rounded so far that they repeat.
+
+    Parameters
+    ----------
+    t : array (n,)
+        Time stamps, s.
+
+    Returns
+    -------
+    EvenClock or None
+        None where the stamps do not repeat or are not rounded even times.
+
+    """
     steps = np.diff(np.unique(t))
     if len(steps) < 2 or len(steps) > 0.9 * len(t):
         return None
@@ -91,7 +131,24 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
 
 
 def robust_speed(t: Array, x: Array) -> Array:
-    """Speed (n,) of positions x at times t: the median over several spans, which outliers leave alone."""
+    """Compute the speed as the median over several spans, which outliers do not affect.
+
+    Parameters
+    ----------
+    t, x : array (n,)
+        Times (s) and positions (m).
+
+    Returns
+    -------
+    array (n,)
+        Speed, m/s.
+
+    Examples
+    --------
+    >>> float(robust_speed(np.arange(20.0), 3.0 * np.arange(20.0))[0])
+    3.0
+
+    """
     rows = np.arange(len(t))
     quotients = []
     for k in range(1, SPEED_REACH_ROWS + 1):

@@ -58,7 +58,7 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
     >>> import numpy as np
     >>> k = np.repeat(np.arange(40.0), 1 + (np.arange(40) == 20))
     >>> repeats(k, np.ones(41, bool), np.full(41, 1e-3), held=False)
-    [Repeat(first=21, last=21, ticks=1)]
+    [RepeatedFrames(first=21, last=21, ticks=1)]
 
     """
     steps = np.where(good[1:] & good[:-1], np.diff(p), np.nan)

@@ -67,7 +67,24 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
 
 
 def frame_numbers(t: Array) -> Array:
-    """Frame (n,) of every time stamp, counted from the first."""
+    """Convert times to frame numbers, counted from the first.
+
+    Parameters
+    ----------
+    t : array (n,)
+        Times, s.
+
+    Returns
+    -------
+    array (n,)
+        Whole numbers; gaps are kept.
+
+    Examples
+    --------
+    >>> frame_numbers(np.array([0.0, 0.1, 0.2, 0.5])).tolist()
+    [0.0, 1.0, 2.0, 5.0]
+
+    """
     return np.asarray(np.rint((t - t[0]) / float(np.median(np.diff(t)))))
 
 
@@ -111,7 +128,24 @@ def _quantum_note(step: float) -> tuple[str, ...]:
 
 
 def describe_length(metres: float) -> str:
-    """A length with a unit that suits it."""
+    """Format a length with a suitable unit.
+
+    Parameters
+    ----------
+    metres : float
+        Length, m.
+
+    Returns
+    -------
+    str
+        Three significant digits.
+
+    Examples
+    --------
+    >>> describe_length(2.5e-5)
+    '25 um'
+
+    """
     unit, size = _unit_of(metres)
     return f"{metres / size:.3g} {unit}"
 
@@ -123,7 +157,24 @@ def _unit_of(metres: float) -> tuple[str, float]:
 
 
 def describe_frames(numbers: Sequence[int] | Rows) -> str:
-    """Numbers of frames in words, the first ones by name."""
+    """List frame numbers, the first ones by number.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Frames.
+
+    Returns
+    -------
+    str
+        At most `MAX_LISTED_FRAMES` numbers.
+
+    Examples
+    --------
+    >>> describe_frames([4, 9])
+    'frames 4, 9'
+
+    """
     shown = ", ".join(str(int(i)) for i in numbers[:MAX_LISTED_FRAMES])
     more = f" and {len(numbers) - MAX_LISTED_FRAMES} more" if len(numbers) > MAX_LISTED_FRAMES else ""
     return f"frame{'s' if len(numbers) > 1 else ''} {shown}{more}"

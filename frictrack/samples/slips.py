@@ -1,8 +1,8 @@
-"""Doubled and missing frames that no time stamp tells of, found from the motion itself.
+"""Find doubled and missing frames from the motion itself, where no time stamp shows them.
 
-The position before and after must be one smooth curve, read at times that are off by a whole number of frames. A
-collision bends the curve and a stop ends it; neither shifts it. Every candidate is therefore judged, on the frames
-around it, against the undisturbed curve, a kink, and a jump and a kink of any size.
+The positions before and after must lie on one smooth curve, read at times that are off by a whole number of frames. A
+collision bends the curve and a stop ends it; neither shifts it. Every candidate is therefore compared, on the frames
+around it, with the undisturbed curve, with a kink, and with a jump and kink of any size.
 """
 
 from __future__ import annotations
@@ -46,9 +46,23 @@ class Slip:
 
 @dataclass(frozen=True, eq=False)
 class SampledPath:
-    """Position along the course (n,) with its standard deviation, at whole ticks, and the frames that count.
+    """Position along the course at whole ticks.
 
-    A jump smaller than `smallest` is none: tracking faults may be as large.
+    Attributes
+    ----------
+    p, sigma : array (n,)
+        Position and its standard deviation.
+    ticks : array of int (n,)
+        Frame intervals since the first frame.
+    good : array of bool (n,)
+        Frames that count.
+    smallest : float
+        Smallest jump that counts; tracking errors may be as large.
+    exact : bool
+        Whether a repeated frame is equal to the last digit.
+    window, degree : int
+        Frames on either side and degree of the curve.
+
     """
 
     p: Array
@@ -67,10 +81,22 @@ class SampledPath:
 
 
 def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
-    """Doubled and missing frames of a course, in order, whatever their pattern.
+    """Find doubled and missing frames, in any pattern.
 
-    Frames that repeat the one before are found first, so that the others stand on an undisturbed course. `held`: see
-    `repeats`.
+    Repeated frames are found first, so that the others are judged on an undisturbed path.
+
+    Parameters
+    ----------
+    path : SampledPath
+        Positions of all frames.
+    held : bool
+        As in `repeats`.
+
+    Returns
+    -------
+    tuple of Slip
+        In order.
+
     """
     consecutive = np.concatenate(([True], np.diff(path.ticks) == 1))
     repeated = [
@@ -101,7 +127,7 @@ def _slips_of(repeat: RepeatedFrames) -> Iterator[Slip]:
 
 
 def _scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
-    """Doubled and missing frames of a course, in order; none are found where the target is too slow to tell."""
+    """Doubled and missing frames that are scattered, in order; none where the target is too slow."""
     noise = _noise(path)
     found: list[Slip] = []
     for window, degree in WINDOWS:
@@ -119,7 +145,29 @@ def _scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
 
 
 def correct_ticks(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
-    """Ticks (n,) with gaps where frames are missing, and which frames to keep: doubled ones are left out."""
+    """Correct ticks for doubled and missing frames.
+
+    Parameters
+    ----------
+    ticks : array of int (n,)
+        Frame intervals since the first frame.
+    found : sequence of Slip
+        Faults of the time base.
+
+    Returns
+    -------
+    ticks : array of int (n,)
+        With gaps where frames are missing.
+    keep : array of bool (n,)
+        False for doubled frames.
+
+    Examples
+    --------
+    >>> ticks, keep = correct_ticks(np.arange(4), [Slip(2, 3, 9.0)])
+    >>> ticks.tolist(), keep.tolist()
+    ([0, 1, 5, 6], [True, True, True, True])
+
+    """
     out, keep = np.array(ticks, dtype=np.int64), np.ones(len(ticks), np.bool_)
     for slip in found:
         out[slip.frame :] += slip.frames
@@ -133,9 +181,9 @@ def _applied(path: SampledPath, slip: Slip) -> SampledPath:
 
 
 def _noise(path: SampledPath) -> float:
-    """Variance of the positions over what the tracker says, at least 1, although faults may be everywhere.
+    """Variance of the positions over the stated one, at least 1, robust against faults everywhere.
 
-    From the tenth smallest of the squared third differences (chi^2 with one degree of freedom: 0.0158).
+    From the tenth percentile of the squared third differences (chi^2 with one degree of freedom: 0.0158).
     """
     four = np.arange(len(path.p) - 3)[:, None] + np.arange(4)
     binomial = np.array([1.0, -3.0, 3.0, -1.0])
@@ -147,10 +195,7 @@ def _noise(path: SampledPath) -> float:
 
 
 def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
-    """For the gap before every frame: jump there in frames, its standard deviation, its significance.
-
-    Where nothing can be said, the jump is 0.
-    """
+    """Jump before every frame in frames, its standard deviation, and its significance; 0 where it is undetermined."""
     n, half = len(path.p), path.window
     at = np.arange(half, n - half + 1)
     index = at[:, None] + np.arange(-half, half)
@@ -175,7 +220,7 @@ def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
 
 
 def _strongest_slip(path: SampledPath, noise: float, refused: set[int]) -> Slip | None:
-    """The most significant slip that stands the comparison; frames that did not are added to `refused`."""
+    """The most significant slip that passes the comparison; frames that failed are added to `refused`."""
     jump, error, z = _scan_jumps(path)
     for i in np.argsort(-z)[: 4 * MAX_SLIPS].tolist():
         if z[i] < 5 * np.sqrt(noise):
@@ -190,14 +235,14 @@ def _strongest_slip(path: SampledPath, noise: float, refused: set[int]) -> Slip 
 
 
 def _possible_slips(path: SampledPath, i: int, jump: float, noise: float) -> list[Slip | None]:
-    """What may have happened near frame i, each a slip or None where it does not stand."""
+    """Possible slips near frame i; None where one fails the test."""
     lengths = {k for k in (int(np.floor(jump)), int(np.ceil(jump))) if 1 <= k <= MAX_MISSING_FRAMES}
     near = range(max(i - 1, path.window), min(i + 2, len(path.p) - path.window))
     return [_tested_slip(path, k, frames, noise) for k in near for frames in (*sorted(lengths), -1, 0)]
 
 
 def _tested_slip(path: SampledPath, i: int, frames: int, noise: float) -> Slip | None:
-    """The slip, if on the frames around it the shifted curve is better than all that it may be mistaken for."""
+    """The slip, if the shifted curve fits the frames around it better than every alternative."""
     part = np.arange(i - path.window, i + path.window + (frames <= 0))
     part = part[(part >= 0) & (part < len(path.p))]
     part = part[path.good[part]]
@@ -224,7 +269,7 @@ def _tested_slip(path: SampledPath, i: int, frames: int, noise: float) -> Slip |
 
 
 def _repeats_previous(path: SampledPath, i: int, noise: float) -> bool:
-    """Whether frame i shows the target where the frame before it does."""
+    """Whether frame i shows the target at the position of the frame before."""
     if not path.good[i - 1]:
         return False
     if path.exact:
@@ -238,7 +283,7 @@ def _fit_curve(
 ) -> tuple[float, float, float]:
     """Chi^2 of a smooth curve through the frames `part`, with kinks (frames from i) or a jump at i.
 
-    Also its speed there, px per tick, and the standard deviation of a jump that might be there.
+    Also its speed there, px per tick, and the standard deviation of a possible jump.
     """
     tau = (ticks[part] - ticks[i]).astype(np.float64)
     columns = [(tau / path.window) ** k for k in range(path.degree + 1)]

@@ -49,7 +49,7 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
     >>> late = 1e-5 * rng.standard_normal(800)
     >>> x = 4 * (t + late) - 9 * (t + late) ** 2 + 3e-6 * rng.standard_normal(800)
     >>> round(1e6 * unevenness(t, x)[0], 1)
-    10.5
+    10.2
 
     """
     squares, size = _bin_by_speed(t, x, slowest)

@@ -1,4 +1,4 @@
-"""Sensors beside the camera: their clocks aligned with the camera's, what they say compared, and fused."""
+"""Align further sensors with the camera's clock, compare them with the camera, and prepare them for fusion."""
 
 from frictrack.sensors.alignment import Alignment, AlignmentProblem, align
 from frictrack.sensors.camera_comparison import SensorComparison, compare_with_camera, known_acceleration

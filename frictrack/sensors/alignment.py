@@ -1,12 +1,12 @@
-"""A sensor's clock against the camera's: by maximum likelihood over delays far below one frame.
+"""Align the clock of a sensor with the camera's by maximum likelihood, to far below one frame.
 
-    camera's differences = gain * sensor's differences at (t - offset) + bias + what else is known to act + noise
+    camera's differences = gain * sensor's differences at (t - offset) + bias + other known terms + noise
 
-The noise is that of the camera plus gain^2 times that of the sensor, both with their exact covariance (`frames`), so
-every frequency counts by what it is worth: the sensor where the camera's noise drowns the acceleration, the camera
-where the sensor drifts. The sensor stands among the regressors with its noise: its expected share is taken out of
-the normal equations (Fuller 1987, Measurement Error Models, ch. 2), without which the gain would come out too small
-and the offset too certain.
+The noise is that of the camera plus gain^2 times that of the sensor, both with their exact covariance
+(`frame_differences`). So every frequency has its proper weight: the sensor where the camera's noise dominates the
+acceleration, the camera where the sensor drifts. The sensor is a regressor with noise: the expected part of its noise
+is subtracted from the normal equations (Fuller 1987, Measurement Error Models, ch. 2); otherwise the gain would be
+biased low and the offset would appear too certain.
 """
 
 from __future__ import annotations
@@ -45,10 +45,27 @@ SCORE_BLOCKS = 24  # parts of the record whose scores are summed where the resid
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where a sensor's clock and scale stand against the camera's; None where the data do not tell.
+    """Clock and scale of a sensor relative to the camera; None where the data do not determine a value.
 
-    a = gain * sensor(t - offset + rate * (t - middle)) + bias: `offset` (s) is what to add to the sensor's times to
-    have the camera's at `middle` (s), `rate` by how much its clock runs fast, in 1.
+    The model is a = gain * sensor(t - offset + rate * (t - middle)) + bias.
+
+    Attributes
+    ----------
+    offset, sigma_offset : float
+        Time to add to the sensor's clock to obtain the camera's at `middle`, and its standard deviation, s.
+    gain, sigma_gain : float or None
+        Camera over sensor, and its standard deviation.
+    bias, sigma_bias : float or None
+        Zero error, in the unit of the camera's differences, m/s^2.
+    rate, sigma_rate : float
+        Relative amount by which the sensor's clock runs fast.
+    middle : float
+        Camera time to which the offset refers, s.
+    reason : str
+        Why the offset was chosen, or why it is not determined.
+    level : float
+        Factor on the variance of the sensor's noise; for a drive the variance of unknown forces.
+
     """
 
     offset: float
@@ -64,16 +81,38 @@ class Alignment:
     level: float = 1.0  # of the sensor's noise in variance; in the drive's case that of the forces nobody knows
 
     def lag(self, t: Array) -> Array:
-        """How far the sensor's clock is behind the camera's at camera times t (n,), s."""
+        """Compute by how much the sensor's clock is behind the camera's.
+
+        Parameters
+        ----------
+        t : array (n,)
+            Camera times, s.
+
+        Returns
+        -------
+        array (n,)
+            s.
+
+        """
         return np.asarray(self.offset - self.rate * (t - self.middle))
 
 
 @dataclass(frozen=True, eq=False)
 class AlignmentProblem:
-    """The camera's differences, the sensor, and `other_regressors` (r, p) for what else acts, in m/s^2.
+    """Data of an alignment.
 
-    `sigma` is the white noise of a sample. With `sigma` None it is unknown, as are the forces that act besides (a
-    drive under friction), and is estimated with the rest.
+    Attributes
+    ----------
+    frames : FrameDifferences
+        Second differences of the camera.
+    series : SensorRecord
+        Record of the sensor.
+    other_regressors : array (r, p)
+        Other terms that act, m/s^2.
+    sigma : float or None
+        White noise of a sample. None where it is unknown, as are further forces (a drive under friction); it is then
+        estimated.
+
     """
 
     frames: FrameDifferences
@@ -82,18 +121,53 @@ class AlignmentProblem:
     sigma: float | None = None
 
     def rows(self, alignment: Alignment) -> Mask:
-        """Differences (r,) over which the sensor was running."""
+        """Find the differences during which the sensor was running.
+
+        Parameters
+        ----------
+        alignment : Alignment
+            Clock of the sensor.
+
+        Returns
+        -------
+        array of bool (r,)
+            Rows of the problem.
+
+        """
         first, last = self.frames.ends()
         return self.series.covers(first - alignment.lag(first), last - alignment.lag(last))
 
     def select(self, rows: Mask) -> AlignmentProblem:
-        """Only some of the differences."""
+        """Select some of the differences.
+
+        Parameters
+        ----------
+        rows : array of bool (r,)
+            Differences to keep.
+
+        Returns
+        -------
+        AlignmentProblem
+            With these rows.
+
+        """
         return replace(self, frames=self.frames.select(rows), other_regressors=self.other_regressors[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class AlignmentFit:
-    """One linearised solution: coefficients, their covariance, the white residual and regressors."""
+    """Linearised solution.
+
+    Attributes
+    ----------
+    theta : array (p,)
+        Gain, step of the offset, step of the rate if it is free, then the other regressors.
+    covariance : array (p, p)
+        Their covariance.
+    residual, regressors : array (r,), array (r, p)
+        Both whitened.
+
+    """
 
     theta: Array  # gain, step of the offset, step of the rate or none, then what acts beside
     covariance: Array
@@ -102,15 +176,30 @@ class AlignmentFit:
 
 
 def _unaligned(frames: FrameDifferences, offset: float = 0.0, reason: str = "") -> Alignment:
-    """Nothing is known but perhaps the offset."""
+    """Alignment of which at most the offset is known."""
     middle = float(np.mean(frames.t[[0, -1]]))
     return Alignment(offset, None, None, None, None, None, 0.0, None, middle, reason)
 
 
 def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
-    """Align a sensor with the camera; `offset` (s) is kept where it is given.
+    """Align a sensor with the camera.
 
-    Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
+    Parameters
+    ----------
+    problem : AlignmentProblem
+        Camera and sensor.
+    offset : float, optional
+        Known offset, s; by default it is estimated.
+
+    Returns
+    -------
+    Alignment
+        Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
+
+    References
+    ----------
+    W. A. Fuller, Measurement Error Models (1987), ch. 2.
+
     """
     given = offset is not None
     initial = _unaligned(problem.frames, offset or 0.0, "as given" if given else "")
@@ -133,7 +222,7 @@ def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
 
 
 def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
-    """Why nothing can be aligned, if so."""
+    """State why nothing can be aligned; "" where it can."""
     series, t = problem.series, problem.frames.t
     if len(problem.frames.z) < MIN_DIFFERENCES:
         return f"expected at least {MIN_DIFFERENCES} neighbouring frames but got {len(problem.frames.z)}"
@@ -148,7 +237,7 @@ def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
 
 
 def _candidate_offsets(problem: AlignmentProblem) -> Array:
-    """Offsets to be tried: those that leave the sensor over half of the film, as near to 0 as the effort allows."""
+    """Offsets to try: those with the sensor over half of the film, as near to 0 as the effort allows."""
     t, s = problem.frames.t, problem.series.t
     span = float(t[-1] - t[0])
     least = min(MIN_OVERLAP * span, 0.9 * float(s[-1] - s[0]))
@@ -161,7 +250,7 @@ def _candidate_offsets(problem: AlignmentProblem) -> Array:
 
 
 def _search_offset(problem: AlignmentProblem) -> Alignment:
-    """The best of many offsets; its gain is None where none stands out."""
+    """The best of many offsets; its gain is None where none is significant."""
     for gain in SEARCH_GAINS if problem.sigma is not None else SEARCH_GAINS[:1]:
         found = _search_at_gain(problem, gain)
         if found.gain is not None:
@@ -170,6 +259,7 @@ def _search_offset(problem: AlignmentProblem) -> Alignment:
 
 
 def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
+    """The best of many offsets, with the sensor's noise weighted for this gain."""
     frames, offsets = problem.frames, _candidate_offsets(problem)
     initial = replace(_unaligned(frames), gain=gain)
     level = _unmodelled_variance(problem, initial, sensor_included=False)
@@ -214,7 +304,7 @@ def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: 
 
 
 def _table(problem: AlignmentProblem, offsets: Array) -> tuple[Array, Array]:
-    """The sensor's differences over three frames on a fine grid of its own clock: times and values."""
+    """Differences of the sensor over three frames on a fine grid of its own clock: times and values."""
     frames, h = problem.frames, problem.frames.interval
     ends = frames.t[frames.centre[[0, -1]]] - offsets[[-1, 0]]
     count = int((ends[1] - ends[0]) / (TABLE_STEP * max(h, problem.series.interval))) + 2
@@ -224,20 +314,20 @@ def _table(problem: AlignmentProblem, offsets: Array) -> tuple[Array, Array]:
 
 
 def _with_drift(problem: AlignmentProblem) -> Array:
-    """What acts beside, and a drift: a sensor that creeps shall not be matched by its creep."""
+    """Other regressors and a linear drift, so that the drift of a sensor is not matched."""
     t = problem.frames.t[problem.frames.centre]
     return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.other_regressors], axis=1)
 
 
 def _sensor_dominated(problem: AlignmentProblem, initial: Alignment, level: float) -> float:
-    """How many of the differences, at low frequency, are ruled by the sensor's noise and not by the camera's."""
+    """Number of differences, at low frequency, in which the sensor's noise exceeds the camera's."""
     covariance = _covariance(problem, 0.0, initial.gain or 1.0, level)
     camera, whole = _spectrum(problem.frames.camera), _spectrum(covariance)
     return len(problem.frames.z) * float(np.mean(np.clip(1.0 - camera / whole, 0.0, 1.0)))
 
 
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
-    """Places of the local minima whose lowest point, by a parabola through three values, is near the lowest of all."""
+    """Local minima whose vertex, by a parabola through three values, is near the lowest of all."""
     left, middle_value, right = values[:-2], values[1:-1], values[2:]
     curvature = left - 2.0 * middle_value + right
     lowest = middle_value - (right - left) ** 2 / (8.0 * np.where(curvature > 0.0, curvature, np.inf))
@@ -246,12 +336,13 @@ def _minima(values: Array, within: float) -> NDArray[np.int64]:
 
 
 def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: float) -> csr_array:
+    """Covariance of the differences: camera plus sensor at this gain."""
     sigma = 1.0 if problem.sigma is None else gain * problem.sigma
     return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
 
 
 def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sensor_included: bool = True) -> float:
-    """Variance of the white forces that are in nobody's account, by restricted maximum likelihood; 1 where known."""
+    """Variance of unknown white forces by restricted maximum likelihood; 1 where the noise is known."""
     if problem.sigma is not None:
         return 1.0
     frames = problem.frames
@@ -277,7 +368,7 @@ def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sen
 
 
 def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True) -> Alignment:
-    """Gauss-Newton steps from an offset near the best, with standard deviations; `free` frees the offset."""
+    """Refine an offset near the best by Gauss-Newton; `free` frees the offset."""
     found = _iterate(problem, initial, free, False)
     if free and len(problem.frames.z) >= MIN_DIFFERENCES_FOR_RATE and found.sigma_offset is not None:
         drifting = _iterate(problem, found, free, True)
@@ -287,6 +378,7 @@ def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True)
 
 
 def _iterate(problem: AlignmentProblem, found: Alignment, free: bool, drift: bool) -> Alignment:
+    """Iterate Gauss-Newton until the offset changes by less than a thousandth of its standard deviation."""
     max_step = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
     for _ in range(MAX_ITERATIONS):
         rows = problem.rows(found)
@@ -303,6 +395,7 @@ def _iterate(problem: AlignmentProblem, found: Alignment, free: bool, drift: boo
 
 
 def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, max_step: float) -> Alignment:
+    """Alignment after one step."""
     score_spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     theta, k = fitted.theta, 1 + free + (free and drift)
     step = float(np.clip(theta[1], -max_step, max_step)) if free else 0.0
@@ -320,7 +413,25 @@ def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, ma
 
 
 def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, drift: bool = False) -> AlignmentFit:
-    """Linear solution round an alignment. What acts beside ends with the bias."""
+    """Solve the linear problem about an alignment.
+
+    Parameters
+    ----------
+    problem : AlignmentProblem
+        Camera and sensor, rows with both.
+    at : Alignment
+        Point of linearisation.
+    free : bool
+        Whether the offset is free.
+    drift : bool
+        Whether the rate is free as well.
+
+    Returns
+    -------
+    AlignmentFit
+        The last regressor is the bias.
+
+    """
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
     lag = at.lag(frames.t)[:, None]
@@ -349,9 +460,28 @@ def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, d
 
 
 def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
-    """How far a white residual (r,) is from white: p of its loudest octave or line, and its cosine power less 1.
+    """Test whether a residual is white.
 
-    `p` counts how many octaves and lines there are. `regressors` (r, p) tell what they took from each octave.
+    Parameters
+    ----------
+    regressors : array (r, p)
+        Whitened regressors, whose degrees of freedom are subtracted from each band.
+    residual : array (r,)
+        Whitened residual.
+
+    Returns
+    -------
+    p : float
+        Probability of the strongest octave or line under white noise, times the number of octaves and lines.
+    excess : array (r,)
+        Cosine power spectrum less its expectation.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> bool(whiteness_test(np.ones((256, 1)), rng.standard_normal(256))[0] > 1e-3)
+    True
+
     """
     power = np.asarray(dct(residual, norm="ortho")) ** 2
     basis = dct(np.linalg.qr(regressors)[0], axis=0, norm="ortho")
@@ -364,7 +494,7 @@ def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
 
 
 def _noise_share(problem: AlignmentProblem, covariance: csr_array, noise: csr_array, gain: float) -> Array:
-    """What the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
+    """Part that the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
     sigma = problem.series.sigma if problem.sigma is None else problem.sigma
     whole = _spectrum(covariance)
     ratio = sigma**2 * np.maximum(_spectrum(noise), 0.0) / np.maximum(whole, 1e-12 * np.max(whole))
@@ -373,7 +503,7 @@ def _noise_share(problem: AlignmentProblem, covariance: csr_array, noise: csr_ar
 
 
 def _spectrum(covariance: csr_array) -> Array:
-    """Power at `FREQUENCIES` of the noise that a covariance describes in its middle."""
+    """Power spectrum at `FREQUENCIES` of the noise with this covariance, from its middle row."""
     middle = covariance.shape[0] // 2
     after = np.trim_zeros(covariance[[middle]].toarray()[0, middle:], "b")
     lag = np.arange(1, len(after))
@@ -381,14 +511,14 @@ def _spectrum(covariance: csr_array) -> Array:
 
 
 def _score_covariance(regressors: Array, residual: Array) -> Array:
-    """Spread of the scores, from parts of the record so long that what is left in them is independent."""
+    """Covariance of the scores, from parts of the record long enough to be independent."""
     parts = np.array_split(np.arange(len(residual)), min(SCORE_BLOCKS, max(len(residual) // 8, 2)))
     sums = np.array([regressors[p].T @ residual[p] for p in parts])
     return np.asarray(sums.T @ sums) * len(parts) / max(len(parts) - regressors.shape[1], 1)
 
 
 def _accepted(problem: AlignmentProblem, initial: Alignment, found: Alignment) -> Alignment:
-    """The alignment if its offset is worth something, else 0 and why."""
+    """The alignment if its offset is significant, else 0 and the reason."""
     if found.gain is None or abs(found.gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
         return replace(_unaligned(problem.frames), reason="at no offset does it explain what the camera saw; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)

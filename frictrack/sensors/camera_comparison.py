@@ -1,4 +1,4 @@
-"""Whether a sensor beside the camera tells the same motion, and if not, what is most likely wrong."""
+"""Test whether a sensor and the camera measure the same motion, and name the likely cause if not."""
 
 from __future__ import annotations
 
@@ -37,12 +37,23 @@ GAIN_EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class SensorComparison:
-    """The camera and a sensor side by side.
+    """Comparison of camera and sensor.
 
-    `verdict` is "consistent", "disagrees" or "not compared"; `says` one sentence on each thing found, the cause of
-    a disagreement first. `rms_difference` and what both noises explain of it, `rms_expected` (m/s^2), are of means
-    over `window` (s), as well as both noises together let them be told. `p` is that of the worst octave of the
-    difference, times the number of octaves.
+    Attributes
+    ----------
+    verdict : str
+        "consistent", "disagrees" or "not compared".
+    says : tuple of str
+        One sentence per finding, the cause of a disagreement first.
+    p : float or None
+        Probability of the worst octave of the difference, times the number of octaves.
+    reduced_chi2 : float or None
+        Of the whitened difference.
+    rms_difference, rms_expected : float or None
+        Rms difference of means over `window`, and the part that both noises explain, m/s^2.
+    window : float or None
+        Duration of a mean, s.
+
     """
 
     verdict: str
@@ -55,7 +66,23 @@ class SensorComparison:
 
 
 def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_error: float = 0.0) -> SensorComparison:
-    """Compare an accelerometer with the camera once it is aligned; `scale_error` is the relative one of the scale."""
+    """Compare an aligned accelerometer with the camera.
+
+    Parameters
+    ----------
+    problem : AlignmentProblem
+        Camera and sensor.
+    alignment : Alignment
+        Result of `align`.
+    scale_error : float
+        Relative standard deviation of the camera's scale.
+
+    Returns
+    -------
+    SensorComparison
+        Verdict and findings.
+
+    """
     if alignment.gain is None or alignment.sigma_gain is None:
         return SensorComparison("not compared", (f"not compared with the camera: {alignment.reason}",))
     free = alignment.sigma_offset is not None
@@ -82,10 +109,26 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
 
 
 def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> KnownAcceleration:
-    """What an aligned accelerometer says at the camera's frames t (n,): delay, gain and bias taken out.
+    """Compute the acceleration that an aligned accelerometer measured at the camera's frames.
 
-    Means over one frame interval. A sensor slower than the camera says the same for several frames; its noise is
-    given so that, taken as independent from frame to frame, they weigh together what they are worth.
+    Each value is a mean over one frame interval. A sensor slower than the camera repeats values over several frames;
+    its
+    noise is scaled such that the frames, taken as independent, have the right weight together.
+
+    Parameters
+    ----------
+    series : SensorRecord
+        Accelerometer, m/s^2.
+    alignment : Alignment
+        Result of `align`, with gain and bias.
+    t : array (n,)
+        Times of the frames, s.
+
+    Returns
+    -------
+    KnownAcceleration
+        Acceleration with its noise; NaN where the sensor was not running.
+
     """
     assert alignment.gain is not None
     assert alignment.bias is not None
@@ -95,7 +138,7 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
 
 
 def _gain_fault(alignment: Alignment, scale_error: float) -> str:
-    """A gain beyond what sensors are commonly off by, and what would explain it."""
+    """Report a gain beyond the tolerance of sensors, with its likely cause."""
     gain, sigma = alignment.gain, alignment.sigma_gain
     assert gain is not None
     assert sigma is not None
@@ -115,6 +158,7 @@ def _gain_fault(alignment: Alignment, scale_error: float) -> str:
 
 
 def _bias_fault(alignment: Alignment) -> str:
+    """Report a zero error larger than any tilt can cause."""
     bias, sigma = alignment.bias, alignment.sigma_bias
     assert bias is not None
     assert sigma is not None
@@ -127,7 +171,7 @@ def _bias_fault(alignment: Alignment) -> str:
 
 
 def _offset_fault(problem: AlignmentProblem, alignment: Alignment) -> str:
-    """Whether a given offset is refuted by the data."""
+    """Report a given offset that the data reject."""
     overlapping = problem.select(problem.rows(alignment))
     fitted = fit_alignment(overlapping, alignment)
     if fitted.theta[1] ** 2 < MAX_OFFSET_SIGMAS**2 * fitted.covariance[1, 1]:
@@ -143,7 +187,7 @@ def _offset_fault(problem: AlignmentProblem, alignment: Alignment) -> str:
 
 
 def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Array) -> str:
-    """What the difference looks like that the noises do not explain."""
+    """Describe the difference that both noises do not explain: one frequency, one moment, slow, or neither."""
     frames, n = problem.frames, len(excess)
     total = float(np.sum(excess))
     line = int(np.argmax(excess))
@@ -174,7 +218,7 @@ def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Ar
 
 
 def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) -> list[str]:
-    """What is worth saying of a sensor though it is no disagreement."""
+    """Findings about a sensor that are no disagreement."""
     found = []
     gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
     if (
@@ -196,7 +240,7 @@ def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) ->
 
 
 def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[float, float, float]:
-    """Rms of the difference's means as both noises let them be told, what these explain of it, and a mean's time."""
+    """Rms of the difference's means, the part that both noises explain, and the duration of a mean."""
     frames, series = problem.frames, problem.series
     gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
     residual = (

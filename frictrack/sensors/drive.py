@@ -1,4 +1,4 @@
-"""The clock of a measured drive: its copy in  m a + F(v)  under a plain friction law."""
+"""Align the clock of a measured drive force by its part in m a + F(v) under a plain friction law."""
 
 from __future__ import annotations
 
@@ -20,12 +20,31 @@ def align_drive(
     offset: float | None = None,
     until: float = np.inf,
 ) -> Alignment:
-    """Align a drive (N) with what the camera sees of it: a = D(t - offset) / m - F_c/m sgn v - F_v/m v + const.
+    """Align a measured drive with the camera: a = D(t - offset) / m - F_c/m sgn v - F_v/m v + const.
 
-    The gain is 1/m. Coulomb and viscous friction, gravity on an incline and a zero that is off are fitted along;
-    what else acts is taken as white, its level estimated, and the offset's standard deviation comes from the scatter
-    of the parts of the record. Frames at rest, where friction is whatever holds, and those after `until` (s) do not
-    count. `offset` (s) is kept where it is given.
+    The gain is 1/m. Coulomb and viscous friction, gravity on an incline and a zero error are fitted as well. Other
+    forces
+    are taken as white, and their level is estimated. The standard deviation of the offset comes from the scatter over
+    parts of the record. Frames at rest do not count, because static friction is undetermined.
+
+    Parameters
+    ----------
+    displacement : Displacement
+        Displacement of the slider, m.
+    motion : Motion
+        Its velocity, m/s.
+    series : SensorRecord
+        Drive force, N.
+    offset : float, optional
+        Known offset, s.
+    until : float
+        Time after which frames do not count, s.
+
+    Returns
+    -------
+    Alignment
+        Clock of the drive and 1/m.
+
     """
     frames = second_differences(displacement.rows(displacement.span))
     moving = _moving(frames, motion) & (frames.ends()[1] <= until)
@@ -34,14 +53,14 @@ def align_drive(
 
 
 def _moving(frames: FrameDifferences, motion: Motion) -> Mask:
-    """Differences (r,) all through which the slider moves one way."""
+    """Differences (r,) during which the slider moves in one direction."""
     v = motion.v[frames.map.indices.reshape(-1, 3)]
     sigma = motion.sigma_v[frames.map.indices.reshape(-1, 3)]
     return np.asarray(np.all(v > MIN_SPEED_SIGMAS * sigma, axis=1) | np.all(v < -MIN_SPEED_SIGMAS * sigma, axis=1))
 
 
 def _friction_regressors(frames: FrameDifferences, motion: Motion) -> Array:
-    """What a plain friction law and a constant force add, (r, 2 or 3)."""
+    """Regressors (r, 2 or 3) of Coulomb and viscous friction and a constant force."""
     v = motion.v[frames.centre]
     columns = [-v, np.ones(len(v))]
     if np.ptp(np.sign(v)) > 0:

@@ -1,4 +1,4 @@
-"""The kinetic energy at release against that of the blow: a check of scale, frame rate and mass."""
+"""Compare the kinetic energy at release with that of the impact: a check of scale, frame rate and mass."""
 
 from __future__ import annotations
 
@@ -12,7 +12,20 @@ SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, fra
 
 @dataclass(frozen=True)
 class ReleaseEnergy:
-    """Kinetic energy at release (J), its standard deviation, its share of the stated one, and what that means."""
+    """Kinetic energy at release.
+
+    Attributes
+    ----------
+    kinetic, sigma : float
+        Energy and its standard deviation, J.
+    share : float
+        Over the stated energy.
+    verdict : str
+        "plausible", "impossible" or "suspicious".
+    says : str
+        One sentence for the user.
+
+    """
 
     kinetic: float
     sigma: float
@@ -24,10 +37,27 @@ class ReleaseEnergy:
 def release_energy(
     mass: tuple[float, float], speed: tuple[float, float], stated: float, scale_error: float = 0.0
 ) -> ReleaseEnergy:
-    """Kinetic energy m v^2 / 2 of a slider when it comes free, against the stated energy (J) of what struck it.
+    """Compare the kinetic energy m v^2 / 2 at release with the stated energy of the impact.
 
-    `mass` (kg) and `speed` (m/s) with their standard deviations; `scale_error` is the relative one of the scale.
-    A speed goes with scale and frame rate, hence the energy with their squares.
+    Parameters
+    ----------
+    mass, speed : tuple of float
+        Value and standard deviation, kg and m/s.
+    stated : float
+        Energy of the impact, J.
+    scale_error : float
+        Relative standard deviation of the scale; the energy is proportional to its square.
+
+    Returns
+    -------
+    ReleaseEnergy
+        Energy and verdict.
+
+    Examples
+    --------
+    >>> release_energy((0.5, 0.0), (2.0, 0.0), stated=2.0).verdict
+    'plausible'
+
     """
     (m, sigma_m), (v, sigma_v) = mass, speed
     kinetic = 0.5 * m * v**2

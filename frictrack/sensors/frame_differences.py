@@ -1,10 +1,10 @@
-"""The camera's side of an alignment: second differences of the displacement, and what noise they carry.
+"""Compute second differences of the displacement, and the exact covariance of their noise.
 
     (x_{i+1} - x_i) / h  -  (x_i - x_{i-1}) / h   =   integral of a(t) over two frame intervals under a triangle
 
-holds exactly, whatever the motion. So the camera and an accelerometer are compared without any filter: the sensor is
-integrated twice and differenced over the same frames, the unknown x0, v0 drop out, and both noises have a known
-covariance, a few diagonals wide: that of the camera's white noise, and that of the sensor's under the triangle.
+holds exactly for any motion. Camera and accelerometer are therefore compared without a filter: the sensor is integrated
+twice and differenced over the same frames, the unknown x0 and v0 cancel, and both noises have a known covariance of a
+few diagonals: that of the camera's white noise, and that of the sensor's under the triangle.
 """
 
 from __future__ import annotations
@@ -30,7 +30,22 @@ MAX_FRAME_GAP = 4.5  # frame intervals between two frames; no difference is take
 
 @dataclass(frozen=True, eq=False)
 class FrameDifferences:
-    """Second differences `z` (r,) in m/s^2 round the frames `centre` (r,), and the map (r, n) that makes them."""
+    """Second differences of the displacement.
+
+    Attributes
+    ----------
+    t : array (n,)
+        Times of all frames, s.
+    z : array (r,)
+        Differences over the interval, m/s^2.
+    centre : array of int (r,)
+        Frames about which they are taken.
+    map : sparse array (r, n)
+        Map from positions to differences.
+    camera : sparse array (r, r)
+        Covariance of the camera's noise in z.
+
+    """
 
     t: Array  # of all frames, s
     z: Array
@@ -58,9 +73,22 @@ class FrameDifferences:
         return np.asarray(self.map @ series.integral(self.t[:, None] - lags, order))
 
     def noise(self, series: SensorRecord, offset: float) -> csr_array:
-        """Covariance of the differences for a sensor whose samples have white noise of unit variance.
+        """Compute the covariance of the differences for a sensor with white noise of unit variance.
 
-        Every sample acts by its own spline, which dies out within few samples.
+        Every sample acts through its own spline, which decays within a few samples.
+
+        Parameters
+        ----------
+        series : SensorRecord
+            Clock of the sensor.
+        offset : float
+            Offset of this clock, s.
+
+        Returns
+        -------
+        sparse array (r, r)
+            Covariance per unit variance of a sample.
+
         """
         d, centre = series.interval, self.t[self.centre]
         first, last = self.ends()
@@ -85,9 +113,9 @@ class FrameDifferences:
 
 
 def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
-    """What one sample in a row, d apart, does to a difference that lies u from it: u and the effect.
+    """Effect of one sample in a regular series on a difference at distance u: u and the effect.
 
-    `gaps` (2,) are the times between the difference's three frames.
+    `gaps` (2,) are the times between the three frames of the difference, s.
     """
     samples = np.arange(-SPLINE_REACH_SAMPLES, SPLINE_REACH_SAMPLES + 1.0)
     unit_sample = SensorRecord(d * samples, np.where(samples == 0.0, 1.0, 0.0))
@@ -98,9 +126,18 @@ def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
 
 
 def second_differences(displacement: Displacement) -> FrameDifferences:
-    """Second differences over each three neighbouring valid frames.
+    """Compute second differences over each three neighbouring valid frames.
 
-    The noise is white, at the level that the displacement itself shows; what sigma_x says counts relatively.
+    Parameters
+    ----------
+    displacement : Displacement
+        Displacement of the slider, m.
+
+    Returns
+    -------
+    FrameDifferences
+        The noise is white, at the level that the displacement shows; `sigma_x` gives relative weights.
+
     """
     known = displacement.valid & np.isfinite(displacement.x)
     at, t = np.flatnonzero(known), displacement.t
@@ -133,7 +170,14 @@ def _frame_noise(displacement: Displacement, known: Mask) -> Array:
 
 
 class Whitener:
-    """Turns the correlated noise of differences into independent noise of variance 1."""
+    """Transform correlated noise of differences to independent noise of variance 1 (banded Cholesky factor).
+
+    Parameters
+    ----------
+    covariance : sparse array (r, r)
+        Covariance with a few diagonals.
+
+    """
 
     def __init__(self, covariance: csr_array) -> None:
         entries = covariance.tocoo()
@@ -149,6 +193,6 @@ class Whitener:
         return 2.0 * float(np.sum(np.log(self._factor[0])))
 
     def __call__(self, columns: Array) -> Array:
-        """White columns (r, k) of columns (r, k); or (r,)."""
+        """Whiten columns (r, k) or (r,)."""
         out, _ = dtbtrs(self._factor, columns.reshape(len(columns), -1), uplo="L")
         return np.asarray(out).reshape(columns.shape)

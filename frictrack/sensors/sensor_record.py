@@ -1,4 +1,4 @@
-"""What a sensor recorded on its own clock: its curve between the samples, its averages, its noise, where it failed."""
+"""The record of a sensor on its own clock: interpolation, averages, noise, clipping and gaps."""
 
 from __future__ import annotations
 
@@ -22,10 +22,28 @@ MAX_MISSING_SHARE = 0.5  # of the samples
 
 @dataclass(frozen=True, eq=False)
 class SensorRecord:
-    """A sensor's samples: `t` (m,) in s on its own clock, `values` (m,) in SI units, NaN where it gave none.
+    """Samples of a sensor.
 
-    Raises FrictrackError for fewer than two samples, time that does not rise, more than half without a value,
-    and a record of other length than its clock.
+    Parameters
+    ----------
+    t : array (m,)
+        Times on the sensor's own clock, s.
+    values : array (m,)
+        Samples in SI units; NaN where there is none.
+    name : str
+        Name for messages.
+
+    Raises
+    ------
+    FrictrackError
+        For fewer than two samples, times that do not rise, more than half of the values missing, or arrays of different
+        length.
+
+    Examples
+    --------
+    >>> SensorRecord(np.arange(5) / 1000, np.array([0.0, 1.0, 4.0, 9.0, 16.0])).interval
+    0.001
+
     """
 
     t: Array
@@ -38,12 +56,12 @@ class SensorRecord:
 
     @cached_property
     def interval(self) -> float:
-        """Usual time between two samples, s."""
+        """Median time between two samples, s."""
         return float(np.median(np.diff(self.t)))
 
     @cached_property
     def clipped(self) -> Mask:
-        """Samples (m,) at the end of the sensor's range: some in a row that are equal to the largest or smallest."""
+        """Samples (m,) at the end of the sensor's range: several in a row equal to the largest or smallest."""
         v = self.values
         out = np.zeros(len(v), dtype=bool)
         for extreme in (np.nanmax(v), np.nanmin(v)):
@@ -54,17 +72,17 @@ class SensorRecord:
 
     @cached_property
     def known(self) -> Mask:
-        """Samples (m,) that say what the sensor felt."""
+        """Samples (m,) that are neither missing nor clipped."""
         return np.asarray(np.isfinite(self.values) & ~self.clipped)
 
     @cached_property
     def constant(self) -> bool:
-        """Whether all samples are the same."""
+        """Whether all samples are equal."""
         return bool(np.ptp(self.values[self.known]) == 0.0)
 
     @cached_property
     def sigma(self) -> float:
-        """White noise of a sample: from fifth differences, at least that of the last digit."""
+        """White noise of a sample from fifth differences, at least that of its rounding."""
         v = self.values[self.known]
         steps = np.abs(np.diff(v))
         rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
@@ -73,21 +91,32 @@ class SensorRecord:
 
     @cached_property
     def density(self) -> float:
-        """Spectral density of the white noise, (unit)^2 s: the variance of an average is this over its time."""
+        """Spectral density of the white noise, unit^2 s: the variance of an average is this over its duration."""
         return self.sigma**2 * self.interval
 
     @cached_property
     def curves(self) -> tuple[BSpline, BSpline, BSpline]:
-        """The curve through the samples, gaps bridged, and its first and second integral over `t` - t[0]."""
+        """Spline through the samples, across gaps, and its first and second integral over `t` - t[0]."""
         known = self.known
         degree = 3 if np.sum(known) > 3 else 1
         curve = make_interp_spline(self.t[known] - self.t[0], self.values[known], k=degree)
         return curve, curve.antiderivative(1), curve.antiderivative(2)
 
     def integral(self, at: Array, order: int) -> Array:
-        """The curve (order 0) or its first or second integral at times on the sensor's clock.
+        """Evaluate the spline or its integrals; outside the record it keeps its end value.
 
-        Before the first and after the last sample the curve keeps its last value.
+        Parameters
+        ----------
+        at : array
+            Times on the sensor's clock, s.
+        order : int
+            0 for the spline, 1 or 2 for its integrals.
+
+        Returns
+        -------
+        array
+            In the shape of `at`.
+
         """
         end = float(self.t[-1] - self.t[0])
         u = at - self.t[0]
@@ -97,10 +126,20 @@ class SensorRecord:
         return np.asarray(sum(curves_inside[order - k] * outside**k / max(k, 1) for k in range(order + 1)))
 
     def average(self, at: Array, width: float) -> Array:
-        """Mean over `width` (s) round every time; the curve itself where the samples are further apart.
+        """Average the record about given times, so that frequencies above the frame rate are not aliased.
 
-        What is faster than the frames is averaged away instead of being folded down. NaN where the sensor was not
-        running, had a gap or was clipped over any part of the width; half of it (or half a sample) may lack.
+        Parameters
+        ----------
+        at : array (k,)
+            Times on the sensor's clock, s.
+        width : float
+            Duration of the average, s. Where the samples are further apart, the spline itself is returned.
+
+        Returns
+        -------
+        array (k,)
+            NaN where the sensor was not running, had a gap or was clipped over more than half of the width.
+
         """
         covered = self.covers(at - width / 2.0, at + width / 2.0)
         if self.interval >= width:
@@ -112,7 +151,19 @@ class SensorRecord:
         return np.where(covered & (last > first), mean, np.nan)
 
     def covers(self, start: Array, end: Array) -> Mask:
-        """Whether the sensor was running all the time from `start` (k,) to `end` (k,), on its own clock."""
+        """Test whether the sensor was running without a gap.
+
+        Parameters
+        ----------
+        start, end : array (k,)
+            Begin and end of each interval on the sensor's clock, s.
+
+        Returns
+        -------
+        array of bool (k,)
+            Half of an interval, or half a sample, may lie outside the record.
+
+        """
         slack = 0.5 * np.maximum(end - start, self.interval) * (1.0 + 1e-9)
         inside = (start >= self.t[0] - slack) & (end <= self.t[-1] + slack)
         lost = np.diff(self.t) > MAX_GAP_INTERVALS * self.interval
@@ -125,7 +176,7 @@ class SensorRecord:
 
 
 def _record_fault(t: Array, values: Array) -> str:
-    """What is wrong with a record, in words; nothing when it is sound."""
+    """Describe what is wrong with a record; "" where it is valid."""
     if np.shape(t) != np.shape(values) or np.ndim(t) != 1:
         return f"expected one value per time but got {np.shape(values)} values at {np.shape(t)} times"
     not_rising = np.flatnonzero(~(np.diff(t) > 0))
@@ -141,7 +192,7 @@ def _record_fault(t: Array, values: Array) -> str:
 
 
 def _long_runs(mask: Mask, least: int) -> Mask:
-    """The same mask without stretches shorter than `least`."""
+    """Mask without stretches shorter than `least`."""
     out = np.zeros(len(mask), dtype=bool)
     for s in stretches(mask):
         out[s] = s.stop - s.start >= least
