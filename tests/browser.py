@@ -63,7 +63,7 @@ class Tab:
 
     def hears(self, words: str, within: int = SLOW) -> str:
         """Wait until the page says so in its status line."""
-        line = self.page.locator(".ft-said", has_text=words)
+        line = self.page.locator(".ft-message", has_text=words)
         line.wait_for(timeout=within)
         return line.inner_text()
 

@@ -45,7 +45,7 @@ def study(study_file: Path) -> Study:
 
 
 def test_work_is_done_and_stands_in_the_log(study: Study) -> None:
-    job = jobs.start(study, "fit", seen=0)
+    job = jobs.start(study, "fit", expected_revision=0)
     assert ended(job) == jobs.DONE
     assert job.result["done"]["model"] == ["coulomb", "viscous"]
     assert [c.author for c in Session(study).commands.changes] == ["page"]
@@ -60,7 +60,7 @@ def test_a_failure_is_told_in_its_own_words(study: Study) -> None:
 
 def test_work_on_a_study_that_has_changed_is_refused(study: Study) -> None:
     Session(study).apply("edit", table="study", key="mass", value="0.4 kg")
-    job = jobs.start(study, "fit", seen=0)
+    job = jobs.start(study, "fit", expected_revision=0)
     assert ended(job) == jobs.FAILED
     assert "changed meanwhile" in job.result["error"]
 

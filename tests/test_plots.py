@@ -240,13 +240,13 @@ def test_friction_leaves_out_what_the_filter_smears():
         plots.friction([run_results(force=False)])
 
 
-@pytest.mark.parametrize(("verdict", "word"), [("complete", "holds"), ("missing", "fails"), (None, "Tustin:")])
+@pytest.mark.parametrize(("verdict", "word"), [("complete", "is complete"), ("missing", "fails"), (None, "Tustin:")])
 def test_fit_says_whether_the_model_holds(verdict, word):
     run = run_results()
     m = model("1_tustin", 36.0, [run], found=verdict and diagnosis(verdict))
     figure = plots.fit(m, [run])
     assert word in figure.get_suptitle()
-    assert "36.0 µm against 10.0 µm noise" in figure.get_suptitle()
+    assert "residual 36.0 µm, noise 10.0 µm" in figure.get_suptitle()
     force, left = figure.axes
     np.testing.assert_array_equal(force.lines[-1].get_ydata(), FORCE)
     np.testing.assert_allclose(np.abs(left.lines[0].get_ydata()), 36.0)
@@ -296,7 +296,7 @@ def test_failing_span_is_marked_with_its_share():
     label = next(t for t in figure.axes[0].texts if t.get_text() == "41 %")
     assert label.get_position()[0] == pytest.approx(60.0)  # middle of 50 to 70 ms
     assert figure.get_suptitle() == "Tustin fails most in v1 from 50.0 to 70.0 ms: 41 % of the error"
-    assert plots.failing(first, r.runs, []).get_suptitle() == "Tustin leaves up to 36.0 µm; the noise is 10.0 µm"
+    assert plots.failing(first, r.runs, []).get_suptitle() == "Tustin: residual up to 36.0 µm, noise 10.0 µm"
 
 
 def bars(figure) -> dict:
@@ -349,7 +349,7 @@ def test_scan_marks_the_best_setting_over_all_others():
     assert marker.get_xdata()[0] == pytest.approx(200.0)  # mm
     np.testing.assert_allclose(ax.lines[0].get_ydata(), rise.max(axis=0))
     assert ax.get_xlabel() == "place / mm"
-    assert figure.get_suptitle() == "patch stands out at a place near 200 mm"
+    assert figure.get_suptitle() == "patch fits best at a place near 200 mm"
 
 
 def test_nothing_scanned_is_said():
@@ -363,7 +363,7 @@ def test_history_falls_to_the_noise():
     ax = figure.axes[0]
     np.testing.assert_allclose(ax.lines[0].get_ydata(), [39.6, 11.0])
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 10.0)
-    assert figure.get_suptitle() == "Held-out error falls from 39.6 to 11.0 µm; the noise is 10.0 µm"
+    assert figure.get_suptitle() == "Held-out error falls from 39.6 to 11.0 µm, noise 10.0 µm"
     assert [t.get_text() for t in ax.get_xticklabels()] == ["Tustin", "Tustin\n+ texture"]
 
 

@@ -182,7 +182,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     written = _unit(effect, name)
     factor, shown = style.axis_scale(at, written)
     where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
-    title = f"{effect} stands out at a {_setting_name(name)} near {where}"
+    title = f"{effect} fits best at a {_setting_name(name)} near {where}"
     figure = new_figure(3.2, title if width == style.PAGE_WIDTH_IN else f"{_setting_name(name)} near {where}", width)
     ax = figure.subplots()
     ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
@@ -279,7 +279,7 @@ def _held_out(models: Sequence[ModelResults]) -> tuple[str, Array, float | None]
 
 
 def _history_title(models: Sequence[ModelResults], values: Array, noise: float | None, unit: str) -> str:
-    against = "" if noise is None else f"; the noise is {format_number(noise)} {unit}"
+    against = "" if noise is None else f", noise {format_number(noise)} {unit}"
     if len(models) == 1:
         return f"Held-out error of {plain_name(models[0].name)}: {format_number(float(values[0]))} {unit}{against}"
     falls = "falls" if values[-1] < values[0] else "does not fall:"

@@ -165,19 +165,19 @@ def fit_title(model: ModelResults) -> str:
     name, rms = plain_name(model.name), errors["rms_displacement_um"]
     figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
     if rms is not None and noise is not None:
-        figures = f"residual {format_number(rms)} µm against {format_number(noise)} µm noise"
+        figures = f"residual {format_number(rms)} µm, noise {format_number(noise)} µm"
     verdict = (model.diagnosis or {}).get("verdict")
     if verdict is None:
         return f"{name}: {figures}"
-    word = {"complete": "holds", "undetermined": "is not decided"}.get(verdict, "fails")
+    word = {"complete": "is complete", "undetermined": "is undetermined"}.get(verdict, "fails")
     return f"{name} {word}: {figures}"
 
 
 def _residual_title(model: ModelResults, runs: Sequence[RunResults]) -> str:
     most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
     noise = noise_um(model)
-    against = "" if noise is None else f"; the noise is {format_number(noise)} µm"
-    return f"{plain_name(model.name)} leaves up to {format_number(most)} {residual_unit(model)}{against}"
+    against = "" if noise is None else f", noise {format_number(noise)} µm"
+    return f"{plain_name(model.name)}: residual up to {format_number(most)} {residual_unit(model)}{against}"
 
 
 def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:

@@ -112,7 +112,9 @@ class Job:
         (self.folder / "cancel").touch()
 
 
-def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", **arguments: Any) -> Job:
+def start(
+    study: Study, do: str, *, expected_revision: int | None = None, author: str = "page", **arguments: Any
+) -> Job:
     """Start a job in its own process.
 
     Parameters
@@ -121,9 +123,9 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
         The study.
     do : str
         The command: a change of the study, or "run", "measure", "diagnose", "attempt" or "report".
-    seen : int, optional
+    expected_revision : int, optional
         Revision of the study for which the command was given; the job fails if the study has changed since.
-    who : str
+    author : str
         Author of the change in the study's history.
     **arguments
         Arguments of the command.
@@ -152,8 +154,8 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
             "do": do,
             "told": arguments,
             "study": str(study.path.resolve()),
-            "seen": seen,
-            "who": who,
+            "seen": expected_revision,
+            "who": author,
             "at": time.time(),
         }
         replace_text(made / "spec.json", json.dumps(spec))

@@ -1,5 +1,5 @@
-// Linked plots and the film: select in one, see it in all others and the picture of that moment.
-// No dependencies; the anywidget contract, so that Panel and JupyterLab show the same file.
+// Draw linked plots and the film: a selection in one plot is shown in all others and in the film.
+// No dependencies. The interface is that of anywidget, so that Panel and JupyterLab load the same file.
 //
 // In:  scene  what is drawn: {rows, columns: {key: [offset, length]}, runs: [{name, first, count, colour}], plots: [...]}
 //      data   the columns, Float32 little endian, one after the other; those of `rows` values are linked
@@ -92,7 +92,7 @@ class Plot {
 
   home() {
     const shown = this.spec.layers.filter((l) => l.kind !== "span" && !l.loose);
-    const { focus } = this.spec;  // of x: what lies outside does not stretch y
+    const { focus } = this.spec;  // of x: values outside it do not change the y axis
     const near = (l, key) => {
       const xs = this.xOf(l), values = this.column(key);
       return focus ? values.filter((v, i) => xs[i] >= focus[0] && xs[i] <= focus[1]) : values;
@@ -179,7 +179,7 @@ class Plot {
     pen.font = FONT;
   }
 
-  // Beside the title, or where that leaves no room inside at the top right, on a pale ground.
+  // Next to the title; without room there, inside the plot at the top right on a pale background.
   legend(pen) {
     const { x, w } = this.inner, told = this.spec.layers.filter((l) => l.label);
     if (!told.length) return;
@@ -203,7 +203,7 @@ class Plot {
     }
   }
 
-  // A shade over the whole height, or a bar at the foot: one line of bars for every run.
+  // A shaded span over the whole height, or a bar at the bottom, one line of bars per run.
   span(pen, layer) {
     const { y, h } = this.inner, from = this.view.x.px(layer.from), to = this.view.x.px(layer.to), foot = layer.foot;
     pen.fillStyle = layer.colour;
@@ -221,7 +221,7 @@ class Plot {
     });
   }
 
-  // Least and greatest value of every pixel column: as the eye would see all points, however many there are.
+  // Minimum and maximum of every pixel column: the same picture as all points, for any number of points.
   line(pen, layer) {
     const xs = this.xOf(layer), ys = this.column(layer.y), { x, y } = this.view;
     pen.strokeStyle = layer.colour;
@@ -244,7 +244,7 @@ class Plot {
     pen.lineWidth = 1;
   }
 
-  // Every point as pixels, none left out: those that one looks for are the rare ones.
+  // Draw every point, because rare points matter most.
   dots(canvas, layer, mask) {
     const { ratio } = this.size, { x: left, y: top, w, h } = this.inner, { x, y } = this.view;
     const X = Math.round(left * ratio), Y = Math.round(top * ratio), W = Math.round(w * ratio), H = Math.round(h * ratio);
@@ -333,7 +333,7 @@ class Plot {
     this.top.addEventListener("pointercancel", () => { this.brush = this.grip = null; this.overlay(); });
     this.top.addEventListener("dblclick", () => this.look(this.home()));
     this.top.addEventListener("wheel", (e) => {
-      if (!e.ctrlKey && !e.shiftKey && document.activeElement !== this.top) return;  // a page is scrolled past a plot
+      if (!e.ctrlKey && !e.shiftKey && document.activeElement !== this.top) return;  // do not catch the wheel when the page is scrolled
       e.preventDefault();
       const p = at(e), factor = e.deltaY + e.deltaX > 0 ? 1.25 : 0.8;
       this.look({ x: this.view.x.zoomed(p.x, factor), y: this.view.y.zoomed(p.y, factor) });
@@ -393,7 +393,7 @@ class Plot {
   }
 }
 
-// Calls `each(from, to)` for every stretch of finite values.
+// Call `each(from, to)` for every span of finite values.
 function pieces(values, each) {
   for (let i = 0; i < values.length;) {
     while (i < values.length && Number.isNaN(values[i])) i++;
@@ -427,7 +427,7 @@ class Film {
     this.draw();
   }
 
-  // One frame is on its way at a time; of those asked for meanwhile the last one counts.
+  // Request one frame at a time; of several requests only the last is sent.
   ask(number) {
     this.next = number;
     this.slider.value = number;
@@ -546,7 +546,7 @@ class Bench {
     this.model.save_changes();
   }
 
-  // What is drawn and its columns come one after the other.
+  // The scene and its columns arrive one after the other.
   changed() {
     if (!this.pending) this.pending = requestAnimationFrame(() => { this.pending = null; this.rebuild(); });
   }
@@ -577,8 +577,8 @@ class Bench {
     this.cursor = rows.length ? rows[rows.length >> 1] : null;
     this.plots.forEach((plot) => plot.overlay());
     this.film.draw();
-    const told = Object.entries(per_run).map(([name, count]) => `${count} in ${name}`).join(", ");
-    this.status.textContent = rows.length ? `${rows.length} frames selected: ${told}` : "";
+    const counts = Object.entries(per_run).map(([name, count]) => `${count} in ${name}`).join(", ");
+    this.status.textContent = rows.length ? `${rows.length} frames selected: ${counts}` : "";
     this.say("selection", { count: rows.length, middle: this.cursor, per_run });
   }
 

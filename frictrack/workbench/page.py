@@ -140,7 +140,7 @@ class Page:
     def _show_message(self, *events: Any) -> None:
         kind = " wrong" if self.state.is_error else ""
         self.message.visible = bool(self.state.message)
-        self.message.object = f"<div class='ft-said{kind}' role=status>{escape(self.state.message)}</div>"
+        self.message.object = f"<div class='ft-message{kind}' role=status>{escape(self.state.message)}</div>"
 
     def _show_progress(self, event: Any) -> None:
         """Show the running job and its progress."""

@@ -236,7 +236,7 @@ class PageState(param.Parameterized):
         if self.study is None:
             return
         try:
-            job = jobs.start(self.study, do, seen=self.revision, who=AUTHOR, **arguments)
+            job = jobs.start(self.study, do, expected_revision=self.revision, author=AUTHOR, **arguments)
         except FrictrackError as e:
             self.notify(str(e), is_error=True)
             return

@@ -21,8 +21,8 @@ CSS = """
 .ft-card.weak { border-left-color: #bbb; }
 .ft-card h3, .ft-h { font-size: 15px; margin: 0 0 4px 0; }
 .ft-note { color: #555; margin: 2px 0; }
-.ft-said { padding: 6px 10px; background: #e8f1f8; min-height: 1.4em; }
-.ft-said.wrong { background: #fbe3d6; border-left: 6px solid #d55e00; }
+.ft-message { padding: 6px 10px; background: #e8f1f8; min-height: 1.4em; }
+.ft-message.wrong { background: #fbe3d6; border-left: 6px solid #d55e00; }
 .ft-verdict { font-size: 17px; font-weight: 600; }
 svg { max-width: 100%; height: auto; }
 """

@@ -160,7 +160,7 @@ def app(study: Path) -> dict[str, float]:
                 page.get_by_text("sga: misfit").first.wait_for(timeout=60_000)
                 began = time.perf_counter()
                 page.get_by_role("button", name="Cancel", exact=True).click()
-                page.locator(".ft-said", has_text="cancelled").wait_for()
+                page.locator(".ft-message", has_text="cancelled").wait_for()
                 ends.append(time.perf_counter() - began)
                 page.close()
         browser.close()
