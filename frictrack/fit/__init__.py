@@ -1,4 +1,4 @@
-"""Model + runs -> Fit: variable projection for the start, output-error Gauss-Newton for the law."""
+"""Fit a friction model to runs: variable projection for the start, output-error Gauss-Newton for the result."""
 
 from __future__ import annotations
 
@@ -86,16 +86,47 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     over: str = "all",
     callback: Callback | None = None,
 ) -> Any:
-    """Fit a model to runs, all at once: a `Fit`; with `per` = "group" every group of runs apart, `GroupFits`.
+    """Fit a model to runs, all together.
 
-    `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); where
-    friction itself was measured it is "force" by default, held against that series without a mass. `search` is
-    "varpro" or one of `search.METHODS`, which look for all parameters at once, or `over` the "nonlinear" ones alone,
-    the coefficients solved for every trial; `seed` is theirs, and `callback(generation, best, misfit)` is told the best
-    point by address after every generation and stops the search by a true answer.
-    Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
-    the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
-    unknown domain or search.
+    Parameters
+    ----------
+    model : Model or str or sequence of str
+        A model, the name of one such as ``"tustin"``, or a list of effects.
+    runs : sequence of Run
+        The runs. Those with the role "validation" are not fitted but predicted.
+    domain : {"displacement", "force"}, optional
+        What is compared: displacement, the default, or acceleration after low-pass and double difference, as in the
+        papers. Where friction itself was measured, the default is "force", compared with that series without a mass.
+    search : str
+        ``"varpro"`` (variable projection) or a global search, one of `frictrack.search.METHODS`.
+    seed : int
+        Seed of a global search.
+    reference_mass : float, optional
+        Mass at which forces are reported, kg; default that of the first run.
+    per : {"group"}, optional
+        Fit every group of runs separately.
+    over : {"all", "nonlinear"}
+        What a global search varies: all parameters, or the non-linear ones with the coefficients solved for every
+        trial.
+    callback : callable, optional
+        ``callback(generation, best, misfit)`` gets the best point of a global search by address after every
+        generation. A true return value stops the search.
+
+    Returns
+    -------
+    Fit or GroupFits
+        The fit; with ``per="group"`` one per group.
+
+    Raises
+    ------
+    FrictrackError
+        If no run can be fitted; (usage) for an unknown domain or search.
+
+    References
+    ----------
+    Golub, G. H. & Pereyra, V. (1973). The differentiation of pseudo-inverses and nonlinear least squares problems
+    whose variables separate. SIAM J. Numer. Anal. 10, 413-432.
+
     """
     check_route(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
@@ -140,6 +171,7 @@ def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None) -> 
 
 
 def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
+    """The fit of one group of such runs."""
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
@@ -156,11 +188,12 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
 
 
 def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
+    """Sections of all runs cut into segments."""
     return [p for own, n in zip(sections, lengths, strict=True) for p in cut_into_segments(own, n)]
 
 
 def _in_kilograms(found: FitOutcome, runs: Sequence[Run], route: Route) -> FitOutcome:
-    """The same law in units of the mass that was found, where it was sought."""
+    """The same fit in units of the fitted mass, where the mass was unknown."""
     problem, layout = found.solution.problem, found.solution.problem.layout
     q = mass_ratio(layout, found.solution.p)
     if q == 1.0:
@@ -179,7 +212,7 @@ def _standing(
     runs: Sequence[Run],
     how: tuple[Route, tuple[Array, Array]],
 ) -> FitOutcome:
-    """A law that is known, by whatever route it was found. `where` holds starts and the spread of the levels."""
+    """The outcome at known unknowns; `where` holds starts and scatter of the levels."""
     route, optima = how
     if route.is_default:
         return FitOutcome(refine(problem, p, where[0], tau=where[1], max_steps=1))
@@ -187,10 +220,12 @@ def _standing(
 
 
 def _fps(runs: Sequence[Run]) -> float:
+    """Frame rate, 1/s."""
     return float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in runs])))
 
 
 def _names_differ(runs: Sequence[Run]) -> None:
+    """Raise FrictrackError (usage) if two runs have the same name."""
     names = [r.name for r in runs]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
@@ -198,6 +233,7 @@ def _names_differ(runs: Sequence[Run]) -> None:
 
 
 def _finish(found: FitOutcome, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
+    """The result of a fit, with predictions of the validation runs."""
     route, lengths = how
     if MASS_EFFECT.name in found.solution.problem.model:
         reference = Reference(found.solution.problem.pieces[0].mass, reference.load)
@@ -214,7 +250,7 @@ def _finish(found: FitOutcome, runs: Sequence[Run], reference: Reference, how: t
 
 
 def state(result: Fit | GroupFits) -> dict[str, Any]:
-    """What `restore` needs to rebuild a fit without searching: arrays, numbers and strings."""
+    """Return what `restore` needs to rebuild a fit without searching: arrays, numbers and strings."""
     if isinstance(result, GroupFits):
         return {"groups": {name: state(f) for name, f in result.fits.items()}}
     layout = result.solution.problem.layout
@@ -241,7 +277,21 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
 
 @one_thread()
 def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
-    """The fit that `state` was taken from, on the same runs."""
+    """Rebuild a fit from its `state` on the same runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        The runs of the fit.
+    saved : dict
+        Result of `state`.
+
+    Returns
+    -------
+    Fit or GroupFits
+        The same fit.
+
+    """
     if "groups" in saved:
         groups = by_group(runs)
         return GroupFits({name: _restored(groups[name], s) for name, s in saved["groups"].items()})
@@ -276,6 +326,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
 
 
 def _law(text: str, weighed: bool) -> Model:
+    """The model of a stored fit."""
     try:
         law = models.from_toml(text)
     except FrictrackError as e:

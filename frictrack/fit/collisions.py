@@ -1,7 +1,7 @@
-"""Collisions: the impulse is what a film tells; how short the blow was, and so its peak force, mostly not.
+"""Summarise collisions: a film determines the impulse, but mostly not the duration and so not the peak force.
 
-Displacement feels a pulse J g((t - time)/width) through its moments: J, J time and J width^2/2. The square of the
-width is thus what is nearly linear in the data, with the standard deviation 2 width std(width).
+The displacement responds to a pulse J g((t - time)/width) through its moments: J, J time and J width^2/2. So the
+square of the width is nearly linear in the data, with the standard deviation 2 width std(width).
 """
 
 from __future__ import annotations
@@ -22,7 +22,21 @@ PULSE_HALF_WIDTHS = 3.0  # widths on either side that hold the pulse
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
-    """Every collision of the fitted runs, JSON: impulse in N s, time since release, and what is known of its width."""
+    """Summarise every collision of the fitted runs.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    estimates : Estimates
+        Its estimates.
+
+    Returns
+    -------
+    list of dict
+        JSON per collision: impulse in N s, time since release in s, and what is known of the width.
+
+    """
     layout = solution.problem.layout
     return [
         _collision(solution, estimates, effect, (i, run))
@@ -33,7 +47,7 @@ def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]
 
 
 def frames_of_impact(solution: Solution, covariance: Array, piece: Piece) -> Mask:
-    """Frames (n,) of a blow whose width is not resolved."""
+    """Return the frames (n,) of collisions whose width is not resolved."""
     layout = solution.problem.layout
     values, _ = layout.values(solution.p, piece.run)
     out = np.zeros(len(piece.t), dtype=bool)
@@ -45,7 +59,14 @@ def frames_of_impact(solution: Solution, covariance: Array, piece: Piece) -> Mas
 
 
 def max_width(width: float, std: float) -> float:
-    """The width (s) that a pulse has at most, two standard deviations of its square away."""
+    """Compute the largest plausible width (s) of a pulse: two standard deviations of its square above the fitted one.
+
+    Examples
+    --------
+    >>> max_width(3.0, 0.0)
+    3.0
+
+    """
     return float(np.sqrt(width**2 + 4 * width * std))
 
 

@@ -1,10 +1,14 @@
-"""The papers' domain: accelerations after low-pass and double difference, the model through the same chain.
+"""Fit accelerations, as the papers do: low-pass and double difference, with the model through the same chain.
 
-For a fixed cut-off the chain is a linear map K from the frames of a piece to accelerations. Measured minus modelled
-acceleration is then K (y - y_model) and its sensitivities are K J: the displacement's problem, seen through K. The
-residuals count alike, as in the papers; their noise does not (it grows with the square of the frequency), so the
-deviations come from the sandwich H^-1 J' V J H^-1 with V = K diag(sigma^2) K' (White 1982, Econometrica 50).
-Start position and speed are those that suit the displacement best: the chain hardly sees them.
+For a fixed cut-off frequency the chain is a linear map K from the frames of a piece to accelerations. Measured minus
+modelled acceleration is K (y - y_model), with sensitivities K J. All residuals have equal weight, as in the papers,
+although their noise grows with the square of the frequency. So the covariance is the sandwich H^-1 J' V J H^-1 with V
+= K diag(sigma^2) K'. Start position and speed are fitted to the displacement, because the chain removes them.
+
+References
+----------
+White, H. (1982). Maximum likelihood estimation of misspecified models. Econometrica 50, 1-25.
+
 """
 
 from __future__ import annotations
@@ -30,17 +34,17 @@ from frictrack.records import Array, Run
 
 @dataclass(frozen=True)
 class ForceResponse(PieceResponse):
-    """A response seen through the chain; `plain` is the displacement's own."""
+    """The response of a piece after the chain; `displacement` is the response before it."""
 
     displacement: PieceResponse
 
     def start_step(self, step: Array) -> Array:
-        """Change of (x0, v0) that the displacement asks for."""
+        """Compute the change of (x0, v0) that the displacement asks for."""
         return self.displacement.start_step(step)
 
 
 class ForceProblem(LeastSquaresProblem):
-    """The problem of the displacement seen through the chains, one per piece, in units of one noise for all."""
+    """The displacement problem seen through the acceleration chains, one per piece, in units of one common noise."""
 
     def __init__(self, problem: LeastSquaresProblem, chains: Sequence[AccelerationChain]) -> None:
         super().__init__(problem.model, problem.layout, problem.pieces)
@@ -63,9 +67,20 @@ class ForceProblem(LeastSquaresProblem):
         )
 
     def noise_in(self, responses: Sequence[PieceResponse], columns: Array) -> Array:
-        """Noise of the displacement, frame by frame in units of sigma, that enters products with columns (M, k).
+        """Compute the displacement noise that enters products with columns.
 
-        The result Z (N, k) has Z'Z = columns' V columns.
+        Parameters
+        ----------
+        responses : sequence of PieceResponse
+            The pieces.
+        columns : array of shape (M, k)
+            Columns over all compared accelerations.
+
+        Returns
+        -------
+        array of shape (N, k)
+            Z with Z'Z = columns' V columns, frame by frame in units of sigma.
+
         """
         out, at = [], 0
         for chain, response in zip(self.chains, responses, strict=True):
@@ -77,25 +92,39 @@ class ForceProblem(LeastSquaresProblem):
 
 
 def linearise_in_force_domain(solution: Solution, runs: Sequence[Run]) -> Solution:
-    """The same law, linearised in the force domain."""
+    """Return the same solution, linearised in the force domain."""
     problem = ForceProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
     held = np.zeros(len(solution.p), dtype=bool)
     return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
 def fit_accelerations(solution: Solution, runs: Sequence[Run]) -> Solution:
-    """The law that minimises the squared acceleration residuals, from the best one of the displacement."""
+    """Minimise the squared acceleration residuals, starting from the best fit of the displacement.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit of the displacement.
+    runs : sequence of Run
+        The fitted runs.
+
+    Returns
+    -------
+    Solution
+        The fit in the force domain.
+
+    """
     problem = ForceProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
     return fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
 
 
 def fit_starts(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
-    """A given law in the displacement's domain: only the starts are fitted."""
+    """Fit only the starts of given unknowns p (P,), in the displacement domain."""
     return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool))
 
 
 def reduced_chi2(solution: Solution) -> float:
-    """Chi-squared over what the coloured noise leaves beside the fitted unknowns on average."""
+    """Compute chi-squared over its expectation for the coloured noise of the accelerations."""
     problem = solution.problem
     assert isinstance(problem, ForceProblem)
     z = problem.noise_in(solution.responses, solution.basis.u)
@@ -103,7 +132,26 @@ def reduced_chi2(solution: Solution) -> float:
 
 
 def sandwich_covariance(solution: Solution) -> Array:
-    """Covariance of the unknowns (P, P); the share of scattering levels is widened to Student's t as elsewhere."""
+    """Compute the sandwich covariance of the unknowns in the force domain.
+
+    The part that comes from the scatter of the friction levels is widened to Student's t.
+
+    Parameters
+    ----------
+    solution : Solution
+        A fit of a `ForceProblem`.
+
+    Returns
+    -------
+    array of shape (P, P)
+        Covariance of the unknowns.
+
+    References
+    ----------
+    Huber, P. J. (1967). Proc. Fifth Berkeley Symposium 1, 221-233.
+    White, H. (1982). Econometrica 50, 1-25.
+
+    """
     problem = solution.problem
     assert isinstance(problem, ForceProblem)
     layout = problem.layout

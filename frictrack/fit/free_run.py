@@ -1,11 +1,16 @@
-"""The free run: the law followed over a whole record from its first state, with the measured drive.
+"""Simulate the free run: the fitted model over a whole record from its first state, with the measured drive.
 
-A segment forgets what the law missed before it began; a free run does not. It is what benchmarks of system
-identification score (Schoukens & Noel 2017, Three benchmarks addressing open challenges in nonlinear system
-identification, IFAC-PapersOnLine 50, 446): the root mean square of measured less simulated output.
+A segment forgets what the model missed before it; a free run does not. Benchmarks of system identification score it
+as the root mean square of measured minus simulated output.
 
-The first state (place, velocity, and what the law remembers) is fitted to the first frames of the record; where no
-drive is measured, a free run is the simulation from the release, from the state that was fitted there.
+The first state (position, velocity, states of memory) is fitted to the first frames of the record. Without a measured
+drive, a free run is the simulation from the release, from the state that was fitted there.
+
+References
+----------
+Schoukens, M. & Noel, J. P. (2017). Three benchmarks addressing open challenges in nonlinear system identification.
+IFAC-PapersOnLine 50, 446-451.
+
 """
 
 from __future__ import annotations
@@ -35,7 +40,7 @@ MIN_SINGULAR_VALUE = 1e-6  # relative singular value of a direction of the first
 
 @dataclass(frozen=True)
 class FreeRun:
-    """A law followed over one record: t s since release, measured y and model x in m, (n,)."""
+    """A model simulated over one record: t since release (s), measured y and modelled x (m), (n,) each."""
 
     t: Array
     y: Array
@@ -43,28 +48,28 @@ class FreeRun:
 
     @property
     def rms(self) -> float:
-        """Root mean square of measured less simulated displacement, m."""
+        """Root mean square of measured minus simulated displacement, m."""
         return float(np.sqrt(np.mean((self.y - self.x) ** 2)))
 
 
 def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0) -> FreeRun | None:
-    """One free run of a fitted law over a whole record of displacement.
+    """Simulate one free run of a fitted model over a whole record of displacement.
 
     Parameters
     ----------
     solution : Solution
-        The fitted law, or that of a validation run.
+        The fit, or the prediction of a validation run.
     run : Run
-        The record; its drive is interpolated between its samples.
+        The record; its drive is interpolated between samples.
     reference : Reference
-        Mass and load at which the law's newtons are quoted.
+        Mass and load at which newtons are reported.
     index : int
-        Number of the run among the runs of the solution, for numbers that belong to each run.
+        Index of the run in the solution, for per-run parameters.
 
     Returns
     -------
     FreeRun or None
-        None where the motion under the law cannot be followed to the end of the record.
+        None if the motion cannot be simulated to the end of the record.
 
     """
     mine = [r for r in solution.responses if r.piece.run == index]
@@ -81,7 +86,7 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
 
 
 def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dict[str, Any]:
-    """Errors of free runs as the contract names them: JSON; None where one of them could not be followed."""
+    """Compute the errors of free runs as JSON; None if one of them could not be simulated."""
     known = [f for f in found if f is not None]
     if not found or len(known) < len(found):
         rms = relative = None
@@ -96,7 +101,7 @@ def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dic
 
 @dataclass(frozen=True)
 class _BoundModel:
-    """A law with its numbers, over one record."""
+    """A model with its parameter values, over one record."""
 
     model: Model
     values: Values
@@ -104,13 +109,13 @@ class _BoundModel:
     conditions: Conditions
 
     def simulate(self, start: Start, frames: int) -> Array:
-        """Displacement (n,) at the first frames."""
+        """Displacement (n,) at the first frames, m."""
         within = RELATIVE_TOLERANCE * float(np.std(self.piece.y))
         t = self.piece.t[:frames]
         return simulate_displacement(self.model, self.values, self.conditions, t, start, within)
 
     def initial_states(self, level: float) -> dict[str, Array]:
-        """What the law remembers at the first frame, as far as the motion before tells."""
+        """States of memory at the first frame, as far as the motion before determines them."""
         if not self.model.memory:
             return {}
         first = self.piece.part(0, 2)
@@ -119,7 +124,7 @@ class _BoundModel:
         return self.model.states(replace(path, **one), self.values)
 
     def first_state(self, level: float) -> Start:
-        """The first state, fitted to the first frames; from rest only its place."""
+        """The first state, fitted to the first frames; from rest only the position is fitted."""
         piece = self.piece
         frames = int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES))
         frames = min(frames, len(piece.t))
@@ -143,14 +148,14 @@ class _BoundModel:
 
 
 def _scales(piece: Piece, states: dict[str, Array], frames: int) -> Array:
-    """Sizes of the numbers of a first state, for differences."""
+    """Step sizes of the numbers of a first state, for differences."""
     travel, speed = (float(np.ptp(q[: 3 * frames * piece.per_frame])) for q in (piece.x_hat, piece.v_hat))
     state_scales = [max(abs(float(q)), 1e-3 * travel) for state in states.values() for q in state[0]]
     return np.array([travel, max(speed, abs(float(piece.v_hat[0]))), *state_scales]) + 1e-12
 
 
 def _gauss_newton(residual: Callable[[Array], Array], first: Array, free: Array, scales: Array) -> Array:
-    """Gauss-Newton from a first guess (k,) for the numbers that are free; a step that does not help is halved."""
+    """Gauss-Newton from a first guess (k,) for the free numbers; a step that does not help is halved."""
     theta, r = first, residual(first)
     free_indices = np.flatnonzero(free).tolist()
     for _ in range(MAX_STEPS):
@@ -184,7 +189,7 @@ def _fitted_start(solution: Solution, index: int, law: _BoundModel, level: float
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
-    """What held in the record, as functions of the time since release."""
+    """The conditions of the record, as functions of the time since release."""
     path, nodes = piece.path, piece.panels.t
 
     def read(series: Array | None) -> Callable[[Array], Array] | None:

@@ -1,8 +1,7 @@
-"""The papers' way to a law: all parameters at once, or the non-linear ones, by a search along the measured motion.
+"""Search all parameters, or the non-linear ones, along the measured motion by a global method, as the papers do.
 
-The searched misfit is the papers' sum of squared acceleration residuals (force domain), or the displacement's
-chi-squared. What the search found is reported as it is, without a hidden polish: parameters, and their deviations by
-linearisation there.
+The misfit is the papers' sum of squared acceleration residuals (force domain), or chi-squared of the displacement.
+The result is reported as found, without hidden refinement; standard deviations come from the linearisation there.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ MAX_SHIFT_SHARE = 0.01  # of the travelled span: how far the picture may be shif
 
 
 def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
-    """The problem of a model that nobody has started yet."""
+    """Create the problem of a model that has no start values yet."""
     layout = ParameterLayout(model, names, spans_of(pieces, len(names), fps))
     fine = max(e.fine for e in model.effects)
     return LeastSquaresProblem(model, layout, [p if p.per_frame >= fine else p.refined(fine) for p in pieces])
@@ -48,11 +47,31 @@ def search_parameters(
     known: Array,
     callback: Callback | None = None,
 ) -> tuple[Array, Array]:
-    """The "group of feasible solutions" of a search: all unknowns (k, P), best first, and their misfits (k,).
+    """Search parameters by a global method.
 
-    Unknowns of runs that the misfit does not hold stay as in `known` (P,). The friction levels of several runs are
-    not searched: least squares gives each run's to every individual, held about one to within 3 %. `callback` gets
-    generation, best point by address and its misfit after every generation, and stops the search by a true answer.
+    The friction levels of several runs are not searched: each has its least-squares value, held about one to within 3
+    %.
+
+    Parameters
+    ----------
+    misfit : PopulationMisfit or ReducedPopulationMisfit
+        What is minimised.
+    method : str
+        A key of `frictrack.search.METHODS`.
+    rng : numpy.random.Generator
+        Source of random numbers.
+    known : array of shape (P,)
+        Unknowns of runs that the misfit does not include.
+    callback : callable, optional
+        Called with generation, best point by address and its misfit. A true return value stops the search.
+
+    Returns
+    -------
+    points : array of shape (k, P)
+        The "group of feasible solutions", best first.
+    misfits : array of shape (k,)
+        Their misfits.
+
     """
     layout = misfit.layout
     names = [layout.names[i] for i in misfit.searched]
@@ -81,10 +100,10 @@ def search_parameters(
 
 
 def search_settings(method: str, d: int) -> dict[str, Any]:
-    """What serves a genetic search over d non-linear numbers alone: more novelty than the papers' ten parameters bear.
+    """Return the settings of a genetic search over d non-linear parameters: more mutation than the papers' ten bear.
 
-    On two unknown frequencies, 4000 evaluations and 60 seeds: 97, 98 and 97 % within 0.1 % of the best (as they are
-    in the full space: 78, 82 and 90 %).
+    On two unknown frequencies, 4000 evaluations and 60 seeds, 97, 98 and 97 % come within 0.1 % of the best. In the
+    full space with the default settings it is 78, 82 and 90 %.
     """
     own: dict[str, dict[str, float]] = {
         "ga": {"mutation": 3 / (20 * d)},
@@ -95,7 +114,7 @@ def search_settings(method: str, d: int) -> dict[str, Any]:
 
 
 def searched_scatter(layout: ParameterLayout, p: Array) -> float:
-    """Spread of the friction levels of a law that was searched, as far as there are enough of them."""
+    """Compute the scatter of the friction levels of a searched model; the default for too few runs."""
     levels = p[layout.levels]
     return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS_FOR_SCATTER else 0.03
 
@@ -103,9 +122,22 @@ def searched_scatter(layout: ParameterLayout, p: Array) -> float:
 def population_misfit(
     problem: LeastSquaresProblem, chains: Sequence[AccelerationChain] | None, over: str = "all"
 ) -> PopulationMisfit | ReducedPopulationMisfit:
-    """Squared acceleration residuals, m^2/s^4, through the chains; without chains chi-squared of the displacement.
+    """Create the misfit of a search.
 
-    `over` "all" unknowns, or the "nonlinear" ones with the coefficients solved for every individual.
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+    chains : sequence of AccelerationChain or None
+        With chains: squared acceleration residuals, m^2/s^4. Without: chi-squared of the displacement.
+    over : {"all", "nonlinear"}
+        Unknowns to search; for "nonlinear" the coefficients are solved for every individual.
+
+    Returns
+    -------
+    PopulationMisfit or ReducedPopulationMisfit
+        Callable that maps points (Q, d) to misfits (Q,).
+
     """
     kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
     if chains is None:
@@ -116,11 +148,22 @@ def population_misfit(
 
 
 def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
-    """The box (d, 2) of a search: the parameters' own bounds, and where these are open, what the data allow.
+    """Compute the box (d, 2) of a search: parameter bounds, and what the data allow where these are infinite.
 
-    A force reaches 1.5 times the largest friction measured, the amplitude of a wave its whole swing, other coefficients
-    what makes such a force along the measured motion; phases from -pi to pi; frequencies as far as they are scanned, in
-    the force domain up to twice the cut-off.
+    Forces reach 1.5 times the largest measured friction, amplitudes of waves its whole range. Other coefficients
+    reach the value that makes such a force along the measured motion. Phases go from -pi to pi. Frequencies go as far
+    as they are scanned, in the force domain up to twice the cut-off.
+
+    Parameters
+    ----------
+    misfit : PopulationMisfit or ReducedPopulationMisfit
+        What is minimised.
+
+    Returns
+    -------
+    array of shape (d, 2)
+        Lower and upper bounds of the searched parameters.
+
     """
     data_range = _DataRange(misfit.layout, misfit.blocks)
     layout = misfit.layout
@@ -129,7 +172,7 @@ def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
 
 
 class _DataRange:
-    """How far the data let each parameter go."""
+    """The range that the data allow for each parameter."""
 
     def __init__(self, layout: ParameterLayout, blocks: Sequence[DataBlock]) -> None:
         self.blocks, self.span = blocks, layout.span

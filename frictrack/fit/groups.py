@@ -1,4 +1,4 @@
-"""One set of parameters per group of runs, such as low and high speed (the papers' own division)."""
+"""Fit one set of parameters per group of runs, such as low and high speed in the papers."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from frictrack.records import Curve, ModelledMotion, Run
 
 @dataclass(frozen=True, eq=False)
 class GroupFits:
-    """The same model fitted to every group of runs apart; `fits` by the group's name."""
+    """The same model fitted to every group of runs separately; `fits` by the name of the group."""
 
     fits: dict[str, Fit]
 
     @property
     def model(self) -> Model:
-        """The model that all groups share."""
+        """The model of all groups."""
         return next(iter(self.fits.values())).model
 
     @property
@@ -35,22 +35,22 @@ class GroupFits:
 
     @property
     def weighed(self) -> tuple[Run, ...]:
-        """The same runs, each with its mass, given or fitted."""
+        """The same runs, each with its given or fitted mass."""
         return tuple(chain.from_iterable(f.weighed for f in self.fits.values()))
 
     @property
     def curves(self) -> tuple[Curve, ...]:
-        """Measurement beside model, group by group."""
+        """Curves of measurement and model, group by group."""
         return tuple(chain.from_iterable(f.curves for f in self.fits.values()))
 
     @property
     def motion(self) -> tuple[ModelledMotion, ...]:
-        """The laws' own motion with their bands, group by group."""
+        """Simulated motions with their bands, group by group."""
         return tuple(chain.from_iterable(f.motion for f in self.fits.values()))
 
     @property
     def errors(self) -> dict[str, Any]:
-        """Errors over all fitted runs; the held-out error is the root mean square over the frames of all groups."""
+        """Errors over all fitted runs. The held-out error is the root mean square over the frames of all groups."""
         group_fits = list(self.fits.values())
         frames = np.array([f.solution.problem.n_frames for f in group_fits], dtype=float)
         share = frames / frames.sum()
@@ -72,7 +72,7 @@ class GroupFits:
         return errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
+        """Return the JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
         group_fits = {name: f.summary() for name, f in self.fits.items()}
         first = next(iter(group_fits.values()))
         return {key: first[key] for key in ("model", "domain", "search")} | {
@@ -90,9 +90,13 @@ class GroupFits:
 
 
 def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs of every group, in the order in which the groups first appear.
+    """Sort runs into groups, in the order in which the groups first appear.
 
-    Raises FrictrackError (usage) when a run has none.
+    Raises
+    ------
+    FrictrackError
+        (usage) If a run has no group.
+
     """
     ungrouped = [r.name for r in runs if not r.group]
     if ungrouped:

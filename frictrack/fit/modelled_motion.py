@@ -1,12 +1,12 @@
-"""The motion that a fitted law itself tells: x, v, a and F of every run, with bands from the fit alone.
+"""Compute the modelled motion x, v, a and F of every run, with uncertainty bands from the fit.
 
-A law that holds has only its few unknowns to be wrong in, so its acceleration is known several times better than
-any smoother can tell it. All unknowns are moved together, each start with them, along independent directions by one
-standard deviation; what moves in x, v, a and F is the band. Exact to first order: x and v by the linear response of
-the motion, F and a by differences along that motion.
+An adequate model has only a few uncertain parameters, so its acceleration is known several times better than that of
+any smoother. All unknowns, with the starts, are varied along independent directions by one standard deviation. The
+change in x, v, a and F is the band. It is exact to first order: x and v by the linear response of the motion, F and a
+by differences along it.
 
-What the law misses stands in its residual: to first order, modelled less true displacement is the residual without
-its noise. What is told there from white noise is counted into the bands with its first two derivatives.
+What the model misses is in its residual: to first order, modelled minus true displacement is the residual without its
+noise. Its significant part is added to the bands, with its first two derivatives.
 """
 
 from __future__ import annotations
@@ -36,20 +36,21 @@ EXCESS_STD = 4.0  # standard deviations of chi-squared per frame beyond which it
 def modelled_motion(
     solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
 ) -> tuple[ModelledMotion, ...]:
-    """Compute the fitted model's own motion with its bands, one table per run, validation runs last.
+    """Compute the modelled motion of every run, with its bands.
 
-    A band holds the parameters, the starts and the camera's noise; mass and scale are common to all and stand apart.
+    A band includes parameters, starts and camera noise. Mass and scale are common to all runs and are stated
+    separately.
 
     Parameters
     ----------
     solution : Solution
-        The fitted model.
-    covariance : (P, P) array
+        The fit.
+    covariance : array of shape (P, P)
         Covariance of its unknowns.
     runs : sequence of Run
         The fitted runs, in the order of the solution.
     validation : sequence of (Solution, Run)
-        Validation runs with the solutions that predict them.
+        Validation runs with their predictions.
 
     Returns
     -------
@@ -71,15 +72,15 @@ def modelled_motion(
 def covariance_at_fitted_scatter(solution: Solution) -> Array:
     """Compute the covariance (P, P) of the unknowns at the fitted scatter of the friction levels.
 
-    Unlike `covariance_of` it is not widened for a scatter known from few runs: that would separate each run's level
-    from the coefficient that it multiplies, while their product is known as well as the run is.
+    Unlike `covariance_of` it is not widened for a scatter known from few runs. Widening would separate each run's
+    level from the coefficient that it multiplies, while their product is as well known as the run is.
     """
     held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
     return inverse_normal_matrix(np.vstack([solution.jac, held]))[0]
 
 
 def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solution) -> Array:
-    """Covariance of the unknowns under which a validation run is predicted: shared ones from the fit, its own free."""
+    """Covariance of the unknowns of a validation run: shared ones from the fit, its own free."""
     theirs, mine = fitted.problem.layout.slots, solution.problem.layout.slots
     shared = {(s.effect, s.parameter): i for i, s in enumerate(theirs) if s.run is None}
     common = [i for i, s in enumerate(mine) if s.run is None]
@@ -98,7 +99,7 @@ def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solutio
 
 
 def _run_motion(solution: Solution, covariance: Array, index: int, run: Run) -> ModelledMotion:
-    """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
+    """The modelled motion of one run, its segments joined."""
     mine = [r for r in solution.responses if r.piece.run == index]
     unmodelled_parts = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
     parts = [
@@ -120,6 +121,7 @@ def _run_motion(solution: Solution, covariance: Array, index: int, run: Run) -> 
 def _segment_motion(
     solution: Solution, covariance: Array, response: PieceResponse, unmodelled: UnmodelledMotion
 ) -> ModelledMotion:
+    """The modelled motion of one segment with its bands."""
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
     force, a = _motion_function(solution, response)(solution.p, x, v)
@@ -144,9 +146,9 @@ def _segment_motion(
 
 
 def _motion_function(solution: Solution, response: PieceResponse) -> MotionFunction:
-    """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,).
+    """Function of unknowns p (P,) and path x, v (n,) that returns friction force (N) and acceleration at the frames.
 
-    A mass that is fitted acts as one more force; every coefficient stands for `mass_ratio` times itself.
+    A fitted mass acts as one more force, and every coefficient stands for `mass_ratio` times itself.
     """
     piece, problem = response.piece, solution.problem
     known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
@@ -164,9 +166,9 @@ def _motion_function(solution: Solution, response: PieceResponse) -> MotionFunct
 def _independent_changes(
     solution: Solution, covariance: Array, response: PieceResponse, x: Array, v: Array
 ) -> list[Array]:
-    """Changes of x, v, a and F at the frames, (n, k) each, along k independent moves of one standard deviation.
+    """Changes of x, v, a and F at the frames, (n, k) each, along k independent directions of one standard deviation.
 
-    The start is least squares for whatever the unknowns are, so it follows them; beside that it has its own error.
+    The start is least squares for any unknowns, so it follows them; it has an error of its own as well.
     """
     piece, active, p = response.piece, response.active, solution.p
     n = len(active)
@@ -189,7 +191,7 @@ def _independent_changes(
 
 
 def _square_root(covariance: Array) -> Array:
-    """A square root (n, n) of a covariance whose unknowns may differ in size by many powers of ten."""
+    """A square root (n, n) of a covariance whose variances may differ by many powers of ten."""
     power_beyond_noise = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / power_beyond_noise[:, None] / power_beyond_noise)
     return np.asarray(power_beyond_noise[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
@@ -197,7 +199,18 @@ def _square_root(covariance: Array) -> Array:
 
 @dataclass(frozen=True)
 class UnmodelledMotion:
-    """What a residual shows beyond white noise: rms of x (m), v (m/s), a (m/s^2); `factor` on the law's own band."""
+    """The significant part of a residual beyond white noise.
+
+    Attributes
+    ----------
+    rms : tuple of float
+        Root mean square of x (m), v (m/s) and a (m/s^2).
+    factor : float
+        Factor on the model's own band, for coloured noise.
+    hertz : float or None
+        Frequency at which it is strongest; None if nothing is missed.
+
+    """
 
     rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
     factor: float = 1.0
@@ -205,10 +218,25 @@ class UnmodelledMotion:
 
 
 def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_UNMODELLED) -> UnmodelledMotion:
-    """What one stretch's residual holds beyond the noise; white noise is taken for it with the chance `alarms`.
+    """Find the significant part of one segment's residual.
 
-    Its cosine transform is white where only noise is left; what stands out belongs to motion that the law misses.
-    What is too much without standing out anywhere is taken for coloured noise, and widens the law's own band.
+    The cosine transform of the residual is white if only noise is left. Significant coefficients belong to motion
+    that the model misses. Excess power without significant coefficients counts as coloured noise and widens the band.
+
+    Parameters
+    ----------
+    response : PieceResponse
+        The segment under the model.
+    run : Run
+        Its run.
+    alarms : float
+        Probability that white noise is taken for missed motion.
+
+    Returns
+    -------
+    UnmodelledMotion
+        What the model misses.
+
     """
     piece = response.piece
     n = len(piece.t)
@@ -228,7 +256,7 @@ def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_U
 
 
 def _unmodelled_notes(unmodelled_parts: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
-    """In words what a run's stretches miss: that of the worst one."""
+    """A note on what the segments of a run miss: that of the worst one."""
     found = [unmodelled for unmodelled in unmodelled_parts if unmodelled.hertz is not None]
     if not found:
         return ()
@@ -243,9 +271,9 @@ def _unmodelled_notes(unmodelled_parts: Sequence[UnmodelledMotion]) -> tuple[str
 
 
 def band_summary(motion: ModelledMotion, run: Run) -> dict[str, Any]:
-    """Root mean square bands of the modelled motion, and the smoothed acceleration's at the same frames: JSON.
+    """Compute rms bands of the modelled motion, and of the smoothed acceleration at the same frames, as JSON.
 
-    Frames of a blow that is too short to be resolved are left out of both.
+    Frames of unresolved collisions are left out of both.
     """
     rows = np.searchsorted(run.motion.t, motion.t - 1e-9)[~motion.blow]
 

@@ -1,7 +1,7 @@
-"""What a law says of a run that it was not fitted to: its start is free, and what belongs to each run alone.
+"""Predict a run that was not fitted: only its start and its per-run parameters are free.
 
-A phase of the run's own is looked for all the way round; other numbers of its own start where the fitted runs have
-theirs on average. An event at a time of its own (a collision, a dropped frame) is not foretold: it does not happen.
+A per-run phase is tried all around the circle. Other per-run parameters start at their mean over the fitted runs. An
+event at an individual time (a collision, a dropped frame) cannot be predicted: it is absent.
 """
 
 from __future__ import annotations
@@ -20,9 +20,27 @@ TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # phases at which a swing
 
 
 def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
-    """A validation run under the fitted law.
+    """Predict a validation run with the fitted model.
 
-    Raises FrictrackError when the run has no usable stretch.
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    run : Run
+        The validation run.
+    reference : Reference
+        Mass and load at which newtons are reported.
+
+    Returns
+    -------
+    Solution
+        Shared parameters as fitted; start and per-run parameters from this run.
+
+    Raises
+    ------
+    FrictrackError
+        If the run has no usable stretch.
+
     """
     old = solution.problem
     events = frozenset((e.name, 0) for e in old.model.effects if _is_event(e))
@@ -37,7 +55,7 @@ def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
 
 
 def _is_event(effect: Effect) -> bool:
-    """Whether an effect is an event of single runs; a wrong clock is one of those that show it."""
+    """Whether an effect is an event of single runs; a wrong clock counts as one."""
     return effect.clock is not None or any(p.per_run and p.scan is not None for p in effect.nonlinear)
 
 
@@ -49,7 +67,7 @@ def _pieces(solution: Solution, run: Run, reference: Reference) -> list[Piece]:
 
 
 def _start_unknowns(solution: Solution, layout: ParameterLayout) -> Array:
-    """Unknowns (P,) of the run: the shared ones as they are, its own as the fitted runs have theirs on average."""
+    """Unknowns (P,) of the run: shared ones as fitted, its own at their mean over the fitted runs."""
     values: dict[tuple[str, str], list[float]] = {}
     for slot, value in zip(solution.problem.layout.slots, solution.p, strict=True):
         values.setdefault((slot.effect, slot.parameter), []).append(float(value))
@@ -57,7 +75,7 @@ def _start_unknowns(solution: Solution, layout: ParameterLayout) -> Array:
 
 
 def _with_best_phases(problem: LeastSquaresProblem, p: Array) -> Array:
-    """Unknowns (P,) with every phase of the run's own at the quarter turn that suits the run best."""
+    """Unknowns (P,) with every per-run phase at the quarter turn that fits the run best."""
     for i in np.flatnonzero(_phases(problem.layout)):
         candidates = [np.where(np.arange(len(p)) == i, phase, p) for phase in TRIED_PHASES]
         p = candidates[int(np.argmin([_misfit(problem, q) for q in candidates]))]
@@ -65,7 +83,7 @@ def _with_best_phases(problem: LeastSquaresProblem, p: Array) -> Array:
 
 
 def _phases(layout: ParameterLayout) -> Mask:
-    """Which unknowns are phases of the run's own, (P,)."""
+    """Which unknowns are per-run phases, (P,)."""
     roles = {(e.name, p.name): p.role for e in layout.model.effects for p in e.parameters}
     own = [s.run is not None and roles.get((s.effect, s.parameter)) == "phase" for s in layout.slots]
     return np.array(own, dtype=bool)

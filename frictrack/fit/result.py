@@ -1,4 +1,4 @@
-"""The result of a fit: parameters with deviations, errors in every unit of the contract, curves for plots."""
+"""The result of a fit: parameters with standard deviations, errors in every unit, curves for plots."""
 
 from __future__ import annotations
 
@@ -35,7 +35,28 @@ from frictrack.records import Array, Curve, ModelledMotion, Run
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A model fitted to runs."""
+    """A model fitted to runs.
+
+    Attributes
+    ----------
+    found : FitOutcome
+        The solution.
+    runs : tuple of Run
+        The fitted runs.
+    validation : tuple of Run
+        Runs that are only predicted.
+    predictions : tuple of Solution
+        Their predictions, shared parameters held.
+    reference : Reference
+        Mass and load at which newtons are reported.
+    route : Route
+        Domain and search.
+    lengths : tuple of int
+        Frames per segment of every run; 0 for whole stretches.
+    uncertainty : UncertaintyAnalysis
+        Profiles and bootstrap, where they were computed.
+
+    """
 
     found: FitOutcome
     runs: tuple[Run, ...]  # those that were fitted
@@ -48,12 +69,12 @@ class Fit:
 
     @property
     def solution(self) -> Solution:
-        """The unknowns and the model of the displacement linearised there."""
+        """The unknowns, and the displacement model linearised there."""
         return self.found.solution
 
     @property
     def compared(self) -> Solution:
-        """The same in the domain that was compared: displacement, acceleration or measured friction."""
+        """The solution in the compared domain: displacement, acceleration or measured friction."""
         return self.found.force or self.solution
 
     @property
@@ -63,12 +84,12 @@ class Fit:
 
     @property
     def domain(self) -> str:
-        """What was compared: "displacement" or "force"."""
+        """The compared domain: "displacement" or "force"."""
         return self.route.domain
 
     @property
     def search(self) -> str:
-        """How the parameters were sought."""
+        """The search method."""
         return self.route.search
 
     @property
@@ -78,33 +99,33 @@ class Fit:
 
     @property
     def measured(self) -> bool:
-        """Whether friction itself was measured and the law is held against that."""
+        """Whether friction itself was measured and is compared."""
         return measured_friction.is_measured_friction(self.solution.problem)
 
     @property
     def model(self) -> Model:
-        """The model, its effects in the form in which they were fitted."""
+        """The model, its effects as they were fitted."""
         return without_mass(self.solution.problem.model)
 
     @property
     def equation(self) -> str:
-        """The law with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
+        """The equation with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
         return self.model.equation({name: replace(e, std=e.reported_std) for name, e in self.parameters.items()})
 
     @property
     def weighed(self) -> tuple[Run, ...]:
-        """The fitted runs, each with its mass: given, or the fitted one."""
+        """The fitted runs, each with its given or fitted mass."""
         return tuple(with_fitted_mass(run, self.reference.mass) for run in self.runs)
 
     @cached_property
     def estimates(self) -> Estimates:
-        """Parameters with deviations, those of a rejected law beside the ideal ones, and intervals where asked for."""
+        """Estimates of the parameters, with the misfit of a rejected model and with computed intervals."""
         found = self._deviations.with_intervals(self.uncertainty.intervals)
         return found if self.misfit is None else with_misfit(found, self.solution, self.misfit.covariance)
 
     @cached_property
     def misfit(self) -> Misfit | None:
-        """The force that the law misses, as far as it bears on the parameters; None where noise explains all."""
+        """The force that the model misses, and its effect on the parameters; None where noise explains the residual."""
         if not (self.route.is_default or self.measured):
             return None
         return misfit_of(self.solution)
@@ -131,7 +152,7 @@ class Fit:
 
     @cached_property
     def heldout(self) -> tuple[float, str]:
-        """Held-out root mean square, m (N where friction itself was measured), and how it was held out."""
+        """Held-out root mean square error, m (N where friction itself was measured), and what was held out."""
         if self.measured:
             return measured_friction.heldout_rms(self.solution)
         if self.route.is_default:
@@ -140,7 +161,7 @@ class Fit:
 
     @property
     def degrees(self) -> int:
-        """Frames less fitted numbers: starts, unknowns (levels count as what their scatter leaves)."""
+        """Degrees of freedom: frames minus starts and unknowns. Levels count as far as their scatter permits."""
         basis = self.solution.basis
         used = float(np.trace(basis.shrink(self.solution.tau or 0.03)))
         starts = sum(len(start) for start in self.solution.starts)
@@ -148,14 +169,14 @@ class Fit:
 
     @property
     def reduced_chi2(self) -> float:
-        """Chi-squared per degree of freedom, of what was compared."""
+        """Chi-squared per degree of freedom, in the compared domain."""
         if self.found.force is not None:
             return reduced_chi2(self.found.force)
         return self.solution.chi2 / max(self.degrees, 1)
 
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
-        """Measurement beside model, run by run, validation runs last."""
+        """Curves of measurement and model, run by run, validation runs last."""
         make_curves = measured_friction.curves if self.measured else _curves
         fitted = make_curves(self.solution, self.runs, "fit")
         return fitted + tuple(
@@ -166,9 +187,9 @@ class Fit:
 
     @cached_property
     def motion(self) -> tuple[ModelledMotion, ...]:
-        """The law's own x, v, a and F with their bands, one table per run, validation runs last.
+        """The modelled x, v, a and F with their bands, one table per run, validation runs last.
 
-        Where friction itself was measured, the law tells no motion: none.
+        Empty where friction itself was measured.
         """
         if self.measured:
             return ()
@@ -180,14 +201,14 @@ class Fit:
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
-        """Impulse of every collision of the law, and what is known of how short it was: JSON."""
+        """Summary of every collision as JSON."""
         return collisions(self.solution, self.estimates)
 
     @cached_property
     def free_runs(self) -> dict[str, FreeRun | None]:
-        """The law followed freely over whole records, by run: those of the role "validation", else the fitted ones.
+        """Free runs over whole records, by run: validation runs if there are any, else the fitted ones.
 
-        None for a record to whose end it cannot be followed; empty where friction itself was measured.
+        None for a record that cannot be simulated to its end. Empty where friction itself was measured.
         """
         if self.measured:
             return {}
@@ -198,7 +219,7 @@ class Fit:
 
     @cached_property
     def errors(self) -> dict[str, Any]:
-        """Errors over the fitted runs, as the contract names them."""
+        """Errors over the fitted runs, as JSON."""
         rms, how = self.heldout
         if self.measured:
             out = measured_friction.errors_of(self.solution.responses)
@@ -213,7 +234,7 @@ class Fit:
         }
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `frictrack fit`."""
+        """Return the JSON of `frictrack fit`."""
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return (
             {
@@ -237,7 +258,7 @@ class Fit:
         )
 
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
-        """The coefficient of friction beside newtons that carry the load, where the load is known."""
+        """The coefficient of friction to a force that scales with the load, where the load is known."""
         effect, _, parameter = address.partition("[")[0].rpartition(".")
         made = next((e for e in self.model.effects if e.name == effect), None)
         load = self.reference.load if self.measured or self.runs[0].mass is not None else float("nan")
@@ -249,7 +270,7 @@ class Fit:
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
-        """The distinct optima within 1 % of the best that the search met, best first."""
+        """The distinct optima of a search within 1 % of the best, best first."""
         found = self.found
         return [
             {"misfit": float(cost), "parameters": quoted(found.solution, p)}
@@ -277,7 +298,7 @@ class Fit:
 
 
 def with_uncertainty(result: Fit, found: UncertaintyAnalysis) -> Fit:
-    """The same fit, its parameters with intervals, its summary with profiles and bootstrap."""
+    """Return the same fit with intervals, profiles and bootstrap in its summary."""
     return replace(result, uncertainty=found)
 
 
@@ -296,7 +317,21 @@ def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[C
 
 
 def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
-    """Displacement, acceleration and force errors of some curves against the runs they came from."""
+    """Compute displacement, acceleration and force errors of curves against their runs.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Modelled and measured curves.
+    runs : sequence of Run
+        The runs, each with its mass.
+
+    Returns
+    -------
+    dict
+        JSON: rms in um and m/s^2, sum of squares in m^2/s^4, and the relative force error.
+
+    """
     by_name = {r.name: r for r in runs}
     residual, a_error, f_error, f_measured = [], [], [], []
     for c in curves:

@@ -1,4 +1,4 @@
-"""Every way to a law: domain and search to what was found, and what a law so found says of frames not seen."""
+"""Select how a model is fitted, by domain and search, and compute the held-out error of the other routes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BLOCK_PERIODS = 2.0  # of the cut-off: length of the blocks that are held out wi
 
 @dataclass(frozen=True)
 class Route:
-    """How a law is sought."""
+    """How a model is fitted: domain, search, seed, and what a global search varies."""
 
     domain: str = "displacement"
     search: str = "varpro"
@@ -34,16 +34,25 @@ class Route:
 
     @property
     def is_default(self) -> bool:
-        """Variable projection of the displacement, the default."""
+        """Whether the displacement is fitted by variable projection, the default."""
         return (self.domain, self.search) == ("displacement", "varpro")
 
 
 @dataclass(frozen=True)
 class FitOutcome:
-    """A law: in the displacement's domain, and in the force domain where it was sought there.
+    """A fitted model: in the displacement domain, and in the force domain where it was fitted there.
 
-    `optima` (k, P) are all unknowns of a search's "group of feasible solutions", best first, `costs` (k,) their
-    misfits: squared acceleration residuals, m^2/s^4, or chi-squared of the displacement.
+    Attributes
+    ----------
+    solution : Solution
+        In the displacement domain.
+    force : Solution or None
+        In the force domain.
+    optima : array of shape (k, P)
+        The "group of feasible solutions" of a search, best first.
+    costs : array of shape (k,)
+        Their misfits: squared acceleration residuals, m^2/s^4, or chi-squared of the displacement.
+
     """
 
     solution: Solution
@@ -53,7 +62,14 @@ class FitOutcome:
 
 
 def check_route(domain: str, search: str, per: str | None = None, over: str = "all") -> None:
-    """Raise FrictrackError (usage) for an unknown domain, search, division or extent, with the nearest right one."""
+    """Check domain, search, division into groups and what is searched.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For an unknown value, with the nearest valid one.
+
+    """
     arguments = (
         ("domain", domain, DOMAINS),
         ("search", search, SEARCHES),
@@ -77,7 +93,25 @@ def check_route(domain: str, search: str, per: str | None = None, over: str = "a
 def fit_by_search(
     problem: LeastSquaresProblem, runs: Sequence[Run], route: Route, callback: Callback | None = None
 ) -> FitOutcome:
-    """The law that a global search finds, over all unknowns at once or the non-linear ones, reported as it is."""
+    """Fit a model by a global search, reported as found.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+    runs : sequence of Run
+        The fitted runs.
+    route : Route
+        Domain, method, seed, and what is searched.
+    callback : callable, optional
+        See `search_parameters`.
+
+    Returns
+    -------
+    FitOutcome
+        The best point and the distinct optima.
+
+    """
     chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" else None
     ones = np.ones(len(problem.layout.slots))
     misfit = population_misfit(problem, chains, route.over)
@@ -89,7 +123,7 @@ def fit_by_search(
 
 
 def fit_in_force_domain(solution: Solution, runs: Sequence[Run]) -> FitOutcome:
-    """The law of least squared acceleration residuals, from the displacement's."""
+    """Minimise the squared acceleration residuals, starting from the fit of the displacement."""
     force = fit_accelerations(solution, runs)
     return FitOutcome(fit_starts(solution.problem, force.p, force.starts, force.tau), force)
 
@@ -102,18 +136,35 @@ def outcome_at(
     route: Route,
     optima: tuple[Array, Array],
 ) -> FitOutcome:
-    """A law that is known: only its starts are fitted. `where` holds starts and spread of the levels."""
+    """Create the outcome of known unknowns: only their starts are fitted."""
     solution = fit_starts(problem, p, *starts_and_scatter)
     force = linearise_in_force_domain(solution, runs) if route.domain == "force" else None
     return FitOutcome(solution, force, *optima)
 
 
 def heldout_rms(found: FitOutcome, runs: Sequence[Run], route: Route) -> tuple[float, str]:
-    """Root mean square displacement, m, where a law sought in the same way has not looked; and how it was held out.
+    """Compute the held-out root mean square displacement of a model fitted by any route.
 
-    By run: the shared parameters come from other runs (a search: from one half of the runs for the other), the run's
-    own from its even frames in the displacement, and its odd frames are scored. Otherwise every other block of frames,
+    By run: the shared parameters come from other runs (a search uses one half of the runs for the other), the run's
+    own from its even frames in the displacement; its odd frames are scored. Otherwise every other block of frames,
     longer than the filter, is left out of the comparison and scored.
+
+    Parameters
+    ----------
+    found : FitOutcome
+        The fit.
+    runs : sequence of Run
+        The fitted runs.
+    route : Route
+        How it was fitted.
+
+    Returns
+    -------
+    rms : float
+        Held-out error, m.
+    by : str
+        What was held out: "run" or "frames".
+
     """
     solution = found.solution
     n = len(solution.problem.layout.run_names)
@@ -125,6 +176,7 @@ def heldout_rms(found: FitOutcome, runs: Sequence[Run], route: Route) -> tuple[f
 
 
 def _residuals_of_blocks(found: FitOutcome, runs: Sequence[Run], route: Route) -> Array:
+    """Residuals, m, at held-out blocks of frames."""
     problem = found.solution.problem
     hidden = [_alternate_blocks(p, runs[p.run]) for p in problem.pieces]
     pieces = [_with_hidden_frames(p, h) for p, h in zip(problem.pieces, hidden, strict=True)]
@@ -160,7 +212,7 @@ def _search_again(
     route: Route,
     which: Sequence[int],
 ) -> Array:
-    """All unknowns (P,) of the law sought again with fewer data; what these do not hold stays as it was found."""
+    """All unknowns (P,) fitted again with fewer data; those that the data do not include stay as they were."""
     p = found.solution.p
     if route.search != "varpro":
         return search_parameters(

@@ -1,8 +1,13 @@
-"""Where Gauss-Newton sets out for a law that passes stops and reversals: the best of a grid along the smoothed motion.
+"""Find start values for a model that passes stops and reversals: the best point of a grid along the smoothed motion.
 
-A static law has no motion through a reversal beside which a scan could be made. Along the smoothed motion the law with
-its memory is linear in its coefficients for every setting of the others, and integrated twice it is compared with the
-displacement (Golub & Pereyra 1973).
+A static model has no motion through a reversal beside which a scan could be made. Along the smoothed motion the model
+with memory is linear in its coefficients for all other parameters. Integrated twice, it is compared with the
+displacement (variable projection).
+
+References
+----------
+Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+
 """
 
 from __future__ import annotations
@@ -29,17 +34,42 @@ STEPS_PER_LENGTH = 6  # of a refinement of one length
 
 
 def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
-    """The effects that start together: all without a scan, and what bends or is bent; and those that enter later."""
+    """Split effects into those that start together and those that are added later.
+
+    Effects without a scan start together, with modifiers and what they modify.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    first, later : list of Effect
+        The two groups.
+
+    """
     reshaped = frozenset[str]().union(*(e.modifies for e in model.effects if e.turns))
     start_effects = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
     return start_effects, [e for e in model.effects if e not in start_effects]
 
 
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
-    """The unknowns (P,) of the best setting on the grid, refined along the smoothed motion.
+    """Find the best grid point of the non-linear parameters, refined along the smoothed motion.
 
-    A force that goes with the place, such as a spring's, makes an error of every place, twice integrated. Stretches are
-    therefore compared as they are and in windows, of the length in which the law explains most.
+    A force that depends on position, such as a spring, turns position errors into slow errors after two integrations.
+    Stretches are therefore compared whole and in windows, at the length at which the model explains most.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+
+    Returns
+    -------
+    array of shape (P,)
+        Start values.
+
     """
     layout = problem.layout
     scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != "level"]
@@ -58,13 +88,13 @@ def best_on_grid(problem: LeastSquaresProblem) -> Array:
 
 
 def _lengths(problem: LeastSquaresProblem) -> list[int]:
-    """Frames per window that are tried; 0 leaves stretches whole."""
+    """Window lengths to try, in frames; 0 leaves stretches whole."""
     longest = max(len(p.t) for p in problem.pieces)
     return [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= MIN_WINDOW_FRAMES)]
 
 
 def _refined(problem: LeastSquaresProblem, p: Array, scanned: list[int], length: int) -> Array:
-    """Unknowns (P,) with the scanned ones moved on from the grid, the coefficients solved for each of them."""
+    """Unknowns (P,) refined from the grid, the coefficients solved for every trial."""
     low, high = (bound[scanned] for bound in problem.layout.bounds)
     scale = np.maximum(np.abs(p[scanned]), 1e-12)
 
@@ -83,10 +113,26 @@ def _refined(problem: LeastSquaresProblem, p: Array, scanned: list[int], length:
 
 
 def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
-    """The unknowns (P,) of a law of swinging masses: fitted to short stretches first, then to longer and longer ones.
+    """Find start values for swinging masses: fit short stretches first, then longer and longer ones.
 
-    Over a whole record a slightly wrong law is soon out of phase, and no step leads on from there. In short stretches
-    with starts of their own it is nearly linear (multiple shooting; Bock 1983, Progress in Scientific Computing 2).
+    Over a whole record a slightly wrong model is soon out of phase, and no step leads back. In short stretches with
+    their own starts it is nearly linear (multiple shooting).
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+
+    Returns
+    -------
+    array of shape (P,)
+        Start values.
+
+    References
+    ----------
+    Bock, H. G. (1983). Recent advances in parameter identification techniques for O.D.E. Progress in Scientific
+    Computing 2, 95-121.
+
     """
     p = best_on_grid(_cut_problem(problem, FIRST_SEGMENT_FRAMES))
     length, whole = FIRST_SEGMENT_FRAMES, max(len(piece.t) for piece in problem.pieces)
@@ -99,12 +145,13 @@ def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
 
 
 def _cut_problem(problem: LeastSquaresProblem, length: int) -> LeastSquaresProblem:
-    """The same problem over stretches of about so many frames."""
+    """The same problem over stretches of about `length` frames."""
     pieces = [part for piece in problem.pieces for part in cut_into_segments([piece], length)]
     return problem.rebuild(problem.layout, pieces)
 
 
 def _grid(problem: LeastSquaresProblem, i: int) -> Array:
+    """Values of one unknown to try."""
     slot = problem.layout.slots[i]
     effect = next(e for e in problem.model.effects if e.name == slot.effect)
     scan = effect.parameter(slot.parameter).scan
@@ -112,7 +159,7 @@ def _grid(problem: LeastSquaresProblem, i: int) -> Array:
 
 
 def _solve_coefficients(problem: LeastSquaresProblem, p: Array, columns: Array, right: Array) -> tuple[Array, Array]:
-    """Unknowns (P,) with the best coefficients, and what they leave of the data (n,)."""
+    """Unknowns (P,) with the best coefficients, and the residual (n,)."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     low, high = (bound[linear] for bound in problem.layout.bounds)
     out = p.copy()
@@ -121,7 +168,7 @@ def _solve_coefficients(problem: LeastSquaresProblem, p: Array, columns: Array, 
 
 
 def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
-    """For windows of every length: columns (n, K) per unit coefficient and data (n,), both without their starts."""
+    """Yield, for every window length, columns (n, K) per unit coefficient and data (n,), starts projected out."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
     for n in lengths:
@@ -130,7 +177,7 @@ def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Ite
 
 
 def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
-    """Windows of about n frames of columns (n, k), each without what a start position and speed explain."""
+    """Windows of about n frames of columns (n, k), start position and speed projected out."""
     out = []
     start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t[0]]))
     for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
@@ -140,7 +187,7 @@ def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
 
 
 def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list[int]) -> Array:
-    """Displacement (n, K) per unit coefficient, and last the measured one, in units of sigma."""
+    """Displacement (n, K) per unit coefficient, then the measured one, in units of sigma."""
     values, level = problem.layout.values(p, piece.run)
     force_columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
     inputs = [piece.known]

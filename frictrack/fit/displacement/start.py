@@ -1,4 +1,4 @@
-"""From nothing to a law: all effects at once along the measured motion; where that fails, one after the other."""
+"""Fit displacements from scratch: all effects at once along the measured motion, or else one after the other."""
 
 from __future__ import annotations
 
@@ -50,9 +50,32 @@ COEFFICIENT_SHARES = (
 
 
 def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
-    """Fit a model from scratch.
+    """Fit a model to displacements from scratch.
 
-    Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
+    Variable projection along the measured motion gives the start, output-error Gauss-Newton the result. If that
+    leaves more than noise, effects are added one by one. The better result is returned.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    pieces : list of Piece
+        Pieces of all runs.
+    names : tuple of str
+        Names of the runs.
+    fps : float
+        Frame rate, 1/s.
+
+    Returns
+    -------
+    Solution
+        The fit.
+
+    Raises
+    ------
+    FrictrackError
+        If no effect is linear without a scan, or no motion can be integrated.
+
     """
     pieces = [p.with_clock(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
     spans = spans_of(pieces, len(names), fps)
@@ -70,7 +93,7 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 def _by_adding_effects(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], needed: bool
 ) -> list[Solution]:
-    """Laws to which one effect after the other was added; raises FrictrackError when `needed` and there is none."""
+    """Fits to which one effect after the other was added; FrictrackError if `needed` and there is none."""
     found = []
     with nullcontext() if needed else suppress(FrictrackError):
         found.append(_from_scratch(model, pieces, names, spans))
@@ -83,7 +106,7 @@ def _by_adding_effects(
 def _by_variable_projection(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
 ) -> Solution:
-    """The law that variable projection finds along the measured motion, all effects at once; then what it cannot scan.
+    """The fit that variable projection starts; effects that it cannot scan are added afterwards.
 
     Raises FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
     """
@@ -115,10 +138,9 @@ def _by_variable_projection(
 
 
 def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
-    """The law refined from p (P,), or the best from a share of its coefficients where no motion can be integrated.
+    """The fit refined from p (P,), or from a share of its coefficients where the motion cannot be integrated.
 
-    Along the measured motion a law that lacks an effect may be so wild that its own motion runs away.
-    Raises FrictrackError when no share of it leads anywhere.
+    Along the measured motion a model that lacks an effect may have coefficients with which its own motion diverges.
     """
     starts = problem.first_starts()
     with suppress(FrictrackError):
@@ -157,7 +179,7 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
 
 
 def _with_ties_of(solution: Solution, model: Model) -> Solution:
-    """A law under the ties of `model`, refined from where it stands under others."""
+    """The fit under the ties of `model`, refined from values found under other ties."""
     old = solution.problem.layout
     fitted = {e.name: e for e in old.model.effects}
     ties = {(e.name, p.name): p for e in model.effects for p in e.parameters}
@@ -170,13 +192,13 @@ def _with_ties_of(solution: Solution, model: Model) -> Solution:
 
 
 def _effect_with_ties(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
-    """An effect as it was fitted, its ties as they are asked for."""
+    """A fitted effect with the ties that were asked for."""
     changes = {p.name: ties[effect.name, p.name] for p in effect.parameters if p.tie != ties[effect.name, p.name].tie}
     return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
 
 
 def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """One effect after the other, then all together to the end."""
+    """One effect after the other, then all together to convergence."""
     plain, scanned = entry_order(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
@@ -185,7 +207,7 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
+    """The fit of runs with stops and reversals; with very many segments, on some of them first."""
     subset = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
     if len(subset) == len(pieces) or {p.run for p in subset} != {p.run for p in pieces}:
         return _fit_through_reversals(model, pieces, names, spans)
@@ -193,7 +215,7 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
 
 
 def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
-    """A law that was settled on some pieces, one step on with all of them."""
+    """A fit to some pieces, refined by one step with all of them."""
     fine = max(e.fine for e in found.problem.model.effects)
     ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
     problem = found.problem.rebuild(found.problem.layout, ready)
@@ -203,7 +225,7 @@ def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
 def _fit_through_reversals(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
 ) -> Solution:
-    """The same on all of some pieces."""
+    """The fit to all of some pieces with stops and reversals."""
     start_effects, later = split_start_effects(model)
     layout = ParameterLayout(Model(tuple(start_effects)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
@@ -216,7 +238,7 @@ def _fit_through_reversals(
 def _fit_and_add(
     model: Model, problem: LeastSquaresProblem, guess: Callable[[LeastSquaresProblem], Array], later: list[Effect]
 ) -> Solution:
-    """The problem's law from a guess of its unknowns (P,), then the later effects one by one, then all to the end."""
+    """Fit from a guess of the unknowns (P,), add the later effects one by one, and refine to convergence."""
     solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
     for effect in later:
         solution = add_effect(solution, effect)
@@ -224,10 +246,22 @@ def _fit_and_add(
 
 
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
-    """The same fit without the frames in which its own motion has stopped, or is within two frames of it.
+    """Refit without the frames in which the model's own motion has stopped, or is within two frames of its stop.
 
-    The smoothed sign of the velocity comes too late at a stop; the re-simulated one does not. `free` (P,) as in
-    `refine`.
+    The smoothed velocity changes sign too late at a stop; the simulated one does not.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all, with the scatter of the levels.
+
+    Returns
+    -------
+    Solution
+        The fit to the shorter pieces.
+
     """
     for _ in range(2):
         kept = [_frames_before_stop(r) for r in solution.responses]
@@ -244,7 +278,7 @@ def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
 
 
 def _frames_before_stop(response: PieceResponse) -> int:
-    """Frames of a piece before the model's own stop."""
+    """Frames of a piece before the stop of the simulated motion."""
     piece, motion = response.piece, response.motion
     if piece.turns:
         return len(piece.t)

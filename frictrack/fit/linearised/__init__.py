@@ -1,4 +1,4 @@
-"""The fitted model linearised about the measured motion, and the scan of a candidate effect on it."""
+"""Linearise a fitted model about the measured motion, and scan a candidate effect on it."""
 
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
 from frictrack.fit.linearised.scan import (

@@ -1,13 +1,18 @@
-"""A law linearised about the motion that was measured, where the one that it makes itself is another.
+"""Linearise a model about the measured motion, where its own motion differs from it.
 
-A law that lacks a strong effect moves elsewhere than the mass did: there a texture has another phase, and what is
-linear in an effect is so no more. The motion that was measured is the law's own plus its residual, smoothed: where
-nothing is missing that is the law's own motion, near stops as well. One Newton step from there is the law's motion to
-second order in what the smoothing leaves (Eilers 2003, Anal. Chem. 75: the smoother).
+A model that lacks a strong effect moves differently than the mass did. There a texture has another phase, and an
+effect is no longer linear. The measured motion is the model's motion plus its smoothed residual. If nothing is
+missing, it is the model's own motion, also near stops. One Newton step from it gives the model's motion to second
+order in the smoothed residual.
 
-Level times coefficient is no linear law. Its sensitivities are those at levels of one, where a departure from one is
-the departure of the force, whatever the coefficient: levels that stand far from one because an effect is missing are
-then as near to the truth as others.
+Level times coefficient is not linear. The sensitivities are those at levels of one, where a deviation of the level is
+the relative deviation of the force, whatever the coefficient. Levels far from one, because an effect is missing, then
+do no harm.
+
+References
+----------
+Eilers, P. H. C. (2003). A perfect smoother. Analytical Chemistry 75, 3631-3636.
+
 """
 
 from __future__ import annotations
@@ -29,7 +34,21 @@ SMOOTHING_STRENGTHS = np.geomspace(
 
 
 def linearise_about_measurement(solution: Solution) -> Solution:
-    """The same law linearised about the measured motion; about its own where it remembers or friction was measured."""
+    """Return the solution linearised about the measured motion.
+
+    With memory, or with measured friction, it stays linearised about its own motion.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    Solution
+        The same unknowns; residuals and sensitivities about the measured motion.
+
+    """
     problem = solution.problem
     if not is_linearised_about_measurement(problem):
         return solution
@@ -39,11 +58,12 @@ def linearise_about_measurement(solution: Solution) -> Solution:
 
 
 def is_linearised_about_measurement(problem: LeastSquaresProblem) -> bool:
-    """Whether laws of a problem are linearised about the measured motion, at levels of one."""
+    """Return whether solutions of a problem are linearised about the measured motion, at levels of one."""
     return problem.simulates and not problem.model.memory
 
 
 def _response_about_measurement(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> PieceResponse:
+    """Response of one piece, linearised about its measured motion."""
     piece, motion, linear = response.piece, response.motion, response.linear
     unit_levels = np.array(p)
     unit_levels[problem.layout.levels] = 1.0
@@ -66,7 +86,23 @@ def _response_about_measurement(problem: LeastSquaresProblem, p: Array, response
 
 
 def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
-    """A residual (n,) smoothed as cross-validation asks for, and the times of its frames, those that are gone too."""
+    """Smooth a residual with the strength that minimises generalised cross-validation.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    residual : array of shape (n,)
+        Residual at its frames, m.
+
+    Returns
+    -------
+    t : array of shape (m,)
+        Times of all frames, missing ones included, s.
+    smoothed : array of shape (m,)
+        Smoothed residual, m.
+
+    """
     rows = piece.at // piece.per_frame
     n = int(rows[-1]) + 1
     weight, data = np.zeros(n), np.zeros(n)

@@ -1,7 +1,7 @@
-"""What a candidate stands beside: the fitted law linearised along the measured motion, ready for rows of forces.
+"""The fitted model linearised along the measured motion, ready for the forces of candidate effects.
 
-Every piece keeps an orthonormal basis of its own start and sensitivities. Rows of a candidate are split into what that
-basis explains, a few coordinates, and the rest, which is all that must be held against long data.
+Every piece keeps an orthonormal basis of its start and sensitivities. The rows of a candidate are split into their
+few coordinates in that basis and the remainder. Only the remainder has to be compared with the long data.
 """
 
 from __future__ import annotations
@@ -31,11 +31,29 @@ MIN_SINGULAR_VALUE = 1e-9  # singular value, over the largest, of a direction in
 
 @dataclass(eq=False)
 class LinearisedPiece:
-    """One piece: rows of forces along its path (k, m) to whitened rows (k, n) at the frames.
+    """One piece: maps forces along its path (k, m) to whitened rows (k, n) at the frames.
 
-    `path` is the motion about which the law is linearised, at the edges of the panels, its level one where laws are
-    `linearise_about_measurement`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns
-    first. `path_at_compared` is the path at the compared frames alone, where friction was measured and they are few.
+    Attributes
+    ----------
+    problem : LeastSquaresProblem
+        The problem of the fit.
+    response : PieceResponse
+        The piece, linearised.
+    values : dict
+        Parameter values of its run.
+    level : float
+        Friction level of its run.
+    path_level : float
+        Friction level of `path`: one where the model is linearised about the measured motion.
+    path : Path
+        Motion about which the model is linearised, at the edges of the panels.
+    basis : array of shape (n, L)
+        Orthonormal basis; the columns of the start first.
+    starts : int
+        Number of columns of the start.
+    compared_path : Path, optional
+        The path at the compared frames only, where friction was measured and these are few.
+
     """
 
     problem: LeastSquaresProblem
@@ -52,13 +70,26 @@ class LinearisedPiece:
 
     @property
     def run(self) -> int:
-        """Its run."""
+        """Index of its run."""
         return self.response.piece.run
 
     def columns(self, effect: Effect, values: Mapping[str, Any], count: int) -> Array:
-        """Raw columns of a population along the path, (count, k, m): N, or m of a picture.
+        """Compute the columns of an effect along the path for a population of its non-linear parameters.
 
-        `values` holds numbers that all have in common, and arrays (count,).
+        Parameters
+        ----------
+        effect : Effect
+            The effect.
+        values : mapping
+            Parameter name to value: a number for all individuals, or an array (count,).
+        count : int
+            Number of individuals.
+
+        Returns
+        -------
+        array of shape (count, k, m)
+            N per unit coefficient, or m for a measurement effect.
+
         """
         path = self.path_for(effect)
         n = len(path.t)
@@ -74,7 +105,10 @@ class LinearisedPiece:
         return np.asarray(columns.T.reshape(columns.shape[1], count, n).transpose(1, 0, 2))
 
     def whitened_rows(self, raw: Array, is_measurement: bool) -> Array:
-        """What raw columns (k, m), of forces or of a picture, add to what is measured: whitened rows (k, n)."""
+        """Compute the change in the measurement that columns (k, m) make: whitened rows (k, n).
+
+        `is_measurement` marks columns that are measurement shifts, m, instead of forces, N.
+        """
         piece = self.response.piece
         frames = piece.at // piece.per_frame
         if is_measurement or self._rows is None:  # where friction itself is measured, a force is seen as it is
@@ -83,19 +117,22 @@ class LinearisedPiece:
         return piece.whitened(moved.T).T
 
     def without_start(self, whitened: Array) -> Array:
-        """Whitened rows (k, n) without what another start explains."""
+        """Project the start out of whitened rows (k, n)."""
         q = self.basis[:, : self.starts]
         return whitened - (whitened @ q) @ q.T
 
     def split(self, whitened: Array) -> tuple[Array, Array]:
-        """What of whitened rows (k, n) the basis does not explain, and their coordinates in it, (k, L), no starts."""
+        """Split whitened rows (k, n) into their remainder outside the basis (k, n) and their coordinates in it.
+
+        The coordinates (k, L') exclude those of the start.
+        """
         own_basis = whitened @ self.basis
         return whitened - own_basis @ self.basis.T, own_basis[:, self.starts :]
 
     def modified_columns(self, effect: Effect) -> Array:
-        """What a modifier reshapes: the force that is there (m, 1), or for one without a size its columns (m, k).
+        """Return what a modifier reshapes: the fitted force (m, 1), or columns (m, k) if it has no amplitude.
 
-        A delay has no size to grow with a coefficient: the columns that it makes of the others' have each their own.
+        A delay has no amplitude. Every column of the delayed effects then has its own coefficient.
         """
         model: Model = self.problem.model
         columns = model.force_columns(self.path_for(effect), self.values)
@@ -106,7 +143,7 @@ class LinearisedPiece:
         return force[:, None]
 
     def block(self) -> DataBlock:
-        """The piece as data that forces along its path explain, linear in them; its level is one there."""
+        """Return the piece as data that forces along its path explain linearly. Its level is one there."""
         model, response = self.problem.model, self.response
         unit_level_path = replace(self.path, load=self.path.load / self.path_level)
         path = replace(unit_level_path, load=unit_level_path.load * self.level)
@@ -133,7 +170,7 @@ class LinearisedPiece:
         )
 
     def path_for(self, effect: Effect) -> Path:
-        """Where an effect is evaluated: what neither remembers nor reshapes what does, where friction is compared."""
+        """Return the path on which an effect is evaluated: the compared frames only, unless memory is involved."""
         has_memory = effect.memory or (effect.modifies and self.problem.model.memory)
         return self.path if self.compared_path is None or has_memory else self.compared_path
 
@@ -151,7 +188,7 @@ class LinearisedPiece:
 
 
 def _map_rows(rows: Array, of: Callable[[Array], Array]) -> Array:
-    """A map of rows (k, m) to rows (k, n), of rows (..., m)."""
+    """Apply a map of rows (k, m) to rows (..., m)."""
     return of(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:-1], -1)
 
 
@@ -166,10 +203,23 @@ def _repeat_values(value: Any, n: int, deep: bool) -> Any:
 
 @dataclass(eq=False)
 class LinearisedModel:
-    """A fitted law as candidates see it: its pieces, and the basis of the whole in the coordinates of theirs.
+    """A fitted model ready for candidates: its pieces, and its orthonormal basis in the coordinates of theirs.
 
-    `basis_coordinates` (L, P') are the coordinates of the law's orthonormal basis; `rows` and `places` are where the
-    frames of each piece stand among all frames, and its coordinates among all L.
+    Attributes
+    ----------
+    solution : Solution
+        The fit, linearised about the measured motion.
+    basis : JacobianBasis
+        Orthonormal basis (N, P') of the model.
+    pieces : list of LinearisedPiece
+        The pieces.
+    basis_coordinates : array of shape (L, P')
+        Coordinates of `basis` in the bases of the pieces.
+    rows : list of slice
+        Rows of every piece among all N frames.
+    coordinate_slices : list of slice
+        Coordinates of every piece among all L.
+
     """
 
     solution: Solution
@@ -181,7 +231,7 @@ class LinearisedModel:
 
     @property
     def runs(self) -> list[int]:
-        """The runs, in order."""
+        """Indices of the runs, in order."""
         return sorted({s.run for s in self.pieces})
 
     @cached_property
@@ -190,18 +240,33 @@ class LinearisedModel:
         return [s.block() for s in self.pieces]
 
     def coordinates(self, series: Array | NDArray[np.float32]) -> Array:
-        """Coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
+        """Compute the coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
         basis_parts = [s.basis[:, s.starts :].T @ series[rows] for s, rows in zip(self.pieces, self.rows, strict=True)]
         return np.asarray(np.concatenate(basis_parts), dtype=np.float64)
 
     def residual_projector(self, tau: float) -> Array:
-        """What the law leaves of coordinates once its unknowns, levels held by their spread, have followed, (L, L)."""
+        """Compute the projector (L, L) on what the refitted model leaves of coordinates.
+
+        `tau` is the scatter of the friction levels.
+        """
         absorbed = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
         return np.asarray(np.eye(len(absorbed)) - absorbed)
 
 
 def linearise(solution: Solution) -> LinearisedModel:
-    """A fitted law made ready for candidates."""
+    """Prepare a fitted model for the scan of candidate effects.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    LinearisedModel
+        Its linearisation about the measured motion.
+
+    """
     about_measurement = linearise_about_measurement(solution)
     basis = about_measurement.basis
     pieces = [_linearised_piece(about_measurement, r) for r in about_measurement.responses]
@@ -242,7 +307,7 @@ def _linearised_piece(solution: Solution, response: PieceResponse) -> Linearised
 
 
 def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> LinearResponse:
-    """The law's own response without memory, one panel per frame."""
+    """The linear response of the model without memory, with one panel per frame."""
     if isinstance(response.linear, LinearResponse) and response.piece.per_frame == 1:
         return response.linear
     motion, piece = response.motion, response.piece.refined(1)
@@ -254,7 +319,7 @@ def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> 
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:
-    """The path at the edges of one panel per frame interval."""
+    """The path at the edges of panels, one panel per frame interval."""
     piece, motion = response.piece, response.motion
     step = slice(None, None, piece.per_frame)
     x, v, t = motion.x_edge[step], motion.v_edge[step], motion.panels.edges[step]
@@ -268,7 +333,7 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
 
 
 def columns_one_by_one(piece: LinearisedPiece, effect: Effect, points: Mapping[str, Array], count: int) -> Array:
-    """Raw columns (count, k, m) of forms taken one by one; nothing where a user's formula is no number."""
+    """Compute columns (count, k, m) one individual at a time; zero where a user's formula is not finite."""
     out = []
     for i in range(count):  # one after the other: only some are wrong
         try:

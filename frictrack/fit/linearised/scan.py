@@ -1,9 +1,14 @@
-"""Scans of an effect that the model does not have: what each of its forms would gain on top of the fitted law.
+"""Scan a candidate effect over a grid: the gain of every grid point beside the fitted model.
 
-The rows of a candidate are the response of the measured motion to its force (or its shift of the picture), with the
-fitted law's own feedback. Phases enter as two quadratures with free coefficients; a modifier as what it changes at
-depth one. Gains are the fall of chi-squared after the whole linearised model has been fitted again (Golub & Pereyra
-1973), friction levels held by their scatter.
+A candidate's rows are the response of the measured motion to its force (or measurement shift), with the feedback of
+the fitted model. Phases enter as two quadratures with free coefficients; a modifier as the change that it makes at
+depth one. The gain is the fall of chi-squared after the whole linearised model has been fitted again, friction levels
+held by their scatter.
+
+References
+----------
+Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+
 """
 
 from __future__ import annotations
@@ -31,11 +36,29 @@ Float32Array = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class CandidateGrid:
-    """All forms of one effect on a grid of its scanned parameters: G points of K coefficients.
+    """One effect on a grid of its scanned parameters: G points with K coefficients each.
 
-    `members` are the pieces (by place) that its rows stand on, `block[i]` which block of K each writes to: per-run
-    coefficients have K = R k, else K = k. `names` and `values` (G, d) are the scanned numbers on a grid of that
-    `shape`, `rest` the others.
+    Attributes
+    ----------
+    effect : Effect
+        The candidate.
+    names : tuple of str
+        Scanned parameters.
+    values : array of shape (G, d)
+        Their values at the grid points.
+    shape : tuple of int
+        Shape of the grid.
+    other_values : dict
+        Values of the other non-linear parameters.
+    members : tuple of int
+        Indices of the pieces on which it acts.
+    block : tuple of int
+        For every member, which block of k coefficients it uses. Per-run coefficients have K = R k, shared ones K = k.
+    k : int
+        Coefficients per run.
+    low, high : array of shape (K,)
+        Bounds of the coefficients; infinite for quadratures.
+
     """
 
     effect: Effect
@@ -51,22 +74,22 @@ class CandidateGrid:
 
     @property
     def size(self) -> int:
-        """Coefficients of a form, K."""
+        """Number K of coefficients at a grid point."""
         return self.k * (max(self.block) + 1)
 
     def point(self, g: int) -> dict[str, float]:
-        """One point, every non-linear number by name."""
+        """Return all non-linear values at one grid point, by name."""
         return _apply_ties(self.effect, self.other_values | dict(zip(self.names, self.values[g].tolist(), strict=True)))
 
     def chunks(self, strips: list[LinearisedPiece]) -> Iterator[slice]:
-        """Points to be taken at once."""
+        """Yield slices of grid points to be evaluated together."""
         longest = max(len(strips[i].path_for(self.effect).t) for i in self.members)
         chunk_size = max(1, MAX_SAMPLES_AT_ONCE // longest)
         for first in range(0, len(self.values), chunk_size):
             yield slice(first, min(first + chunk_size, len(self.values)))
 
     def raw_columns(self, piece: LinearisedPiece, points: Array) -> Array:
-        """Raw columns (P, k, m) of points (P, d) along one piece: quadrature after quadrature, column after column."""
+        """Compute columns (Q, k, m) at points (Q, d) along one piece, one quadrature after the other."""
         values: dict[str, Any] = self.other_values | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
         values = _apply_ties(self.effect, values)
         parts = [_raw_columns(piece, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
@@ -75,11 +98,23 @@ class CandidateGrid:
 
 @dataclass(frozen=True, eq=False)
 class CandidateScan:
-    """What the forms of a family are beside a law, and their products with the data.
+    """The scan of a candidate grid: its rows beside the model, and their products with the data.
 
-    `rest` (G, K, K) is the Gram matrix of what the pieces' bases do not explain, `own` (G, K, L) the coordinates in
-    these, `right` (G, K) the products of that rest with the data, `rises` (G,) the data's gains, and `tops` (D,) the
-    largest gain of every series.
+    Attributes
+    ----------
+    grid : CandidateGrid
+        The G points.
+    unexplained_gram : array of shape (G, K, K)
+        Gram matrices of the remainders outside the pieces' bases.
+    coordinates : array of shape (G, K, L)
+        Coordinates in these bases.
+    data_products : array of shape (G, K)
+        Products of the remainders with the data.
+    gains : array of shape (G,)
+        Fall of chi-squared of the data.
+    max_gains : array of shape (D,)
+        Largest gain of every series.
+
     """
 
     grid: CandidateGrid
@@ -90,18 +125,37 @@ class CandidateScan:
     max_gains: Array
 
     def schur(self, projector: Array, g: slice | int = slice(None)) -> Array:
-        """Gram matrices (G, K, K) beside the model; `left` (L, L) from `LinearisedModel.residual_projector`."""
+        """Compute the Gram matrices (G, K, K) with the model projected out.
+
+        `projector` (L, L) comes from `LinearisedModel.residual_projector`, `g` selects grid points.
+        """
         coordinates = self.coordinates[g]
         return np.asarray(self.unexplained_gram[g] + coordinates @ projector @ np.swapaxes(coordinates, -1, -2))
 
     def coefficients(self, g: int, projector: Array, data: Array) -> Array:
-        """Best coefficients (K,) of form g; `data` (L,) are the coordinates of the series that was scanned."""
+        """Compute the best coefficients (K,) at grid point g.
+
+        Parameters
+        ----------
+        g : int
+            Grid point.
+        projector : array of shape (L, L)
+            From `LinearisedModel.residual_projector`.
+        data : array of shape (L,)
+            Coordinates of the scanned series.
+
+        Returns
+        -------
+        array of shape (K,)
+            Least-squares coefficients.
+
+        """
         data_products = self.data_products[g] + self.coordinates[g] @ (projector @ data)
         root = whitener(self.schur(projector, g)[None], self.full(g)[None])[0]
         return np.asarray(root.T @ (root @ data_products))
 
     def full(self, g: slice | int = slice(None)) -> Array:
-        """Squares of the columns, starts removed, (G, K)."""
+        """Compute the squares of the columns, starts projected out, (G, K)."""
         return np.asarray(
             np.einsum("...kk->...k", self.unexplained_gram[g])
             + np.einsum("...kl,...kl->...k", self.coordinates[g], self.coordinates[g])
@@ -109,9 +163,9 @@ class CandidateScan:
 
 
 def whitener(schur: Array, full: Array) -> Array:
-    """W (G, K, K) with W' W the inverse of Gram matrices beside the model; what it absorbs gains nothing.
+    """Compute W (G, K, K) with W'W the inverse of projected Gram matrices. Absorbed columns gain nothing.
 
-    `full` (G, K) are the squares of the columns themselves.
+    `full` (G, K) are the squares of the columns before the projection.
     """
     size = np.sqrt(full)
     size[full < MIN_COLUMN_SQUARE] = np.inf
@@ -123,9 +177,20 @@ def whitener(schur: Array, full: Array) -> Array:
 
 
 def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]:
-    """The forms of one effect over the fitted runs: one family, or one per run when its scan is the run's own.
+    """Create the grids of one effect over the fitted runs.
 
-    Empty when the runs lack what the effect needs, see `Effect.lacks`.
+    Parameters
+    ----------
+    law : LinearisedModel
+        The fitted model.
+    effect : Effect
+        The candidate.
+
+    Returns
+    -------
+    list of CandidateGrid
+        One grid, or one per run if the scan belongs to single runs. Empty if the runs lack what the effect needs.
+
     """
     if effect.lacks([s.response.piece.path for s in law.pieces]):
         return []
@@ -140,7 +205,7 @@ def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]
 
 
 def scan_points(effect: Effect, span: Span) -> list[dict[str, float]]:
-    """Every combination of the scanned parameters, the rest at their place for a scan."""
+    """Return every combination of the scanned parameters, the others at their value for a scan."""
     names, axes, other_values = _grid(effect, span)
     return [_apply_ties(effect, other_values | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
 
@@ -159,7 +224,7 @@ def _points(axes: list[Array]) -> Array:
 
 
 def _apply_ties(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
-    """A point of a grid where a parameter may be tied to another one of the same effect."""
+    """A grid point with the parameters filled in that are tied to others of the same effect."""
     for p in effect.nonlinear:
         if p.tie:
             tie = Tie.read(p.tie)
@@ -168,7 +233,7 @@ def _apply_ties(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
 
 
 def has_per_run_coefficients(effect: Effect) -> bool:
-    """Whether the coefficients of the scan belong to the runs: per-run amplitudes, or per-run phases."""
+    """Return whether the coefficients of the scan belong to the runs: per-run amplitudes or phases."""
     return any(p.per_run and (p.linear or p.role == "phase") for p in effect.parameters)
 
 
@@ -196,7 +261,7 @@ def _candidate_grid(law: LinearisedModel, effect: Effect, members: list[int], sp
 
 
 def _raw_columns(piece: LinearisedPiece, effect: Effect, values: dict[str, Any], count: int) -> Array:
-    """Raw columns of a population; of a user's formula one by one where some are no numbers, as at a width of zero."""
+    """Columns of a population; those of a user's formula one by one if some are not finite."""
     try:
         return piece.columns(effect, values, count)
     except FrictrackError:
@@ -207,11 +272,21 @@ def _raw_columns(piece: LinearisedPiece, effect: Effect, values: dict[str, Any],
 
 @dataclass(eq=False)
 class ScannedSeries:
-    """Whitened data (N, D) to be scanned, the first column the measured one, and what is known of each.
+    """Whitened data series to scan; the first column is the measured one.
 
-    `own` (L, D) are its coordinates in the pieces' bases. For every spread of the levels that is considered: `lefts`
-    what the law leaves of coordinates (L, L), `groups` the columns whose own spread it is, and `profile` (T, D) the
-    restricted likelihood of the bare law.
+    Attributes
+    ----------
+    data : array of shape (N, D), float32
+        The series.
+    coordinates : array of shape (L, D)
+        Their coordinates in the pieces' bases.
+    residual_projectors : list of array of shape (L, L)
+        For every considered scatter of the levels, the projector on what the model leaves.
+    groups : list of slice
+        The columns whose own estimate each scatter is.
+    profile : array of shape (T, D)
+        Restricted likelihood of the model alone at the T scatters.
+
     """
 
     data: Float32Array
@@ -229,7 +304,7 @@ class ScannedSeries:
 
 
 def measured_series(law: LinearisedModel) -> ScannedSeries:
-    """The data alone, at the fitted spread of the levels."""
+    """Return the measured data alone, at the fitted scatter of the levels."""
     data = law.solution.random_effect_data()[:, None]
     tau = law.solution.tau
     return ScannedSeries(
@@ -238,9 +313,25 @@ def measured_series(law: LinearisedModel) -> ScannedSeries:
 
 
 def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
-    """Every form of a family beside a law, and what it gains for every series.
+    """Scan a candidate grid beside a fitted model.
 
-    A small family is asked at every spread of the levels, since it may take over what looked like scatter.
+    A small grid is evaluated at every scatter of the levels, because the candidate may explain what looked like
+    scatter.
+
+    Parameters
+    ----------
+    law : LinearisedModel
+        The fitted model.
+    grid : CandidateGrid
+        The candidate.
+    series : ScannedSeries
+        The data.
+
+    Returns
+    -------
+    CandidateScan
+        Gains and products of all grid points.
+
     """
     g, size, d = len(grid.values), grid.size, series.data.shape[1]
     unexplained_gram, coordinates = np.zeros((g, size, size)), np.zeros((g, size, len(law.basis_coordinates)))
@@ -276,7 +367,7 @@ def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSer
 def _accumulate_piece(
     law: LinearisedModel, grid: CandidateGrid, i: int, part: slice, into: tuple[Array, Array, Array, ScannedSeries]
 ) -> None:
-    """Add what one piece tells of some forms: Gram matrices, coordinates, products with the data."""
+    """Add the products of one piece: Gram matrices, coordinates, products with the data."""
     piece, (unexplained_gram, coordinates, products, series) = law.pieces[i], into
     raw_columns = grid.raw_columns(piece, grid.values[part])
     count, k = raw_columns.shape[:2]
@@ -296,7 +387,7 @@ ScanProducts = tuple[Array, Array, Array]
 def _gains_at_own_scatter(
     scan_products: ScanProducts, series: ScannedSeries, bounds: tuple[Array, Array]
 ) -> Array | Float32Array:
-    """Fall of chi-squared (G, D) of some forms for every series, each at its own spread."""
+    """Fall of chi-squared (G, D) for every series, each at its own scatter."""
     out = np.empty((len(scan_products[0]), series.data.shape[1]), dtype=np.float32)
     for projector, columns, projected in zip(series.residual_projectors, series.groups, series.projected, strict=True):
         if columns.stop > columns.start:
@@ -305,7 +396,7 @@ def _gains_at_own_scatter(
 
 
 def _gains_at_best_scatter(scan_products: ScanProducts, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array:
-    """The same with the spread of every series estimated again."""
+    """Fall of chi-squared (G, D) for every series, the scatter estimated again."""
     whole = slice(0, series.data.shape[1])
     best = np.full((len(scan_products[0]), whole.stop), np.inf)
     for projector, baseline in zip(series.residual_projectors, series.profile, strict=True):
@@ -320,7 +411,7 @@ def _gain_at_scatter(
     columns: slice,
     bounds: tuple[Array, Array],
 ) -> Float32Array:
-    """Fall of chi-squared (G, D') of some forms at one spread; `at` says what the law leaves there of coordinates.
+    """Fall of chi-squared (G, D') at one scatter.
 
     A single coefficient keeps its bounds: data that ask for the wrong sign gain nothing.
     """

@@ -1,4 +1,4 @@
-"""Runs whose friction was measured: fitted to that series, without differentiation and without a mass."""
+"""Fit runs whose friction was measured by a load cell: no differentiation, no mass."""
 
 from frictrack.fit.measured_friction.noise import FrictionNoise, friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.problem import (

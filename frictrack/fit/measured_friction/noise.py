@@ -1,11 +1,16 @@
-"""Estimate the noise of a measured friction force without asking the law that is tested.
+"""Estimate the noise of a measured friction force independently of the model that is tested.
 
-The white part comes from the series itself (fifth differences). A slow part counts as noise only where it is known not
-to be friction: where strokes are repeated, as what differs from one stroke to the next over the same places, and where
-the instrument's specification states it. With one record and no repeat, slow misfit is misfit.
+The white part comes from the series itself (fifth differences). A slow part counts as noise only where it is known
+not to be friction: from the differences between repeated strokes over the same positions, or from the specification
+of the instrument. With one record and no repeat, slow misfit counts as misfit.
 
-Frames that are alike say the same thing, so with a slow part every frame counts as one over the integrated correlation
-time (Sokal 1997). Long white series are averaged over short blocks.
+Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
+time. Long white series are averaged over short blocks.
+
+References
+----------
+Sokal, A. (1997). Monte Carlo methods in statistical mechanics. Functional Integration, NATO ASI 361, 131-192.
+
 """
 
 from __future__ import annotations
@@ -40,8 +45,17 @@ MIN_SLOW_NOISE_RATIO = (
 class FrictionNoise:
     """The noise of a measured friction force.
 
-    `rms` (N) is all of it and `alike` how many frames say the same thing; `white` (N) is the part from frame to frame.
-    `strokes` tells from how many repeats the slow part is known; 0 where it is not.
+    Attributes
+    ----------
+    rms : float
+        All noise, N.
+    correlation_frames : float
+        Integrated correlation time, frames.
+    white : float
+        Part that is independent from frame to frame, N.
+    stroke_count : int
+        Number of repeated strokes from which the slow part is known; 0 if it is not.
+
     """
 
     rms: float
@@ -51,10 +65,22 @@ class FrictionNoise:
 
 
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
-    """Return the same law with every frame counted by the noise of the measurement, and that noise.
+    """Weight every frame by the noise of the measurement.
 
-    Of frames that are alike only some are kept: the others say nothing that these do not. White ones are averaged where
-    there are very many.
+    Of correlated frames only some are kept. Very long white series are averaged.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    solution : Solution
+        The same unknowns over the weighted frames.
+    noise : FrictionNoise
+        The noise.
+
     """
     noise = friction_noise(solution)
     stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
@@ -69,7 +95,7 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
 
 
 def friction_noise(solution: Solution) -> FrictionNoise:
-    """Estimate the noise of all runs together: white, or what does not repeat from stroke to stroke."""
+    """Estimate the noise of all runs together: the white part, or the part that does not repeat between strokes."""
     white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
     differences = [d for r in solution.responses for d in _stroke_differences(r.piece, r.r * r.piece.sigma)]
     if not differences:
@@ -83,7 +109,7 @@ def friction_noise(solution: Solution) -> FrictionNoise:
 
 
 def _stroke_differences(piece: Piece, residual: Array) -> Iterator[tuple[Array, int]]:
-    """What of a residual (n,) differs from stroke to stroke, end to end, and how many strokes tell; group by group."""
+    """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
     rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else np.arange(len(piece.t))
     x, v = piece.path.x[rows], np.abs(piece.path.v[rows])
     for coordinate in (x, v):
@@ -95,7 +121,17 @@ def _stroke_differences(piece: Piece, residual: Array) -> Iterator[tuple[Array, 
 
 
 def strokes(coordinate: Array) -> list[Rows]:
-    """Rows of the stretches over which a coordinate (n,) goes one way, but for turns below a quarter of its range.
+    """Split a coordinate into strokes of one direction; reversals below a quarter of its range are ignored.
+
+    Parameters
+    ----------
+    coordinate : array of shape (n,)
+        Position or speed.
+
+    Returns
+    -------
+    list of array of int
+        Rows of every stroke.
 
     Examples
     --------
@@ -119,7 +155,7 @@ def strokes(coordinate: Array) -> list[Rows]:
 
 
 def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[list[Rows]]:
-    """Strokes that can be compared: the same way, alike in length and speed, at least `MIN_STROKES` of them."""
+    """Yield groups of at least `MIN_STROKES` strokes of one direction with similar length and speed."""
     length = max((float(np.ptp(coordinate[s])) for s in found), default=0.0)
     long = [s for s in found if np.ptp(coordinate[s]) >= MIN_SHARE * length > 0]
     for direction in (1.0, -1.0):
@@ -137,7 +173,7 @@ def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) 
 
 
 def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Array) -> Array:
-    """A residual less its mean over all strokes at the same place, unbiased, end to end in time."""
+    """A residual minus its mean over all strokes at the same position, without bias, in order of time."""
     low = max(float(coordinate[s].min()) for s in group)
     high = min(float(coordinate[s].max()) for s in group)
     low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
@@ -150,13 +186,13 @@ def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Arr
 
 
 def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Array:
-    """A residual over a coordinate that goes one way but for its noise, at places (k,)."""
+    """A residual along a nearly monotonic coordinate, at positions (k,)."""
     order = np.argsort(coordinate)
     return np.interp(at, coordinate[order], residual[order])
 
 
 def _refit_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
-    """The same law over other frames, all of one noise, N; faster lines than averaged frames show are left out."""
+    """The same unknowns over other frames of one noise, N. Lines above the new frame rate are excluded."""
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     layout = solution.problem.layout
     spans = tuple(replace(s, fps=s.fps / block) for s in layout.spans)
@@ -173,7 +209,7 @@ def _every_nth_frame(piece: Piece, stride: int) -> Piece:
 
 
 def _averaged(piece: Piece, block: int) -> Piece:
-    """Blocks of neighbouring frames in one direction as one frame each, their mean friction at the middle one."""
+    """Blocks of neighbouring frames of one direction averaged to one frame each."""
     if block <= 1:
         return piece
     all_differences = len(piece.t) // block * block

@@ -1,9 +1,8 @@
-"""Where a load cell measured friction itself: the law is held against that series, along the measured motion.
+"""The least-squares problem of a measured friction force: the model is compared with it along the measured motion.
 
-Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, since what
-remembers (presliding, lag) needs all that went before; only the moving frames are compared. At unit mass F stands in
-the place of the displacement, without a start of its own and seen as it is, so all that reads a `LeastSquaresProblem`
-works.
+Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, because effects
+with memory (presliding, lag) need the history; only the moving frames are compared. Friction takes the place of the
+displacement, with unit mass and without a start. So everything that uses a `LeastSquaresProblem` works.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ MIN_CREEP_STD = 3.0  # standard deviations by which a stuck mass must have crept
 
 
 class FrameNodes(Panels):
-    """Nodes that are the frames of a run themselves: nothing is integrated between them."""
+    """Nodes at the frames of a run: nothing is integrated between them."""
 
     @property
     def t(self) -> Array:
@@ -50,30 +49,30 @@ class FrameNodes(Panels):
 
 
 class DirectForce(LinearResponse):
-    """The response of a force that is measured as it is: at unit mass, less the acceleration it makes."""
+    """The linear response of a directly measured force: minus the acceleration that it makes at unit mass."""
 
     def __init__(self) -> None:  # nothing is integrated
         pass
 
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
-        """The forces (n, k) behind accelerations g (n, k), twice: as nodes, and as edge states (n, 2, k)."""
+        """Return the accelerations g (n, k), and the forces behind them as states (n, 2, k)."""
         return g, self.edge_states(g)
 
     def edge_states(self, g: Array) -> Array:
-        """The edge states alone."""
+        """Return the forces as states (n, 2, k)."""
         return np.stack([-g, np.zeros_like(g)], axis=1)
 
 
 @dataclass(frozen=True)
 class MeasuredFrictionPiece(Piece):
-    """One run whose friction was measured: y is that friction, N, at the compared frames, rows `at` of the path."""
+    """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path."""
 
     def refined(self, per_frame: int) -> Piece:
-        """The same piece: nothing lies between its frames."""
+        """Return the same piece, because nothing lies between its frames."""
         return self
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
-        """The path at the compared frames, for effects without memory."""
+        """Return the path at the compared frames, for effects without memory."""
         known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
         at_compared: dict[str, Any] = {
             name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)
@@ -87,18 +86,19 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
     simulates = False
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
-        """The same kind of measurement under another layout, or over other pieces."""
+        """Create the same kind of problem for another layout or other pieces."""
         return MeasuredFrictionProblem(layout.model, layout, pieces)
 
     def first_starts(self) -> list[Array]:
-        """None has a start that could be unknown."""
+        """Return empty starts: no piece has an unknown start."""
         return [np.zeros(0) for _ in self.pieces]
 
     def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
-        """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
+        """The measured motion; it begins with the run, so there is no earlier memory."""
         return piece.path_at_nodes(motion.x, motion.v, level)
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
+        """Residual and sensitivities of run i."""
         piece, layout = self.pieces[i], self.layout
         path = piece.path
         motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
@@ -125,9 +125,9 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
 
 def keep_compared_frames(solution: Solution) -> Solution:
-    """The same law along the compared frames alone, where friction was measured and nothing in the law remembers.
+    """Restrict a solution to its compared frames, where friction was measured and no effect has memory.
 
-    What lies between frames of which few are kept says nothing then, but takes time.
+    Frames that are not compared carry no information then, but take time.
     """
     problem = solution.problem
     if not is_measured_friction(problem) or problem.model.memory:
@@ -157,14 +157,18 @@ def _compared_frames_of(piece: Piece) -> Piece:
 
 
 def is_measured_friction(problem: LeastSquaresProblem) -> bool:
-    """Whether friction itself was measured."""
+    """Return whether friction itself was measured."""
     return isinstance(problem, MeasuredFrictionProblem)
 
 
 def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
-    """Whether these runs are fitted to their measured friction; they are unless the displacement is asked for.
+    """Return whether these runs are fitted to their measured friction: by default, if they have it.
 
-    Raises FrictrackError where only some runs have it.
+    Raises
+    ------
+    FrictrackError
+        If only some of the runs have it.
+
     """
     without_friction = [run.name for run in runs if run.friction_N is None]
     if domain == "displacement" or len(without_friction) == len(runs):
@@ -178,7 +182,14 @@ def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
 
 
 def check_effects(model: Model) -> None:
-    """Raises FrictrackError (usage) for an effect on a picture, which a measured friction does not have."""
+    """Check that no effect acts on a camera measurement, which a measured friction does not have.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For such an effect.
+
+    """
     measurement_effects = [e.name for e in model.effects if e.acts_on == "measurement"]
     if measurement_effects:
         raise FrictrackError(
@@ -189,15 +200,26 @@ def check_effects(model: Model) -> None:
 
 
 def reference_load(runs: Sequence[Run]) -> float:
-    """The normal load at which newtons are quoted, N: the first run's; NaN where it is not known of every run."""
+    """Return the normal load of the first run, N, at which newtons are reported; NaN if a load is not known."""
     known = [np.nan if run.load is None else run.load for run in runs]
     return float(known[0]) if np.all(np.isfinite(known)) else float("nan")
 
 
 def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
-    """One piece per run, all in units of one noise: residuals in N count alike.
+    """Create one piece per run, all with the same noise, so that residuals in N have equal weights.
 
-    `reference` is the normal load at which newtons are quoted, N; NaN where it is not known of every run.
+    Parameters
+    ----------
+    runs : sequence of Run
+        Runs with a measured friction.
+    reference : float
+        Normal load at which newtons are reported, N; NaN if a load is not known.
+
+    Returns
+    -------
+    list of Piece
+        One `MeasuredFrictionPiece` per run.
+
     """
     noise = float(np.sqrt(np.mean([_white_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
@@ -205,7 +227,7 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
 
 
 def friction_spans(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
-    """How far every run reaches in time since release, place and speed."""
+    """Compute the span of every run: duration, places and speeds."""
     return tuple(_span(piece, fps) for piece in pieces)
 
 
@@ -215,7 +237,7 @@ def _span(piece: Piece, fps: float) -> Span:
 
 
 def _white_noise(run: Run) -> float:
-    """White noise of the cell, N: as stated, else its own."""
+    """White noise of the load cell, N: as stated, or estimated from the series."""
     if run.noise is not None:
         return run.noise
     series = np.asarray(run.friction_N, dtype=float)
@@ -225,6 +247,7 @@ def _white_noise(run: Run) -> float:
 
 
 def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
+    """The piece of one run."""
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
     rows = np.flatnonzero(free & np.isfinite(series))
@@ -254,7 +277,7 @@ def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
 
 
 def _measured_path(run: Run, context: RunContext, force: Array, load: float) -> Path:
-    """The measured motion from the first frame to the last: its friction may turn on any of the way before."""
+    """The measured motion from the first frame to the last: friction may depend on all of the distance before."""
     t, x, v = run.motion.t - context.release, np.asarray(run.motion.x), _steady_velocity(run)
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) * (v[1:] != 0))])
     held = float(np.sign(force[0])) if abs(force[0]) > MIN_HELD_SHARE * np.median(np.abs(force)) else 0.0
@@ -264,7 +287,7 @@ def _measured_path(run: Run, context: RunContext, force: Array, load: float) -> 
 
 
 def _steady_velocity(run: Run) -> Array:
-    """Velocity (n,), that of a stuck mass as steady as it creeps: noise would add up to a way that was never gone."""
+    """Velocity (n,); a stuck mass has its mean creep velocity, so that noise does not add up to a distance."""
     motion = run.motion
     v = np.array(motion.v)
     for s in stretches(~is_moving(run)):
@@ -276,7 +299,7 @@ def _steady_velocity(run: Run) -> Array:
 
 
 def _direction(v: Array, held: float) -> Array:
-    """Direction of motion (n,); at rest the last one, at first the side on which friction is held."""
+    """Direction of motion (n,); at rest the previous one, at first the sign of the held friction."""
     s = np.concatenate([[held], np.sign(v[1:])])
     last = np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))
     return np.asarray(s[last])

@@ -1,8 +1,8 @@
-"""The law of a measured friction: from nothing to least squares, its deviations, and what it says of hidden frames.
+"""Fit a measured friction force from scratch, and compute its covariance and held-out error.
 
-The cell's white noise comes from its own fifth differences. What a law misses is mostly far above that and alike from
-frame to frame, so deviations come from what blocks of frames, longer than this likeness, pull the law to; and blocks
-are what is held out.
+The white noise of the load cell comes from fifth differences. The misfit of a model is mostly far above it and
+correlated between frames. So the covariance comes from the scatter of blocks of frames that are longer than this
+correlation, and blocks are held out.
 """
 
 from __future__ import annotations
@@ -52,7 +52,27 @@ NORMAL_QUANTILE_975 = 1.96
 def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
 
-    Raises FrictrackError when the runs lack what an effect needs.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    pieces : sequence of Piece
+        One `MeasuredFrictionPiece` per run.
+    names : tuple of str
+        Names of the runs.
+    fps : float
+        Frame rate, 1/s.
+
+    Returns
+    -------
+    Solution
+        The fit.
+
+    Raises
+    ------
+    FrictrackError
+        If the runs lack what an effect needs.
+
     """
     layout = _layout(model, pieces, names, fps)
     separable = SeparableModel(layout, [_block(p) for p in pieces])
@@ -67,10 +87,26 @@ def search_measured_friction(
     names_and_rate: tuple[tuple[str, ...], float],
     search_settings: tuple[str, str, np.random.Generator],
 ) -> tuple[Solution, tuple[Array, Array]]:
-    """The law that a global search finds, as it is, and its "group of feasible solutions": unknowns (k, P), SSE in N^2.
+    """Fit a model by a global search, without further refinement.
 
-    `known` holds the names of the runs and the frame rate; `how` method, what is searched ("all" or "nonlinear"), rng.
-    Raises FrictrackError when the runs lack what an effect needs.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    pieces : sequence of Piece
+        One `MeasuredFrictionPiece` per run.
+    names_and_rate : tuple of (tuple of str, float)
+        Names of the runs, and the frame rate, 1/s.
+    search_settings : tuple of (str, str, numpy.random.Generator)
+        Method; what is searched, "all" or "nonlinear"; source of random numbers.
+
+    Returns
+    -------
+    solution : Solution
+        The best point.
+    optima : tuple of (array of shape (k, P), array of shape (k,))
+        The "group of feasible solutions" and their sums of squares, N^2.
+
     """
     (names, fps), (method, over, rng) = names_and_rate, search_settings
     layout = _layout(model, pieces, names, fps)
@@ -84,6 +120,7 @@ def search_measured_friction(
 
 
 def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> ParameterLayout:
+    """The layout of a model over these runs; FrictrackError if they lack what an effect needs."""
     lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
     if any(lacking):
         raise FrictrackError(next(filter(None, lacking)))
@@ -91,7 +128,7 @@ def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: 
 
 
 def _block(piece: Piece) -> DataBlock:
-    """The compared frames of a run as the search sees them."""
+    """The compared frames of a run as data of the separable model."""
     weight = 1.0 / piece.sigma
     return DataBlock(
         run=piece.run,
@@ -105,7 +142,7 @@ def _block(piece: Piece) -> DataBlock:
 
 
 def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-    """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
+    """Search the parameters of modifiers without a coefficient, which no scan covers, over a coarse grid."""
     for g, group in enumerate(problem.separable.groups):
         if not any(e.modifies and not e.linear for e in group.model.effects):
             continue
@@ -118,7 +155,7 @@ def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> Se
 
 
 def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Array]:
-    """Numbers (P,) at the points of a coarse grid over the scanned ones of a group."""
+    """Parameter vectors (P,) at the points of a coarse grid over the scanned parameters of a group."""
     layout = problem.layout
     scanned = {}
     for i in problem.separable.groups[g].nonlinear_slots:
@@ -139,7 +176,14 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
 
 
 def correlated_frames(r: Array) -> int:
-    """Frames over which a residual (n,) is alike: where its autocorrelation falls below 1/e; 0 for white noise."""
+    """Compute the lag at which the autocorrelation of a residual (n,) falls below 1/e, frames; 0 for white noise.
+
+    Examples
+    --------
+    >>> correlated_frames(np.sin(np.linspace(0, 6, 100))) > 10
+    True
+
+    """
     n = len(r)
     if n < 8:
         return 0
@@ -153,7 +197,19 @@ def correlated_frames(r: Array) -> int:
 
 
 def blocks(solution: Solution) -> list[list[slice]]:
-    """Every run cut into blocks of frames: longer than the residual is alike, enough of them for the unknowns."""
+    """Cut every run into blocks of frames, longer than the correlation of the residual, enough for the unknowns.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    list of list of slice
+        Blocks of every run.
+
+    """
     min_blocks = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * len(solution.p) // len(solution.responses)))
     return [_blocks_of_frames(len(r.r), correlated_frames(r.r), min_blocks) for r in solution.responses]
 
@@ -165,7 +221,27 @@ def _blocks_of_frames(n: int, correlation: int, min_blocks: int) -> list[slice]:
 
 
 def block_covariance(solution: Solution) -> Array:
-    """Covariance of the unknowns (P, P): that of white noise where the residual is, else the scatter of blocks."""
+    """Compute the covariance of the unknowns from the scatter of blocks (cluster-robust sandwich).
+
+    For a white residual it is the covariance of white noise.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    array of shape (P, P)
+        Covariance, widened to Student's t for the number of blocks.
+
+    References
+    ----------
+    Liang, K.-Y. & Zeger, S. L. (1986). Longitudinal data analysis. Biometrika 73, 13-22.
+    Huber, P. J. (1967). Proc. Fifth Berkeley Symposium 1, 221-233.
+    White, H. (1980). Econometrica 48, 817-838.
+
+    """
     white_noise, _ = covariance_of(solution)
     if all(correlated_frames(r.r) == 0 for r in solution.responses):
         return white_noise
@@ -184,10 +260,25 @@ def block_covariance(solution: Solution) -> Array:
 
 
 def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
-    """Root mean square of the held-out residual, N, and how it was held out: "run" or "frames".
+    """Compute the root mean square of the held-out residual.
 
-    By run: the shared parameters from the other runs, the run's own from its even blocks, its odd blocks are scored.
-    Otherwise the even blocks of all runs fit and the odd ones score. `by` asks for one of the two.
+    By run: shared parameters come from the other runs, the run's own from its even blocks; its odd blocks are scored.
+    Otherwise the even blocks of all runs are fitted and the odd ones scored.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    by : {"run", "frames"}, optional
+        What is held out. By default runs, wherever the other runs can predict every run.
+
+    Returns
+    -------
+    rms : float
+        Held-out error, N.
+    by : str
+        What was held out: "run" or "frames".
+
     """
     problem = solution.problem
     hidden = [_odd_blocks(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]

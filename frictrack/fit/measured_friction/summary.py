@@ -1,4 +1,4 @@
-"""What a law fitted to a measured friction is told by: curves, errors in newtons, one row per run."""
+"""Summarise a model fitted to measured friction: curves, errors in newtons, one row per run, remarks on the noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ DISPLACEMENT_ERRORS = ("rms_displacement_um", "rms_acceleration", "sse_accelerat
 
 
 def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
-    """Model beside measurement at the compared frames of every run; x, v and a are the measured motion itself."""
+    """Create the curves of model and measurement at the compared frames of every run.
+
+    Their x, v and a are the measured motion.
+    """
     return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
 
 
@@ -48,7 +51,7 @@ def _curve(solution: Solution, response: PieceResponse, run: Run, role: str) -> 
 
 
 def errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
-    """Errors of a law over some runs, in N; what needs a displacement of the model is null."""
+    """Compute the errors of a fit over some runs, in N. Errors that need a modelled displacement are None."""
     left = np.concatenate([r.piece.y - r.model_y for r in responses])
     force = np.concatenate([r.piece.y for r in responses])
     return dict.fromkeys(DISPLACEMENT_ERRORS) | {
@@ -59,12 +62,12 @@ def errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
 
 
 def white_noise(responses: Sequence[PieceResponse]) -> float:
-    """White noise of the cell, N, rms."""
+    """Compute the rms white noise of the load cell, N."""
     return _rms(np.concatenate([r.piece.sigma for r in responses]))
 
 
 def run_summary(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
-    """One run in the JSON of `fit`: level, noise, over how long the residual is alike, errors."""
+    """Summarise one run as JSON: level, noise, correlation time of the residual, errors."""
     response = next(r for r in solution.responses if r.piece.run == index)
     _, level = solution.problem.layout.values(solution.p, index)
     interval = float(np.median(np.diff(run.motion.t)))
@@ -82,7 +85,23 @@ def run_summary(solution: Solution, index: int, run: Run, role: str) -> dict[str
 
 
 def remarks(solution: Solution, runs: Sequence[Run], noise: FrictionNoise) -> list[str]:
-    """Say what a diagnosis on a measured friction rests on: its noise, and what a drifting sensor would explain."""
+    """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    runs : sequence of Run
+        The runs.
+    noise : FrictionNoise
+        The noise.
+
+    Returns
+    -------
+    list of str
+        Sentences for the report.
+
+    """
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if all(_goes_one_way(r) for r in solution.responses):
         out.append(
@@ -108,7 +127,7 @@ def remarks(solution: Solution, runs: Sequence[Run], noise: FrictionNoise) -> li
 
 
 def _goes_one_way(response: PieceResponse) -> bool:
-    """Whether place and speed of a record rise or fall with time throughout, but for their noise."""
+    """Whether position and speed of a record rise or fall with time throughout, apart from noise."""
     piece = response.piece
     rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else slice(None)
     series = piece.path.x[rows], np.abs(piece.path.v[rows])

@@ -1,4 +1,4 @@
-"""Runs cut into the pieces that a model is fitted to: sections of motion, release, noise whitening, segment lengths."""
+"""Cut runs into the pieces that a model is fitted to: stretches of motion, release, noise, segment lengths."""
 
 from frictrack.fit.segments.acceleration_chain import AccelerationChain, acceleration_chains, acceleration_noise
 from frictrack.fit.segments.lengths import cut_into_segments, has_known_history, segment_frames

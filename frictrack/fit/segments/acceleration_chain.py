@@ -1,4 +1,4 @@
-"""Compute accelerations of one piece as the papers do: low-pass, then double difference, a linear map of its frames."""
+"""Compute accelerations of one piece as the papers do: low-pass, then double difference, as one linear map."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ class AccelerationChain:
     cutoff: float  # Hz
 
     def apply(self, columns: Array) -> Array:
-        """Accelerations (m, k) of displacements (n, k)."""
+        """Compute accelerations (m, k), m/s^2, of displacements (n, k), m."""
         full = np.zeros((len(self.weight), columns.shape[1]))
         full[self.rows] = columns
         out: Array = self.second @ self.factor.smooth(full)
         return out
 
     def transposed(self, columns: Array) -> Array:
-        """K' times columns (m, k), shape (n, k)."""
+        """Apply the transposed map to columns (m, k), shape (n, k)."""
         out: Array = (self.weight[:, None] * self.factor.posterior_covariance_times(self.second.T @ columns))[self.rows]
         return out
 
     def only(self, rows: Mask) -> AccelerationChain:
-        """The same chain, compared only at the marked frames (n,) of the piece."""
+        """Return the same chain, compared only at the marked frames (n,) of the piece."""
         use = rows[self.kept]
         return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
 
 
 def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
-    """The chain of one piece at the cut-off of its run."""
+    """Create the chain of one piece at the cut-off frequency of its run."""
     grid = frame_grid(piece.t)
     n, m = len(piece.t), run.motion.guard
     guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
@@ -73,10 +73,10 @@ def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
 
 
 def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:
-    """Root mean square noise of all compared accelerations, m/s^2."""
+    """Compute the root mean square noise of all compared accelerations, m/s^2."""
     return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
 
 
 def acceleration_chains(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[AccelerationChain]:
-    """The chains of all pieces."""
+    """Create the chains of all pieces."""
     return [acceleration_chain(runs[piece.run], piece) for piece in pieces]

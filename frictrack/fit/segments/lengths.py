@@ -1,17 +1,16 @@
-"""How long a run is followed in one piece before it starts afresh: chosen from the data, where the drive is measured.
+"""Choose how long a run is followed in one piece before a new segment starts, where the drive is measured.
 
-What nobody modelled is integrated twice, and soon exceeds the camera's noise; a segment forgets it at the price of
-its own start position and speed. For every length of a ladder the law is solved by linear least squares along the
-measured motion. With H the information it then has and e the significant excess of chi-squared per segment, the
-covariance of its coefficients is at most about
+Unmodelled forces are integrated twice and soon exceed the camera's noise. A new segment forgets them, at the price of
+its own start position and speed. For each of several lengths the model is solved by linear least squares along the
+measured motion. With H the information and e the significant excess of chi-squared per segment, the covariance of the
+coefficients is at most about
 
     (1 + e) H^-1
 
-since what a segment holds beyond the noise may all point along a coefficient (Cauchy-Schwarz; it is the usual
-sandwich with every residual in the worst place). The length of the smallest determinant is taken: without an excess
-the whole run, otherwise the one that balances what is forgotten with what is not modelled. A long record that is
-followed through its reversals is cut into segments of `REVERSAL_SEGMENT_FRAMES` frames, each with its memory of the
-motion before.
+because the excess of a segment may all point along one coefficient (Cauchy-Schwarz; the usual sandwich with every
+residual in the worst direction). The length with the smallest determinant is taken: the whole run if there is no
+excess. A long record with reversals is cut into segments of `REVERSAL_SEGMENT_FRAMES` frames, each with its memory of
+the motion before.
 """
 
 from __future__ import annotations
@@ -41,7 +40,23 @@ SCAN_QUANTILES = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter
 
 
 def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
-    """Frames per segment of one run whose stretches of one direction are given; 0 leaves them whole."""
+    """Choose the number of frames per segment of one run.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    sections : sequence of Piece
+        Stretches of the run.
+    run : Run
+        The run.
+
+    Returns
+    -------
+    int
+        Frames per segment; 0 leaves the stretches whole.
+
+    """
     whole = max(len(p.t) for p in sections)
     if any(p.slack for p in sections):  # only the loss over many swings tells the friction of a mass that swings
         return 0
@@ -62,7 +77,7 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
 
 
 def cut_into_segments(sections: Sequence[Piece], n: int) -> list[Piece]:
-    """Stretches cut into segments of about n frames; n = 0 leaves them as they are."""
+    """Cut stretches into segments of about n frames; n = 0 leaves them whole."""
     if not n:
         return list(sections)
     out = []
@@ -74,13 +89,13 @@ def cut_into_segments(sections: Sequence[Piece], n: int) -> list[Piece]:
 
 
 def has_known_history(piece: Piece) -> bool:
-    """Whether a piece begins at rest, or after enough of the motion to tell what a law with memory has kept of it."""
+    """Return whether a piece begins at rest, or after enough motion to determine the states of effects with memory."""
     before = piece.path.before
     return bool(piece.path.s[0] == 0 or (before is not None and before.shape[1] >= MIN_HISTORY_FRAMES))
 
 
 def _history_is_unknown(piece: Piece) -> bool:
-    """Whether nothing is known of the motion before a piece that moves from its first frame on."""
+    """Whether a piece moves from its first frame on and nothing is known of the motion before."""
     before = piece.path.before
     return bool(piece.path.s[0] != 0 and (before is None or before.shape[1] < 2))
 
@@ -90,14 +105,11 @@ def _cut_rows(frames: int, n: int) -> list[Rows]:
 
 
 def _linear_model(model: Model, piece: Piece) -> tuple[Array, Array]:
-    """Displacement (n, K) per unit coefficient and measured displacement (n,) less the known one, in units of sigma."""
+    """Displacement (n, K) per unit coefficient and measured minus known displacement (n,), in units of sigma."""
     nodes = piece.path_at_nodes(piece.x_hat, piece.v_hat, 1.0)
     span = spans_of([replace(piece, run=0)], 1, 1 / float(np.median(np.diff(piece.t))))[0]
     forces = [
-        e.columns(nodes, held)
-        for e in model.effects
-        if _is_known_before_fit(e)
-        for held in _clamped_interpolant(e, span)
+        e.columns(nodes, held) for e in model.effects if _is_known_before_fit(e) for held in _values_before_fit(e, span)
     ]
     inputs = np.column_stack([*forces, piece.known])
     twice = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
@@ -106,12 +118,12 @@ def _linear_model(model: Model, piece: Piece) -> tuple[Array, Array]:
 
 
 def _is_known_before_fit(effect: Effect) -> bool:
-    """Whether an effect is known well enough along the measured motion before it is fitted."""
+    """Whether the columns of an effect along the measured motion are known well enough before the fit."""
     return effect.acts_on == "force" and not effect.modifies and not any(p.role == "phase" for p in effect.parameters)
 
 
-def _clamped_interpolant(effect: Effect, span: Span) -> list[dict[str, float]]:
-    """Values of the non-linear parameters: the fixed ones, and others at the quarters of their scan."""
+def _values_before_fit(effect: Effect, span: Span) -> list[dict[str, float]]:
+    """Values of the non-linear parameters: fixed ones, and others at three quantiles of their scan."""
     each = [
         [p.fixed] if p.fixed is not None else list(np.quantile(p.scan(span), SCAN_QUANTILES)) if p.scan else [0.0]
         for p in effect.nonlinear
@@ -120,7 +132,7 @@ def _clamped_interpolant(effect: Effect, span: Span) -> list[dict[str, float]]:
 
 
 def _distinguishable_directions(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece]) -> Array:
-    """Combinations of the coefficients (K, K') that the run can tell apart."""
+    """Combinations (K, K') of the coefficients that the run can distinguish."""
     jac = np.concatenate([_without_start(c, p, np.arange(len(p.t))) for (c, _), p in zip(rows, sections, strict=True)])
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
@@ -129,7 +141,7 @@ def _distinguishable_directions(rows: Sequence[tuple[Array, Array]], sections: S
 
 
 def _without_start(columns: Array, piece: Piece, rows: Rows) -> Array:
-    """Rows of columns without what a start position and speed explain."""
+    """Rows of columns without the part that a start position and speed explain."""
     t = piece.t - piece.t[rows].mean()
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(t), t]))[rows])
     taken = columns[rows]
@@ -139,7 +151,7 @@ def _without_start(columns: Array, piece: Piece, rows: Rows) -> Array:
 def _log_covariance(
     rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: int, relative_noise_error: float
 ) -> float:
-    """Logarithm of the determinant of the law's covariance with segments of n frames."""
+    """Logarithm of the determinant of the coefficients' covariance with segments of n frames."""
     blocks = [
         _without_start(np.column_stack([c, y]), piece, cut)
         for (c, y), piece in zip(rows, sections, strict=True)
@@ -157,6 +169,29 @@ def _log_covariance(
 
 
 def excess_chi2(chi2: float, degrees: int, segments: int, relative_noise_error: float) -> float:
-    """Significant excess of chi-squared per segment; `doubt` is the relative error of the noise."""
+    """Compute the significant excess of chi-squared per segment.
+
+    Parameters
+    ----------
+    chi2 : float
+        Chi-squared of the run.
+    degrees : int
+        Degrees of freedom.
+    segments : int
+        Number of segments.
+    relative_noise_error : float
+        Relative error of the noise level.
+
+    Returns
+    -------
+    float
+        Excess beyond the 99 % quantile, per segment; 0 if there is none.
+
+    Examples
+    --------
+    >>> excess_chi2(100.0, 100, 4, 0.0)
+    0.0
+
+    """
     threshold = degrees + EXCESS_STD * float(np.sqrt(2 * degrees + (2 * relative_noise_error * degrees) ** 2))
     return max(chi2 - threshold, 0.0) / segments

@@ -1,4 +1,4 @@
-"""Guess an unknown mass from the smoothed motion, and hold pieces in units of another mass."""
+"""Guess an unknown mass from the smoothed motion, and convert pieces to units of another mass."""
 
 from __future__ import annotations
 
@@ -12,9 +12,18 @@ from frictrack.records import Array
 
 
 def guess_mass(pieces: Sequence[Piece]) -> float:
-    """A first mass, kg: least squares of the smoothed acceleration on drive, direction and speed.
+    """Guess the mass by least squares of the smoothed acceleration on drive, direction and speed.
 
-    `pieces` are held in units of any mass. Where drive and acceleration do not go together, their ratio by size.
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Pieces in units of any mass.
+
+    Returns
+    -------
+    float
+        A first mass, kg. If drive and acceleration are not positively related: the ratio of their sizes.
+
     """
     drive = np.concatenate([_drive(p) for p in pieces])
     friction_acceleration = np.concatenate([p.a_hat - p.known + _drive(p) / p.mass for p in pieces])
@@ -32,7 +41,7 @@ def _drive(piece: Piece) -> Array:
 
 
 def in_mass_units(piece: Piece, mass: float) -> Piece:
-    """The same piece with its equation of motion in units of another mass."""
+    """Return the same piece with its equation of motion in units of another mass (kg)."""
     drive = _drive(piece)
     known = piece.known - drive / piece.mass + drive / mass
     return replace(piece, mass=mass, known=known)

@@ -1,4 +1,4 @@
-"""Runs cut into pieces of one direction: what is measured there, and what a law must know of the run."""
+"""Cut runs into pieces of one direction: the measurement there, and what a model needs to know of the run."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
 class Piece:
     """One stretch of a run: measured displacement and what drives it.
 
-    It has no stop or reversal, unless it `turns` under a law that passes these without a jump. t counts from release.
-    Shapes: (n,) at the frames, (3 p,) at the nodes of `panels`.
+    It has no stop or reversal, unless it is followed through these (`turns`). Times count from release. Shapes are
+    (n,) at the frames and (3 p,) at the nodes of the p `panels`.
     """
 
     run: int
@@ -65,22 +65,22 @@ class Piece:
         return Whitening.of(self.t, self.sigma, (self.correlated[0], self.correlated[1])) if self.correlated else None
 
     def whitened(self, errors: Array) -> Array:
-        """Errors (n, ...) at the frames, m, as independent numbers of size one."""
+        """Convert errors (n, ...) at the frames, m, to independent numbers of standard deviation one."""
         way = self._whitening
         return np.asarray((errors.T / self.sigma).T) if way is None else way.whitened(errors)
 
     def coloured(self, white: Array) -> Array:
-        """The errors (n, ...), m, that `whitened` makes these numbers of."""
+        """Convert independent numbers (n, ...) of standard deviation one to errors, m: the inverse of `whitened`."""
         way = self._whitening
         return np.asarray((white.T * self.sigma).T) if way is None else way.coloured(white)
 
     def whitened_transposed(self, white: Array) -> Array:
-        """The transposed map of `whitened`."""
+        """Apply the transpose of `whitened`."""
         way = self._whitening
         return np.asarray((white.T / self.sigma).T) if way is None else way.transposed(white)
 
     def coloured_transposed(self, rows: Array) -> Array:
-        """The transposed map of `coloured`."""
+        """Apply the transpose of `coloured`."""
         way = self._whitening
         return np.asarray((rows.T * self.sigma).T) if way is None else way.coloured_transposed(rows)
 
@@ -90,19 +90,33 @@ class Piece:
         return np.hypot(self.sigma, self.correlated[0]) if self.correlated else self.sigma
 
     def path_at_nodes(self, x: Array, v: Array, level: float) -> Path:
-        """The path at the nodes for a given motion and friction level."""
+        """Return the path at the nodes for a motion.
+
+        Parameters
+        ----------
+        x, v : array of shape (3 p,)
+            Position, m, and velocity, m/s, at the nodes.
+        level : float
+            Friction level of the run.
+
+        Returns
+        -------
+        Path
+            The path with this motion, its load times `level`.
+
+        """
         s = self._direction(v) if self.turns else self.path.s
         return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
 
     def path_since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
-        """The path from the start of the piece through its first nodes, (1 + k,), for a law with memory."""
+        """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory."""
         k = len(t) - 1
         s = self._direction(v) if self.turns else np.append(self.path.s[0], self.path.s[:k])
         series = self._series(lambda q: np.append(q[0], q[:k]))
         return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
     def _direction(self, v: Array) -> Array:
-        """Sign of the velocity (n,), held at rest; 0 at first where the piece begins at rest."""
+        """Sign of the velocity (n,), at rest the last one; 0 at first where the piece begins at rest."""
         if self.slack:
             return np.clip(v / self.slack, -1.0, 1.0)
         s = direction_of_motion(v)
@@ -111,7 +125,7 @@ class Piece:
         return s
 
     def refined(self, per_frame: int) -> Piece:
-        """The same piece with more panels per frame."""
+        """Return the same piece with `per_frame` panels per frame interval."""
         edges, at = _panel_edges(self.t, per_frame)
         panels = Panels(edges)
         old, new = self.panels.t, panels.t
@@ -122,7 +136,7 @@ class Piece:
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
     def with_clock(self, clock: float) -> Piece:
-        """The same piece by a clock whose times since release are recorded ones times `clock`; motion and all."""
+        """Return the same piece with all times since release multiplied by `clock` relative to the recorded ones."""
         by = clock / self.clock
         if by == 1.0:
             return self
@@ -147,11 +161,11 @@ class Piece:
         )
 
     def first(self, n: int) -> Piece:
-        """The first n frames of the piece."""
+        """Return the first n frames of the piece."""
         return self.part(0, n)
 
     def part(self, start: int, stop: int) -> Piece:
-        """The frames from start up to stop."""
+        """Return the frames from `start` up to `stop` as a piece."""
         low, high = int(self.at[start]), int(self.at[stop - 1])
         nodes = slice(3 * low, 3 * high)
         at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
@@ -168,23 +182,37 @@ class Piece:
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
 
     def _direction_at_nodes(self, low: int, high: int) -> Array:
-        """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
+        """Direction of motion at the nodes of some panels; of a piece with reversals, the one at the first of them."""
         s = self.path.s[3 * low : 3 * high]
         return np.full_like(s, direction_of_motion(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
 
     def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
-        """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
+        """Series measured beside the motion, mapped by `of` from the nodes to other points."""
         known = {name: getattr(self.path, name) for name in ("drive", "lift", "angle")}
         return {name: of(q) for name, q in known.items() if q is not None}
 
     @property
     def known_at_frames(self) -> Array:
-        """Acceleration by drive and incline at the frames; the first one lies before the first node."""
+        """Acceleration by drive and incline at the frames, m/s^2. The first frame lies before the first node."""
         out: Array = make_interp_spline(self.panels.t, self.known, k=1)(self.t)
         return out
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
-        """The path at the frames."""
+        """Return the path at the frames.
+
+        Parameters
+        ----------
+        x, v : array of shape (n,)
+            Position, m, and velocity, m/s, at the frames.
+        level : float
+            Friction level of the run.
+
+        Returns
+        -------
+        Path
+            The path with this motion, its load times `level`.
+
+        """
         s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(lambda q: make_interp_spline(self.panels.t, q, k=1)(self.t)) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
@@ -195,9 +223,29 @@ def pieces_of(
 ) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    Under a law that passes stops and reversals (`through_reversals`), a run that has some, and a measured drive, is
-    one piece. A mass that is to be fitted is counted in units of the reference. Raises FrictrackError when the run
-    has neither mass nor drive, or no usable stretch.
+    Parameters
+    ----------
+    run : Run
+        The run.
+    index : int
+        Its index among the runs.
+    free : array of bool
+        Frames of the free section.
+    reference : Reference
+        Mass and load at which newtons are reported. An unknown mass is counted in units of the reference mass.
+    through_reversals : bool
+        Whether the model can pass stops and reversals. A run with a measured drive is then one piece.
+
+    Returns
+    -------
+    list of Piece
+        The pieces in order of time.
+
+    Raises
+    ------
+    FrictrackError
+        If the run has neither mass nor drive, or no usable stretch.
+
     """
     if run.mass is None and run.drive is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
@@ -227,12 +275,12 @@ def pieces_of(
 
 
 def _stops_or_reverses(sections: Sequence[slice]) -> bool:
-    """Whether a run that moves in these stretches stops or reverses, and moves on for more than a flicker."""
+    """Whether a run stops or reverses and then moves for at least `MIN_FRAMES` frames."""
     return sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1
 
 
 def _through_reversals(run: Run, index: int, noise: Array, context: RunContext) -> Piece:
-    """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
+    """The whole record, or its given free section, in one piece; it begins at rest where its first frame does."""
     disp = run.displacement
     use = disp.valid & np.isfinite(disp.x)
     if run.free is not None:
@@ -244,7 +292,7 @@ def _through_reversals(run: Run, index: int, noise: Array, context: RunContext) 
 
 
 def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
-    """The whole record of a driven run, or of one that was pushed its free section, in one piece.
+    """Return one piece over the whole record of a driven run, or over the free section of a pushed run.
 
     Its direction is 0 where the record begins at rest.
     """
@@ -258,7 +306,7 @@ def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
 
 
 def _panel_edges(t: Array, per_frame: int) -> tuple[Array, Rows]:
-    """Edges of panels through the frame times t (n,), none longer than a frame, and which edge each frame is."""
+    """Panel edges through the frame times t (n,), no panel longer than a frame, and the edge index of each frame."""
     interval = np.diff(t)
     count = per_frame * np.maximum(1, np.rint(interval / np.median(interval)).astype(int))
     at = np.concatenate([[0], np.cumsum(count)])
@@ -266,7 +314,7 @@ def _panel_edges(t: Array, per_frame: int) -> tuple[Array, Rows]:
 
 
 def relative_noise(sigma: Array, use: Mask) -> Array:
-    """Tracker's standard deviations as relative weights: 1 in the typical frame, 1 where not stated."""
+    """Convert the tracker's standard deviations to relative weights: 1 in the median frame, 1 where not stated."""
     known = np.isfinite(sigma) & (sigma > 0) & use
     if not known.any():
         return np.ones(len(sigma))
@@ -276,17 +324,17 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
 
 
 def _with_time_scaled(way: Array, by: float) -> Array:
-    """A motion t, x, v (3, k) whose times are so many times as long."""
+    """A motion t, x, v (3, k) with its times multiplied by `by`."""
     return way * np.array([[by], [1.0], [1.0 / by]])
 
 
 def _series_with_time_scaled(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
-    """A series of time whose times are so many times as long."""
+    """A function of time with its times multiplied by `by`."""
     return None if series is None else lambda t: series(t / by)
 
 
 def _motion_before(way: Array, t: float) -> Array:
-    """The part of a motion (3, k) up to a time."""
+    """The part of a motion (3, k) up to time t."""
     return way[:, : int(np.searchsorted(way[0], t, side="right"))]
 
 
@@ -327,14 +375,32 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
 
 
 def _pixel_locked_share(run: Run, rows: Rows, noise: Array) -> float:
-    """Share of the measured variance of a film's places beyond what its tracker states; none for a table."""
+    """Share of the measured variance of a film beyond what its tracker states; 0 for a table."""
     if not run.displacement.systematic or not run.pixel_pitch:
         return 0.0
     return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
 
 
 def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Path:
-    """What is known of a run along the nodes of one piece, whose motion is still to come."""
+    """Create the path of one piece at its nodes, without motion.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    rows : array of int
+        Frames of the piece.
+    nodes : array of shape (m,)
+        Times of the nodes since release, s.
+    context : RunContext
+        Release and smoothed motion of the run.
+
+    Returns
+    -------
+    Path
+        Load, drive and further series of the run; x and v are zero.
+
+    """
     motion = run.motion
     times = motion.t - context.release
     drive_at = None if run.drive is None else _clamped_interpolant(CubicSpline(times, run.drive), times)
@@ -364,7 +430,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
 
 
 def _clamped_interpolant(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
-    """A series that keeps its first and last value outside the times at which it is known."""
+    """An interpolant that keeps its first and last value outside the known times."""
 
     def at(t: Array) -> Array:
         return np.asarray(series(np.clip(t, times[0], times[-1])))
@@ -377,7 +443,7 @@ def _interpolated(times: Array, series: Array | None, t: Array) -> Array | None:
 
 
 def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
-    """How far every run reaches in time since release, place and speed."""
+    """Compute the span of every run: duration, places and speeds."""
     return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))
 
 

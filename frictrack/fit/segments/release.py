@@ -1,4 +1,4 @@
-"""Collect what the pieces of one run share: units of reference, release, and the motion since then."""
+"""Collect what the pieces of one run share: reference mass and load, release time, and the motion since release."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ MAX_REST_SPEED_SHARE = 0.1  # of the highest speed: a record that begins with ce
 
 @dataclass(frozen=True)
 class Reference:
-    """Mass and normal load at which newtons are quoted."""
+    """Mass (kg) and normal load (N) at which newtons are reported."""
 
     mass: float
     load: float
 
 
 def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
-    """The reference: the study's mass, else the first run's, and the load that goes with it."""
+    """Return the reference: the study's mass, or the first run's, and the normal load that belongs to it."""
     first = runs[0]
     if first.mass is None:
         return Reference(mass or 1.0, 1.0)
@@ -35,7 +35,7 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
 
 @dataclass(frozen=True)
 class RunContext:
-    """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
+    """What the pieces of one run share: reference, release time (s), and the smoothed motion since release."""
 
     reference: Reference
     release: float
@@ -46,16 +46,16 @@ class RunContext:
 
 
 def run_context(run: Run, reference: Reference) -> RunContext:
-    """What the pieces of a run share."""
+    """Compute what the pieces of a run share."""
     return RunContext(
         reference, *_motion_since_release(run), 1, _significant_angle(run.motion.t, run.displacement.angle)
     )
 
 
 def _motion_since_release(run: Run) -> tuple[float, Array, Array]:
-    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,).
+    """Release time, smoothed motion since then (3, k), and distance slid (k,) without steps at rest.
 
-    A run that was seen to rest before begins with that rest: what remembers knows that nothing had moved.
+    A run that was seen at rest first begins with that rest, so that effects with memory start without history.
     """
     release, motion = release_time(run), run.motion
     moves, since = is_moving(run), motion.t >= release
@@ -72,10 +72,10 @@ def _motion_since_release(run: Run) -> tuple[float, Array, Array]:
 
 
 def _frames_at_rest(run: Run) -> int:
-    """Frames at the beginning of a record in which a free mass rests; none where it slides from the first one.
+    """Number of frames at the beginning of a record in which a free mass rests; 0 if it slides from the first one.
 
-    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain. What a load
-    cell holds may rest under any force.
+    If the smoothed motion is never certainly slow, only the first frame is tested. With a load cell a mass may rest
+    under any force, so no frame counts as rest.
     """
     if run.friction_N is not None:
         return 0
@@ -92,10 +92,10 @@ def _frames_at_rest(run: Run) -> int:
 
 
 def _significant_angle(times: Array, angle: Array) -> Array | None:
-    """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
+    """The significant part of the target's angle (n,), gaps interpolated; None if most of it is unknown.
 
-    One frame's pixels give place and angle together: with its noise the angle would follow that of the place. Where
-    nothing stands out the target rests, at whatever angle: that is no angle at all.
+    Angle and place of one frame come from the same pixels, so the noise of the angle is correlated with that of the
+    place. An angle that does not exceed its noise counts as constant zero.
     """
     known = np.isfinite(angle)
     if np.mean(known) <= MIN_KNOWN_SHARE:

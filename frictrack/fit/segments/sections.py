@@ -1,4 +1,4 @@
-"""The stretches of all runs that a law can be followed along, their noise white or alike in neighbouring frames."""
+"""Compute the stretches of all runs that a model can be followed along, with white or correlated noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,25 @@ from frictrack.records import Array, Run
 
 
 def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals: bool) -> list[list[Piece]]:
-    """The stretches of every run that a law can be followed along: of one direction, unless it passes turns."""
+    """Compute the stretches of every run: pieces of one direction, or longer ones if the model passes reversals.
+
+    Where the noise is not stated, its correlation between neighbouring frames is estimated from all runs together.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        The runs.
+    reference : Reference
+        Mass and load at which newtons are reported.
+    through_reversals : bool
+        Whether the model passes stops and reversals.
+
+    Returns
+    -------
+    list of list of Piece
+        Stretches of every run.
+
+    """
     sections = [
         pieces_of(run, i, free_section(run)[0], reference, through_reversals=through_reversals)
         for i, run in enumerate(runs)
@@ -32,13 +50,13 @@ def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals:
 
 
 def _longest_gapless(section: Sequence[Piece]) -> Array:
-    """The measured places of the longest stretch of a run without a missing frame."""
+    """Measured positions of the longest stretch of a run without a missing frame."""
     parts = [part for p in section for part in np.split(p.y, np.flatnonzero(np.diff(p.frames) != 1) + 1)]
     return max(parts, key=len)
 
 
 def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> Piece:
-    """The same piece under noise of a rms, m, that is alike in neighbouring frames."""
+    """The same piece with noise of `rms` (m) that is correlated between neighbouring frames."""
     time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
     level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))
     return replace(piece, sigma=level * piece.sigma, correlated=(rms * float(np.sqrt(found.share)), time))

@@ -1,8 +1,8 @@
-"""Join the stretches of a run that swings: a mass without a drive that turns back does so without a stop.
+"""Join the stretches of a swinging run: a mass without a drive that reverses does so without a stop.
 
-Dry friction changes its sign at a reversal. Where something else pulls the mass back (gravity, a spring), the mass
-does not rest there, and one law must hold the loss from swing to swing. A blow turns a mass, too, but at once: there
-the stretches stay apart.
+Dry friction changes its sign at a reversal. Where gravity or a spring pulls the mass back, it does not rest there,
+and one model must describe the loss from swing to swing. A blow also reverses a mass, but at once: there the
+stretches stay separate.
 """
 
 from __future__ import annotations

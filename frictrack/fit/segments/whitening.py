@@ -1,9 +1,13 @@
-"""Turn errors of a measurement into numbers that are independent and of size one, and back.
+"""Whiten measurement errors: convert them to independent numbers of standard deviation one, and back.
 
-Noise is white, of a size that may differ from frame to frame, beside an autoregressive part (rms, correlation time).
-What a frame adds to those before it is its innovation, which Kalman's filter (1960, J. Basic Eng. 82) finds: exact
-across missing frames, and a frame of unknown size says nothing. All is linear, so that the same map turns residuals and
-sensitivities.
+The noise is white, with a standard deviation per frame, plus a first-order autoregressive part (rms, correlation
+time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a frame of
+unknown size adds no information. The map is linear, so it also applies to sensitivities.
+
+References
+----------
+Kalman, R. E. (1960). A new approach to linear filtering and prediction problems. J. Basic Eng. 82, 35-45.
+
 """
 
 from __future__ import annotations
@@ -18,10 +22,17 @@ from frictrack.records import Array
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """The map from errors (n, ...) to independent ones of size one.
+    """The linear map from errors (n, ...) to independent ones of standard deviation one.
 
-    With c the prediction of the correlated part, c[i + 1] = keep[i] c[i] + gain[i] e[i], innovations are e - c over
-    `size` (n,); `keep` and `gain` (n - 1,).
+    The prediction c of the correlated part follows c[i + 1] = persistence[i] c[i] + gain[i] e[i].
+
+    Attributes
+    ----------
+    persistence, gain : array of shape (n - 1,)
+        Coefficients of the recursion.
+    size : array of shape (n,)
+        Standard deviations of the innovations e - c.
+
     """
 
     persistence: Array
@@ -50,26 +61,26 @@ class Whitening:
         return cls(decay * (1 - share[:-1]), decay * share[:-1], np.sqrt(variance))
 
     def whitened(self, errors: Array) -> Array:
-        """Innovations (n, ...) of errors (n, ...), in units of their size."""
+        """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
         return (errors - _filter_forward(self.persistence, self.gain, errors)) / _column(self.size, errors)
 
     def coloured(self, white: Array) -> Array:
-        """The errors (n, ...) of which these are the innovations."""
+        """Compute the errors (n, ...) that have these innovations."""
         innovations = white * _column(self.size, white)
         return innovations + _filter_forward(self.persistence + self.gain, self.gain, innovations)
 
     def transposed(self, white: Array) -> Array:
-        """The transposed map: with it, the product of innovations with rows is one of errors with the result."""
+        """Apply the transposed map of `whitened`."""
         scaled = white / _column(self.size, white)
         return scaled - _filter_backward(self.persistence, self.gain, scaled)
 
     def coloured_transposed(self, rows: Array) -> Array:
-        """The transposed map of `coloured`: what independent errors enter products of errors with rows (n, ...) by."""
+        """Apply the transposed map of `coloured` to rows (n, ...)."""
         return (rows + _filter_backward(self.persistence + self.gain, self.gain, rows)) * _column(self.size, rows)
 
 
 def _filter_forward(persistence: Array, gain: Array, innovations: Array) -> Array:
-    """The series c (n, ...) with c[0] = 0 and c[i + 1] = keep[i] c[i] + gain[i] driven[i]."""
+    """The series c (n, ...) with c[0] = 0 and c[i + 1] = persistence[i] c[i] + gain[i] innovations[i]."""
     banded = np.zeros((2, len(innovations)))
     banded[0], banded[1, :-1] = 1.0, -persistence
     right = np.zeros_like(innovations)
@@ -78,7 +89,7 @@ def _filter_forward(persistence: Array, gain: Array, innovations: Array) -> Arra
 
 
 def _filter_backward(persistence: Array, gain: Array, innovations: Array) -> Array:
-    """The transposed map of `_run`."""
+    """The transposed map of `_filter_forward`."""
     banded = np.zeros((2, len(innovations)))
     banded[1], banded[0, 1:] = 1.0, -persistence
     solved = _solved((0, 1), banded, innovations)
@@ -94,5 +105,5 @@ def _solved(bands: tuple[int, int], banded: Array, right: Array) -> Array:
 
 
 def _column(values: Array, like: Array) -> Array:
-    """Values (n,) that multiply an array (n, ...)."""
+    """Values (n,) reshaped to multiply an array (n, ...)."""
     return values.reshape(-1, *[1] * (like.ndim - 1))

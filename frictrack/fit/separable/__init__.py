@@ -1,12 +1,19 @@
-"""Along the measured motion the coefficients of a law are linear: blocks of data, rows of a model, and searches.
+"""Variable projection along the measured motion, where the coefficients of a model are linear.
 
-    along = Along(layout, [force_block(run, path, friction, sigma), ...])     a force series: no mass, no derivative
-    state = search_of(along)()                    the law: state.numbers (P,), state.coefficients (K,), state.misfit
-    p = along.law(state.numbers, state.coefficients)                          all unknowns of the layout, (P,)
-    state = Projected(along, along.data).refine(Projected(along, along.data).at(p), groups)     from a known start
+    separable = SeparableModel(layout, [force_block(run, path, friction, sigma), ...])
+    state = variable_projection(separable)()
+    p = separable.law(state.nonlinear_values, state.coefficients)
 
-`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain.
-`variable_projection(along)(data)` searches other data (M,) along the same motion with the tables of the first.
+`force_block` takes a friction series; `displacement_block` and `chain_block` take pieces of films, in the
+displacement or the acceleration domain. `state` holds the non-linear values, the coefficients (K,) and the misfit; p
+(P,) holds all unknowns of the layout. `variable_projection(separable)(data)` fits other data (M,) along the same
+motion and reuses its tables. `ProjectedProblem(separable, data).refine(state)` refines a known solution.
+
+References
+----------
+Golub, G. H. & Pereyra, V. (1973). The differentiation of pseudo-inverses and nonlinear least squares problems whose
+variables separate. SIAM J. Numer. Anal. 10, 413-432.
+
 """
 
 from frictrack.fit.separable.blocks import (

@@ -1,7 +1,7 @@
-"""Data along the measured motion, and the linear map from a force to what it changes there.
+"""Data along the measured motion, and the linear map from a force to the change that it makes in them.
 
-A block is one stretch of one run: data (m,) that the law's forces (and shifts of the picture) have to explain after
-`forward`, in units of the noise. Forces stand as rows (..., n), so that a population is mapped at once.
+A block is one stretch of one run. Its data (m,) are what the forces (and measurement shifts) of a model must explain
+after `forward`, in units of the noise. Forces are rows (..., n), so that a population is mapped at once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,29 @@ Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 
 @dataclass(frozen=True, eq=False)
 class DataBlock:
-    """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white with standard deviation one.
+    """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white noise of standard deviation one.
 
-    `path` at the n samples, `path_at_compared` at the compared ones alone where these are few: enough for what
-    remembers nothing, whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the
-    reference load; `rest` the part of the squared data that no force along the path changes; `highest` the frequency
-    up to which lines are looked for, Hz.
+    Attributes
+    ----------
+    run : int
+        Index of the run.
+    path : Path
+        Motion at the n samples.
+    data : array of shape (m,)
+        Whitened data.
+    forward : callable
+        Maps forces (..., n), N, to data (..., m).
+    picture : callable
+        Maps measurement shifts (..., n), m, to data (..., m).
+    friction : array of shape (n,)
+        Measured force at the reference load, N.
+    rest : float
+        Part of the squared data that no force along the path can change.
+    highest : float
+        Highest frequency at which periodic effects are searched, Hz.
+    compared_path : Path, optional
+        The path at the compared samples only, where these are few. It suffices for effects without memory.
+
     """
 
     run: int
@@ -48,7 +65,25 @@ class DataBlock:
 
 
 def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> DataBlock:
-    """A force series: measured friction (n,) along a path, N, with its standard deviation; nothing in between."""
+    """Create a block from a measured friction series.
+
+    Parameters
+    ----------
+    run : int
+        Index of the run.
+    path : Path
+        Motion at the n samples.
+    friction : array of shape (n,)
+        Measured friction, N.
+    sigma : array of shape (n,) or float
+        Its standard deviation, N.
+
+    Returns
+    -------
+    DataBlock
+        The series as data; forces map to it directly.
+
+    """
     weight = np.broadcast_to(1.0 / np.asarray(sigma, dtype=float), friction.shape)
     return DataBlock(
         run=run,
@@ -61,7 +96,7 @@ def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> 
 
 
 def displacement_block(piece: Piece) -> DataBlock:
-    """Displacements of a piece, start position and speed removed."""
+    """Create a block from the displacement of a piece, start position and speed projected out."""
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
     twice = double_integral(piece.t)
 
@@ -82,9 +117,9 @@ def displacement_block(piece: Piece) -> DataBlock:
 
 
 def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
-    """Accelerations of a piece through the papers' chain, in units of `noise`.
+    """Create a block from the accelerations of a piece through the papers' chain, in units of `noise`.
 
-    The force enters by its cosines as far as the chain lets them pass, so that the map is one small matrix.
+    The force enters by its cosine components within the passband of the chain, so that the map is one small matrix.
     """
     t = piece.t
     k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
@@ -108,13 +143,13 @@ def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlo
 
 
 def rows_at_compared(rows: Array, at: NDArray[np.int_]) -> Array:
-    """Rows (..., n) at the compared samples `at` (m,); those that hold these alone stay as they are.
+    """Select the compared samples `at` (m,) of rows (..., n). Rows (..., m) are returned unchanged.
 
     Examples
     --------
-    >>> picked(np.arange(4.0), np.array([1, 3]))
+    >>> rows_at_compared(np.arange(4.0), np.array([1, 3]))
     array([1., 3.])
-    >>> picked(np.array([5.0, 7.0]), np.array([1, 3]))
+    >>> rows_at_compared(np.array([5.0, 7.0]), np.array([1, 3]))
     array([5., 7.])
 
     """
@@ -122,24 +157,29 @@ def rows_at_compared(rows: Array, at: NDArray[np.int_]) -> Array:
 
 
 def path_at_compared(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
-    """The path of a motion x, v (n,) at the compared frames alone; None where they are most of its samples."""
+    """Return the path of a motion x, v (n,) at the compared frames only; None where these are most of its samples."""
     if MIN_SAMPLES_PER_COMPARED * len(piece.at) > len(piece.path.t):
         return None
     return piece.at_frames(x[piece.at], v[piece.at], level)
 
 
 def path_of(piece: Piece) -> Path:
-    """The measured motion of a piece at its frames."""
+    """Return the measured motion of a piece at its frames."""
     nodes, t = piece.panels.t, piece.t
     path = piece.at_frames(CubicSpline(nodes, piece.x_hat)(t), CubicSpline(nodes, piece.v_hat)(t), 1.0)
     return replace(path, drive=None if piece.path.drive is None else np.interp(t, nodes, piece.path.drive))
 
 
 def double_integral(t: Array) -> Forward:
-    """Integrate rows (..., n) over t (n,) twice; start position and speed are left open.
+    """Create the operator that integrates rows (..., n) over t (n,) twice, with start position and speed zero.
 
-    x[i+1] - 2 x[i] + x[i-1] of a force is its mean under a hat; the force in between is a parabola (Numerov's weights
-    h^2 (1, 10, 1)/12 where frames are evenly spaced).
+    The second difference x[i+1] - 2 x[i] + x[i-1] is the mean of the force under a hat function, with the force a
+    parabola in between. For evenly spaced frames these are Numerov's weights h^2 (1, 10, 1)/12.
+
+    References
+    ----------
+    Hairer, E., Norsett, S. P. & Wanner, G. (1993). Solving Ordinary Differential Equations I, sec. III.10. Springer.
+
     """
     before, after = np.diff(t)[:-1], np.diff(t)[1:]
     tilt, bend = (after**2 - before**2) / 6, (before**3 + after**3) / 12

@@ -1,9 +1,9 @@
-"""Laws whose waves share an amplitude, such as ATM2: found where every wave has its own, then tied and followed down.
+"""Fit models with waves of a common amplitude, such as ATM2: free amplitudes first, then constrained ones.
 
-An effect says how it is relaxed: into waves of free amplitude, which are linear, and the rest of its columns. What
-several parts share besides, such as v_s, is tried at a few values. The slow waves of two sums trade places with each
-other and with all that is smooth: they are scanned together, over frequency and phase, as they share their amplitudes.
-The run of most frames is solved first; in the others only what is their own is left to find.
+The effect defines its relaxed form: waves of free amplitude, which are linear, and its other columns. Parameters that
+several parts share, such as v_s, are tried at a few values. Slow waves of two sums are confused with each other and
+with everything smooth. They are scanned together over frequency and phase, with their common amplitudes. The run with
+the most frames is solved first; the other runs add only their own parameters.
 """
 
 from __future__ import annotations
@@ -38,7 +38,19 @@ SAME_WAVE_PERIODS = 0.25  # periods in a run within which two waves are one
 
 
 def variable_projection(separable: SeparableModel) -> VariableProjection | ConstrainedVariableProjection:
-    """The search that finds a model's law along the measured motion."""
+    """Create the search that fits a model along the measured motion.
+
+    Parameters
+    ----------
+    separable : SeparableModel
+        The model over its data.
+
+    Returns
+    -------
+    VariableProjection or ConstrainedVariableProjection
+        Callable that returns a `SeparableSolution`.
+
+    """
     return (
         ConstrainedVariableProjection(separable)
         if any(e.relaxed for e in separable.layout.model.effects)
@@ -47,7 +59,7 @@ def variable_projection(separable: SeparableModel) -> VariableProjection | Const
 
 
 class ConstrainedVariableProjection:
-    """The search for a law with a relaxed effect. Reused for many data sets, it keeps its tables."""
+    """The search for a model with a relaxed effect. Its tables are reused for further data sets."""
 
     def __init__(self, separable: SeparableModel, tau: float = 0.03) -> None:
         self.separable, self.tau = separable, tau
@@ -64,7 +76,7 @@ class ConstrainedVariableProjection:
         self.slow_wave_positions = [r for i, r in zip(scanned, self.relaxed, strict=True) if i in start_places]
 
     def __call__(self, data: Array | None = None) -> SeparableSolution:
-        """The law that explains data (M,), default the blocks' own, best."""
+        """Return the best solution for data (M,); default those of the blocks."""
         data = self.separable.data if data is None else data
         state = self._fit_longest_run(self._data_of_run(self.runs[0], data))
         first = self.single[self.runs[0]]
@@ -78,11 +90,11 @@ class ConstrainedVariableProjection:
         return problem.refine(problem.at(nonlinear_values), steps=MAX_STEPS)
 
     def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
-        """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
+        """Return the events of single runs, (effect, run), that gain less than a penalty."""
         return VariableProjection(self.separable, self.tau).unneeded_events(state, penalty)
 
     def _fit_run(self, run: int, found: dict[str, float], data: Array) -> dict[str, float]:
-        """What is a run's own, by address, where all that it shares with the others is found."""
+        """Parameters of one run by address, the shared ones held at their values."""
         fixed_model = Model(tuple(_with_fixed_values(e, found) for e in self.separable.layout.model.effects))
         separable = _single_run(self.separable, run, fixed_model)
         effect = next(e for e in fixed_model.effects if e.relaxed)
@@ -97,11 +109,12 @@ class ConstrainedVariableProjection:
         return dict(zip(separable.layout.names, separable.law(state.nonlinear_values, state.coefficients), strict=True))
 
     def _data_of_run(self, run: int, data: Array) -> Array:
+        """The data of one run."""
         pairs = zip(self.separable.blocks, self.separable.slices, strict=True)
         return np.concatenate([data[s] for block, s in pairs if block.run == run])
 
     def _fit_longest_run(self, data: Array) -> SeparableSolution:
-        """The law of the longest run."""
+        """The solution of the run with the most frames."""
         first = self.single[self.runs[0]]
         problem = ProjectedProblem(first, data)
         best: SeparableSolution | None = None
@@ -116,7 +129,7 @@ class ConstrainedVariableProjection:
         return problem.refine(best, steps=MAX_STEPS)
 
     def _start_values(self, data: Array) -> list[tuple[float, Array]]:
-        """Misfits and numbers (P,) of the best relaxed laws, of every set of waves the best."""
+        """Misfits and parameter vectors (P,) of the best relaxed fits, the best one of every set of waves."""
         found = sorted(
             (law for r in self.slow_wave_positions for law in r.free_amplitude_fits(data)), key=lambda law: law[0]
         )
@@ -128,7 +141,7 @@ class ConstrainedVariableProjection:
         return chosen[:MAX_WAVE_SETS]
 
     def _other_slow_positions(self, p: Array, data: Array) -> list[Array]:
-        """A law (P,) with the slowest waves of two sums elsewhere, the place that looks best first."""
+        """Parameter vectors (P,) with the slowest waves of two sums at other positions, most promising first."""
         found = [place for r in self.relaxed for place in r.slow_wave_positions(p, data)]
         costs = np.array([c for c, _ in found])
         return [found[i][1] for i in np.argsort(costs)]
@@ -136,6 +149,7 @@ class ConstrainedVariableProjection:
     def _best_refined(
         self, problem: ProjectedProblem, trials: Iterable[Array], best: SeparableSolution | None
     ) -> SeparableSolution:
+        """The best refined trial; trials that stay far behind are given up early."""
         for p in trials:
             state = problem.refine(problem.at(p), steps=FIRST_STEPS, enough=ROUGH_MIN_FALL)
             if best is not None and state.misfit > MAX_MISFIT_RATIO * best.misfit:
@@ -149,7 +163,7 @@ class ConstrainedVariableProjection:
 
 
 def _single_run(separable: SeparableModel, run: int, model: Model) -> SeparableModel:
-    """One run by itself, without a level of its own."""
+    """The model of one run alone, without a level."""
     layout = separable.layout
     if len(layout.run_names) == 1 and model is layout.model:
         return separable
@@ -159,19 +173,20 @@ def _single_run(separable: SeparableModel, run: int, model: Model) -> SeparableM
 
 
 def _with_fixed_values(effect: Effect, found: dict[str, float]) -> Effect:
-    """An effect with those non-linear numbers fixed that the runs share."""
+    """An effect with those non-linear parameters fixed that the runs share."""
     known = {q.name: found.get(f"{effect.name}.{q.name}") for q in effect.nonlinear if q.free}
     return effect.adjusted(**{name: {"fixed": value} for name, value in known.items() if value is not None})
 
 
 def _shared_values(layout: ParameterLayout, effect: Effect) -> list[dict[str, float]]:
-    """Values worth trying of what several parts share."""
+    """Values to try for the parameters that several parts share."""
     shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
     axes = [_values_to_try(q, layout.span) for q in shared]
     return [dict(zip((q.name for q in shared), map(float, values), strict=True)) for values in product(*axes)]
 
 
 def _values_to_try(q: Parameter, span: Span) -> Sequence[float]:
+    """Values to try for one parameter: its known value, or its scan."""
     known = known_value(q, span)
     if known is not None:
         return [known]

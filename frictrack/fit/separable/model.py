@@ -1,8 +1,8 @@
-"""A model along the measured motion: rows that its coefficients multiply, as functions of the non-linear numbers.
+"""The separable model along the measured motion: rows per unit coefficient for given non-linear parameters.
 
-Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a
-`EffectGroup`). A wave of one amplitude and one phase enters as its two quadratures, which are linear; where the phase
-belongs to the runs, every run has its own pair, and the amplitude they share is left to the refinement.
+Independent effects are evaluated alone, a modifier together with the effects that it modifies (`EffectGroup`). A
+sinusoid of one amplitude and one phase enters as two quadratures, which are linear. If the phase belongs to the runs,
+every run has its own pair, and their common amplitude is left to the refinement.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One linear number: a parameter of an effect, shared (run None) or of one run; of a wave one quadrature."""
+    """One linear coefficient: a parameter of an effect, shared (run None) or of one run.
+
+    Of a sinusoid it is one quadrature.
+    """
 
     effect: str
     parameter: str
@@ -41,9 +44,10 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class EffectGroup:
-    """Effects that are evaluated together; `numbers` are positions in the layout of what their columns depend on.
+    """Effects that are evaluated together.
 
-    Those of a wave's `phases` are apart: its quadratures do not depend on them.
+    `nonlinear_slots` are the positions in the layout of the parameters that their columns depend on. The phases of a
+    sinusoid (`phase_slots`) are separate, because its quadratures do not depend on them.
     """
 
     model: Model
@@ -54,11 +58,11 @@ class EffectGroup:
 
     @property
     def names(self) -> list[str]:
-        """Its effects."""
+        """Names of its effects."""
         return self.model.names
 
     def columns(self, path: Path, values: Values) -> Array:
-        """All its columns, (n, k)."""
+        """Compute all columns of the group, (n, k)."""
         if len(self.model.effects) == 1:
             effect = self.model.effects[0]
             return effect.columns(path, values[effect.name])
@@ -67,11 +71,23 @@ class EffectGroup:
 
 @dataclass(eq=False)
 class SeparableModel:
-    """A layout over blocks, ready to be evaluated for one law or a population.
+    """A layout over data blocks, evaluated for one model or for a population.
 
-    `free` are the positions in the layout of the non-linear numbers that are searched: all but levels and the phases
-    of waves. `coefficients` are the K linear ones; `place[g][run]` tells which of them the columns of group g are in
-    that run, -1 for none.
+    Attributes
+    ----------
+    layout : ParameterLayout
+        The unknowns.
+    blocks : sequence of DataBlock
+        The data.
+    groups : list of EffectGroup
+        Effects that are evaluated together.
+    coefficients : list of Coefficient
+        The K linear coefficients.
+    column_positions : list of dict
+        For every group and run, the coefficient of each column; -1 for none.
+    free : list of int
+        Positions of the searched non-linear parameters: all but levels and the phases of sinusoids.
+
     """
 
     layout: ParameterLayout
@@ -103,6 +119,7 @@ class SeparableModel:
     # --- where numbers stand
 
     def _group(self, effects: list[Effect]) -> EffectGroup:
+        """The group of some effects, with the positions of its non-linear parameters."""
         is_sinusoid = len(effects) == 1 and self.is_sinusoid(effects[0])
         phases = {(e.name, q.name) for e in effects for q in e.nonlinear if is_sinusoid and q.role == "phase"}
         wanted = {(e.name, q.name) for e in effects for q in e.nonlinear} - phases
@@ -111,6 +128,7 @@ class SeparableModel:
         return EffectGroup(Model(tuple(effects)), is_sinusoid, effects[0].acts_on == "measurement", *slots)
 
     def _positions(self, wanted: set[tuple[str, str]]) -> tuple[int, ...]:
+        """Positions of the wanted (effect, parameter) pairs in the layout."""
         slots = enumerate(self.layout.slots)
         return tuple(i for i, s in slots if (s.effect, s.parameter) in wanted and s.run in (None, *self.runs))
 
@@ -123,7 +141,7 @@ class SeparableModel:
                 yield from self._leaders({leader})
 
     def is_sinusoid(self, effect: Effect) -> bool:
-        """Whether an effect is one amplitude times a sine of one phase, both free, so that quadratures are linear."""
+        """Return whether an effect is a free amplitude times a sine of a free phase, so that quadratures are linear."""
         sizes = [p for p in effect.linear if p.role == "amplitude"]
         phases = [p for p in effect.nonlinear if p.role == "phase"]
         if effect.modifies or len(effect.linear) != 1 or len(sizes) != 1 or len(phases) != 1:
@@ -137,6 +155,7 @@ class SeparableModel:
         return free and not self.layout.leaders & set(own_slots)
 
     def _column_positions(self, group: EffectGroup) -> dict[int, Indices]:
+        """Create the coefficients of a group, and return which of them its columns are in every run."""
         column_positions: dict[int, list[int]] = {run: [] for run in self.runs}
         for effect in group.model.effects:
             for p in effect.linear:
@@ -165,25 +184,41 @@ class SeparableModel:
         return next((s.bounds for s in slots), (-np.inf, np.inf))
 
     def position(self, effect: str, parameter: str, run: int | None = None) -> int | None:
-        """Position in the layout of a parameter in one run; None where it has none (fixed, tied or absent)."""
+        """Return the position in the layout of a parameter in one run; None if it is fixed, tied or absent."""
         for i, s in enumerate(self.layout.slots):
             if (s.effect, s.parameter) == (effect, parameter) and (run is None or s.run in (None, run)):
                 return i
         return None
 
     def coefficients_of(self, g: int) -> Indices:
-        """Which coefficients belong to a group."""
+        """Return the coefficients of a group."""
         return self._mine[g]
 
     # --- evaluation
 
     def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Forwarded rows (P, columns, m) of group g in block b for numbers (P, P_layout)."""
+        """Compute the forwarded rows of one group in one block.
+
+        Parameters
+        ----------
+        g, b : int
+            Index of the group and of the block.
+        nonlinear_values : array of shape (Q, P)
+            Parameter vectors of Q individuals; only non-linear values are used.
+        level : float
+            Friction level of the run.
+
+        Returns
+        -------
+        array of shape (Q, k, m)
+            Data per unit coefficient, in standard deviations.
+
+        """
         parts = list(self.parts(g, b, nonlinear_values, level))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def parts(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Iterator[Array]:
-        """The same part by part: of a wave one quadrature after the other."""
+        """Yield the same rows part by part: one quadrature of a sinusoid after the other."""
         group, block = self.groups[g], self.blocks[b]
         forward = block.picture if group.is_measurement else block.forward
         if not group.is_sinusoid:
@@ -197,13 +232,13 @@ class SeparableModel:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
 
     def unit_rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
+        """Compute rows (Q, k, n) along block b per unit of every linear parameter, N or m; sinusoids at their phase."""
         group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
         return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, nonlinear_values[:p])), p)
 
     def _evaluation_path(self, g: int, b: int) -> Path:
-        """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
+        """Path on which a group is evaluated: effects without memory at the compared samples only."""
         block = self.blocks[b]
         return block.path if block.compared_path is None or self.groups[g].model.memory else block.compared_path
 
@@ -212,7 +247,7 @@ class SeparableModel:
         return path if level == 1.0 else replace(path, load=path.load * level)
 
     def _values(self, g: int, b: int, nonlinear_values: Array) -> Values:
-        """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
+        """Non-linear values of a group along one block: one number, or one per frame for a population."""
         n, run = len(self._evaluation_path(g, b).t), self.blocks[b].run
         if self.layout.constraints:
             return self._constrained_values(g, b, nonlinear_values)
@@ -223,7 +258,7 @@ class SeparableModel:
         return values
 
     def _fixed_and_free(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
-        """What is fixed in a group and where the rest stands, for one run."""
+        """Fixed values of a group and positions of its free ones, for one run."""
         if (g, run) not in self._fixed_and_free_cache:
             group, layout = self.groups[g], self.layout
             fixed: Values = {e.name: {} for e in group.model.effects}
@@ -239,7 +274,7 @@ class SeparableModel:
         return self._fixed_and_free_cache[g, run]
 
     def _constrained_values(self, g: int, b: int, nonlinear_values: Array) -> Values:
-        """The same where some follow others: every number first, then what the constraints say."""
+        """The same where parameters are tied: all values first, then the constraints."""
         model, block = self.layout.model, self.blocks[b]
         all_values: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
         for (effect, name), value in self.layout.fixed.items():
@@ -255,7 +290,7 @@ class SeparableModel:
         }
 
     def tiled_path(self, g: int, b: int, p: int) -> Path:
-        """One path through p individuals laid end to end, as a group is evaluated along a block."""
+        """Return one path through p individuals laid end to end, as a group is evaluated along a block."""
         path = self._evaluation_path(g, b)
         n = len(path.t)
         if (b, p, n) not in self._tiled:
@@ -272,7 +307,21 @@ class SeparableModel:
     # --- the law in the layout's own unknowns
 
     def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
-        """All unknowns (P,) of the layout: of a wave its amplitude (shared: their mean) and phases."""
+        """Convert a separable solution to the unknowns of the layout.
+
+        Parameters
+        ----------
+        nonlinear_values : array of shape (P,)
+            Parameter vector with the non-linear values.
+        coefficients : array of shape (K,)
+            Linear coefficients.
+
+        Returns
+        -------
+        array of shape (P,)
+            All unknowns. A sinusoid has its amplitude (the mean over runs where it is shared) and phases.
+
+        """
         p = np.array(nonlinear_values, dtype=float)
         estimates_by_slot: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}
@@ -294,9 +343,9 @@ class SeparableModel:
 
 
 def repeat_values(each: Array, n: int, is_depth: bool = False) -> Any:
-    """Values (P,) of a population frame by frame, (P n,); a single one stays a number.
+    """Repeat the values (Q,) of a population frame by frame, (Q n,); a single value stays a number.
 
-    A depth multiplies whole columns (n, k), so that it stands as (P n, 1).
+    A depth multiplies whole columns (n, k), so it has shape (Q n, 1).
     """
     if len(each) == 1:
         return float(each[0])
@@ -305,7 +354,7 @@ def repeat_values(each: Array, n: int, is_depth: bool = False) -> Any:
 
 
 def _by_individual(columns: Array, p: int) -> Array:
-    """Columns (P n, k) of individuals laid end to end as rows (P, k, n)."""
+    """Columns (Q n, k) of individuals laid end to end as rows (Q, k, n)."""
     return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
 
 
@@ -314,7 +363,7 @@ def _is_depth(model: Model, effect: str, parameter: str) -> bool:
 
 
 def _coupled_effects(model: Model) -> list[list[Effect]]:
-    """Effects that are evaluated together: modifiers with all that they modify, the others by themselves."""
+    """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
     kinds = {k for e in model.effects for k in e.modifies}
     joined = [e for e in model.effects if e.modifies or e.kind in kinds]
     out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]

@@ -1,7 +1,14 @@
-"""Gauss-Newton on the projected problem: the coefficients follow from the non-linear numbers by bounded least squares.
+"""Gauss-Newton on the projected problem: bounded least squares gives the coefficients for any non-linear parameters.
 
-Golub & Pereyra 1973 with Kaufman's (1975) Jacobian, in the Gram matrix of the law's rows: one small matrix holds all
-that a step needs. Levels of friction are non-linear numbers here, held about one.
+A step needs only the Gram matrix of the model's rows. The friction levels are non-linear parameters here, with a
+penalty about one.
+
+References
+----------
+Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+Kaufman, L. (1975). A variable projection method for solving separable nonlinear least squares problems. BIT 15,
+49-57.
+
 """
 
 from __future__ import annotations
@@ -27,9 +34,17 @@ Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m)
 
 @dataclass(frozen=True, eq=False)
 class LevelSlopes:
-    """How a law answers the levels of R runs: rows (R, M) per unit of each, and what else is known of them.
+    """The response of a model to the friction levels of R runs.
 
-    `held` (R, R) is the precision with which they are held, `pull` (R,) half the slope of the misfit downwards.
+    Attributes
+    ----------
+    rows : array of shape (R, M)
+        Change of the modelled data per unit of every level.
+    precision : array of shape (R, R)
+        Precision of the penalty on the levels.
+    gradient : array of shape (R,)
+        Half the downward slope of the misfit.
+
     """
 
     rows: Array
@@ -39,11 +54,31 @@ class LevelSlopes:
 
 @dataclass(frozen=True, eq=False)
 class SeparableSolution:
-    """One law: numbers (P_layout,), rows (K, M), coefficients (K,), which of these may move, and the misfit.
+    """The solution for given non-linear values.
 
-    `misfit` is the sum of squared residuals and of what holds the levels about one. Rows that are `out` take no part.
-    `changes` tells how rows answer each number; `stamps` tells rows of different evaluations apart, group by group.
-    `levels` tells how the law answers the levels of its runs.
+    Attributes
+    ----------
+    nonlinear_values : array of shape (P,)
+        Parameter vector; linear entries are not used.
+    rows : array of shape (K, M)
+        Data per unit coefficient.
+    coefficients : array of shape (K,)
+        Least-squares coefficients within their bounds.
+    unconstrained : array of bool, shape (K,)
+        Coefficients that are not at a bound.
+    residual : array of shape (M,)
+        Whitened residual.
+    misfit : float
+        Sum of squared residuals plus penalties.
+    excluded : array of bool, shape (K,)
+        Coefficients that take no part.
+    versions : tuple of int
+        Evaluation number of every group's rows.
+    levels : LevelSlopes
+        Response to the friction levels.
+    row_derivatives : dict
+        Derivatives of the rows by the position of the non-linear parameter.
+
     """
 
     nonlinear_values: Array
@@ -59,7 +94,31 @@ class SeparableSolution:
 
 
 def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
-    """Minimise c' G c - 2 c' u within bounds: coefficients (K,), and which of them stand at no bound."""
+    """Minimise c' G c - 2 c' u within bounds.
+
+    Parameters
+    ----------
+    gram : array of shape (K, K)
+        G.
+    right : array of shape (K,)
+        u.
+    low, high : array of shape (K,)
+        Bounds; equal bounds fix a coefficient.
+
+    Returns
+    -------
+    coefficients : array of shape (K,)
+        The minimum.
+    unconstrained : array of bool, shape (K,)
+        Coefficients that are not at a bound.
+
+    Examples
+    --------
+    >>> c, free = bounded_coefficients(np.eye(2), np.array([1.0, -1.0]), np.zeros(2), np.full(2, 9.0))
+    >>> c.round(6).tolist(), free.tolist()
+    ([1.0, 0.0], [True, False])
+
+    """
     size = np.sqrt(gram.diagonal())
     dead = size == 0
     size[dead] = 1.0
@@ -79,7 +138,7 @@ def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> 
 
 
 class ProjectedProblem:
-    """The projected problem of one data set (M,): laws and their refinement. `tau` is the spread of the levels."""
+    """The projected problem of one data set (M,), with the scatter `tau` of the friction levels."""
 
     _versions = count(1)
 
@@ -100,10 +159,7 @@ class ProjectedProblem:
         self._level_precision = self._prior_rows[:, self.levels].T @ self._prior_rows[:, self.levels]
 
     def _prior_equations(self, tau: float) -> tuple[Array, Array]:
-        """What is known beside the data: rows (m, P) of the numbers and what they aim at, (m,), in deviations.
-
-        Priors of coefficients are left to the refinement.
-        """
+        """Rows (m, P) and targets (m,) of the penalties, in standard deviations, without priors of coefficients."""
         levels = np.zeros(len(self.low))
         levels[self.levels] = 1.0
         rows = penalty_jacobian(self.layout, tau)
@@ -115,7 +171,7 @@ class ProjectedProblem:
         return np.vstack([rows, prior_rows]), np.concatenate([rows @ levels, [q.mean / q.std for q in priors]])
 
     def empty_solution(self, nonlinear_values: Array) -> SeparableSolution:
-        """No law at all: rows of zeros."""
+        """Return a solution without any effect: all rows zero."""
         k = len(self.separable.coefficients)
         zero = np.zeros((k, self.separable.size))
         no_coefficient = np.zeros(k, dtype=bool)
@@ -136,7 +192,7 @@ class ProjectedProblem:
         )
 
     def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
-        """The same law with some of its rows gone, the others' coefficients solved again."""
+        """Return a solution with some coefficients excluded and the others solved again."""
         excluded = state.excluded.copy()
         excluded[coefficients] = True
         return self._solution_of(state.nonlinear_values, state.rows, excluded, (state.versions, state.row_derivatives))
@@ -148,9 +204,24 @@ class ProjectedProblem:
         groups: Iterable[int] | None = None,
         taking_part: Indices | None = None,
     ) -> SeparableSolution:
-        """The law of given numbers (P_layout,); rows of groups other than `groups` are taken from `known`.
+        """Evaluate the solution for given non-linear values.
 
-        `taken` (default all of these groups) are the coefficients that take part from now on, if they did not before.
+        Parameters
+        ----------
+        nonlinear_values : array of shape (P,)
+            Parameter vector.
+        known : SeparableSolution, optional
+            Solution whose rows are reused for all groups not in `groups`.
+        groups : iterable of int, optional
+            Groups to evaluate; default all.
+        taking_part : array of int, optional
+            Coefficients that take part from now on; default all of these groups.
+
+        Returns
+        -------
+        SeparableSolution
+            Coefficients, residual and misfit.
+
         """
         base = known or self.empty_solution(nonlinear_values)
         rows, excluded = base.rows.copy(), base.excluded.copy()
@@ -166,7 +237,7 @@ class ProjectedProblem:
     def _rescale_levels(
         self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]
     ) -> None:
-        """Carry what follows the friction levels along with them: rows, changes, and stamps of the groups touched."""
+        """Rescale rows and derivatives to new friction levels, and renew the versions of the groups that change."""
         separable, (row_derivatives, versions) = self.separable, kept
         factor = new[self.levels] / old[self.levels]
         if np.all(factor == 1.0):
@@ -180,13 +251,13 @@ class ProjectedProblem:
                 versions[g] = next(self._versions)
 
     def _level_factors(self, g: int, b: int, factor: Array) -> Array:
-        """By how much the columns of a group change with the levels of the runs, (columns, 1)."""
+        """Factors (columns, 1) by which the columns of a group follow the levels."""
         run = self.separable.blocks[b].run
         at = self.separable.column_positions[g][run]
         return np.where((at >= 0) & self._loaded[at], factor[run], 1.0)[:, None]
 
     def _evaluate(self, g: int, nonlinear_values: Array, rows: Array, row_derivatives: dict[int, list[Change]]) -> None:
-        """Rows of one group and how they answer its numbers, all from one evaluation."""
+        """Rows of one group and their derivatives, from one evaluation."""
         separable, group = self.separable, self.separable.groups[g]
         for i in group.nonlinear_slots:
             row_derivatives[i] = [c for c in row_derivatives.get(i, []) if c[0] != g]
@@ -210,6 +281,7 @@ class ProjectedProblem:
         excluded: Mask,
         kept: tuple[tuple[int, ...], dict[int, list[Change]]],
     ) -> SeparableSolution:
+        """Solve the coefficients for given rows."""
         gram, right = rows @ rows.T, rows @ self.data
         if excluded.any():
             gram[excluded], gram[:, excluded], right[excluded] = 0.0, 0.0, 0.0
@@ -224,7 +296,7 @@ class ProjectedProblem:
         )
 
     def _level_slopes(self, nonlinear_values: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
-        """How a law answers its levels; `left` is its residual, and how far its numbers are from what is known."""
+        """Response to the levels; `left` is the residual and the deviation from the penalties' targets."""
         separable, slope = self.separable, np.zeros((len(self.levels), self.separable.size))
         residual, departure = left
         if self.levels:
@@ -244,9 +316,26 @@ class ProjectedProblem:
         enough: float = 1e-5,
         below: float = np.inf,
     ) -> SeparableSolution:
-        """Levenberg-Marquardt over the numbers of some groups (default all) and the levels.
+        """Refine the non-linear parameters of some groups and the friction levels by Levenberg-Marquardt.
 
-        Ends when a step promises less than a share `enough` of the misfit, or no hope is left to come below `below`.
+        Parameters
+        ----------
+        state : SeparableSolution
+            Where to start.
+        groups : iterable of int, optional
+            Groups to refine; default all.
+        steps : int
+            Largest number of steps.
+        enough : float
+            Stop when a step is predicted to gain less than this share of the misfit.
+        below : float
+            Stop when the misfit is not expected to fall below this value.
+
+        Returns
+        -------
+        SeparableSolution
+            The refined solution.
+
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
         free = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots}) + self.levels
@@ -273,7 +362,7 @@ class ProjectedProblem:
         return state
 
     def _normal_equations(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:
-        """Normal matrix (d, d) and gradient (d,) of the free numbers beside the coefficients."""
+        """Normal matrix (d, d) and gradient (d,) of the free non-linear parameters, coefficients projected out."""
         slope = np.zeros((len(free), self.separable.size))
         slope[[i in self.levels for i in free]] = state.levels.rows
         for row, i in zip(slope, free, strict=True):
@@ -298,7 +387,7 @@ class ProjectedProblem:
     def _step(
         self, state: SeparableSolution, normal_equations: tuple[Array, Array], free: list[int], damping: float
     ) -> tuple[Array, float]:
-        """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""
+        """Damped step (d,) within the bounds, and the predicted fall of the misfit."""
         normal, gradient = normal_equations
         own = normal.diagonal()
         low, high = self.low[free] - state.nonlinear_values[free], self.high[free] - state.nonlinear_values[free]

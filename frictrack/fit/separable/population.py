@@ -1,8 +1,8 @@
-"""The misfit of a whole population of laws at once, each evaluated along the measured motion.
+"""Compute the misfit of a whole population of parameter vectors, each evaluated along the measured motion.
 
-Over all unknowns, the papers' way (`PopulationMisfit`), or over the non-linear numbers alone, the coefficients solved
-for every individual (`ReducedPopulationMisfit`). The levels of several runs are not searched: each is the one of
-least squares, held about one.
+`PopulationMisfit` is over all unknowns, as in the papers. `ReducedPopulationMisfit` is over the non-linear parameters
+only and solves the coefficients for every individual. Friction levels of several runs are not searched: each has its
+least-squares value, with a penalty about one.
 """
 
 from __future__ import annotations
@@ -23,10 +23,24 @@ MAX_PIVOT_ROUNDS = 6  # of putting coefficients on their bounds and releasing th
 
 
 class PopulationMisfit:
-    """Squared misfit of a population over all unknowns but levels. Called with points (P, d), it returns (P,).
+    """Misfit over all unknowns but the friction levels. Called with points (Q, d), it returns misfits (Q,).
 
-    `searched` are the places of the d unknowns in the layout; `unit` turns whitened squares into the unit in which the
-    misfit is quoted; levels are held about one to within `tau`.
+    Parameters
+    ----------
+    layout : ParameterLayout
+        The unknowns.
+    blocks : sequence of DataBlock
+        The data.
+    tau : float
+        Relative standard deviation of the friction levels.
+    unit : float
+        Factor from whitened squares to the unit in which the misfit is reported.
+
+    Attributes
+    ----------
+    searched : list of int
+        Positions of the d unknowns in the layout.
+
     """
 
     def __init__(
@@ -42,15 +56,29 @@ class PopulationMisfit:
 
     @property
     def blocks(self) -> list[DataBlock]:
-        """What is compared."""
+        """The data that are compared."""
         return list(self.separable.blocks)
 
     def __call__(self, points: Array) -> Array:
-        """Misfits (P,)."""
+        """Compute the misfits (Q,) of points (Q, d)."""
         return _in_chunks(points, lambda some: self.evaluate(some)[0])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Misfits (P,) and the levels that go with them, (P, runs)."""
+        """Compute misfits and friction levels.
+
+        Parameters
+        ----------
+        points : array of shape (Q, d)
+            Points of the search.
+
+        Returns
+        -------
+        misfits : array of shape (Q,)
+            Squared misfits.
+        levels : array of shape (Q, R)
+            Friction levels of the R runs.
+
+        """
         full_vectors = self.full_vectors(points)
         total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
         levels = np.ones((len(points), len(self.layout.run_names)))
@@ -72,11 +100,11 @@ class PopulationMisfit:
         return total * self.unit, levels
 
     def law(self, points: Array) -> Array:
-        """All unknowns (P, P_layout) of points (P, d) as far as these say them."""
+        """Return parameter vectors (Q, P) of points (Q, d), as far as these determine them."""
         return self.full_vectors(points)
 
     def full_vectors(self, points: Array) -> Array:
-        """Points (P, d) in their places among all unknowns (P, P_layout); the rest is one."""
+        """Insert points (Q, d) into parameter vectors (Q, P); the other entries are one."""
         out = np.ones((len(points), len(self.layout.slots)))
         out[:, self.searched] = points
         return out
@@ -88,7 +116,7 @@ class PopulationMisfit:
         ]
 
     def _explained_data(self, b: int, full_vectors: Array) -> tuple[Array, Array]:
-        """What the laws explain of one block, (P, m) each: what follows the friction level, and the rest."""
+        """Modelled data of one block, (Q, m) each: the part that follows the friction level, and the rest."""
         separable, block = self.separable, self.separable.blocks[b]
         sums: dict[tuple[bool, bool], Array] = {}  # pictured, loaded: force or shift (P, n)
         dry, other = np.zeros((len(full_vectors), len(block.data))), np.zeros((len(full_vectors), len(block.data)))
@@ -116,7 +144,7 @@ class PopulationMisfit:
         return dry, other
 
     def _linear_values(self, g: int, run: int, full_vectors: Array) -> tuple[Array, Any]:
-        """Values (P, k) of the linear parameters of a group in one run, and which follow the level."""
+        """Values (Q, k) of the linear parameters of a group in one run, and which of them follow the level."""
         effects = self.separable.groups[g].model.effects
         pairs = [(e, q) for e in effects for q in e.linear]
         values = self._values(run, full_vectors) if self.layout.constraints else None
@@ -132,7 +160,7 @@ class PopulationMisfit:
         return out, np.array([q.loaded for _, q in pairs], dtype=bool)
 
     def _values(self, run: int, full_vectors: Array) -> dict[str, dict[str, Any]]:
-        """Every parameter in one run, (P,) each, those that follow others filled in."""
+        """Every parameter in one run, (Q,) each, constraints applied."""
         model = self.layout.model
         values: dict[str, dict[str, Any]] = {e.name: {q.name: 0.0 for q in e.parameters} for e in model.effects}
         for (effect, name), value in self.layout.fixed.items():
@@ -146,10 +174,10 @@ class PopulationMisfit:
 
 
 class ReducedPopulationMisfit:
-    """Squared misfit of a population over the non-linear numbers alone. Called with points (P, d), it returns (P,).
+    """Misfit over the non-linear parameters. Called with points (Q, d), it returns misfits (Q,).
 
-    A wave's phase is no number: its two quadratures are linear. Where a phase belongs to the runs, its amplitude is
-    free in each of them here.
+    The phase of a sinusoid is not searched, because its two quadratures are linear. If the phase belongs to the runs,
+    the amplitude is free in every run here. Parameters are those of `PopulationMisfit`.
     """
 
     def __init__(
@@ -179,15 +207,15 @@ class ReducedPopulationMisfit:
 
     @property
     def blocks(self) -> list[DataBlock]:
-        """What is compared."""
+        """The data that are compared."""
         return list(self.separable.blocks)
 
     def __call__(self, points: Array) -> Array:
-        """Misfits (P,)."""
+        """Compute the misfits (Q,) of points (Q, d)."""
         return _in_chunks(points, lambda some: self.evaluate(some)[0])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Misfits (P,) and the levels that go with them, (P, runs)."""
+        """Compute misfits (Q,) and friction levels (Q, R) of points (Q, d)."""
         c, gram, right, varying_rows = self._solved(points)
         levels = np.ones((len(points), len(self.layout.run_names)))
         if not self.layout.levels:
@@ -203,11 +231,11 @@ class ReducedPopulationMisfit:
         return total * self.unit, levels
 
     def coefficients(self, points: Array) -> Array:
-        """Coefficients (P, K) of points (P, d)."""
+        """Compute the coefficients (Q, K) of points (Q, d)."""
         return self._solved(points)[0]
 
     def law(self, points: Array) -> Array:
-        """All unknowns (P, P_layout) of points (P, d), levels one."""
+        """Compute parameter vectors (Q, P) of points (Q, d), with levels one."""
         nonlinear_values = self._numbers(points)
         pairs = zip(nonlinear_values, self.coefficients(points), strict=True)
         return np.array([self.separable.law(p, c) for p, c in pairs])
@@ -218,7 +246,7 @@ class ReducedPopulationMisfit:
         return out
 
     def _solved(self, points: Array) -> tuple[Array, Array, Array, list[tuple[Array, Indices]]]:
-        """Coefficients (P, K), Gram matrices (P, K, K), products with the data (P, K), and the rows that vary."""
+        """Coefficients (Q, K), Gram matrices (Q, K, K), products with the data (Q, K), and the rows that vary."""
         separable, nonlinear_values = self.separable, self._numbers(points)
         gram = np.repeat(self._gram[None], len(points), axis=0)
         right = np.repeat(self._right[None], len(points), axis=0)
@@ -238,7 +266,7 @@ class ReducedPopulationMisfit:
         return _bounded(gram, right, separable.low, separable.high), gram, right, varying_rows
 
     def _add(self, b: int, rows: Array, at: Indices, into: tuple[Array, Array]) -> None:
-        """Add one block's products: rows (P, k, m), which are the coefficients `at`."""
+        """Add the products of one block; `rows` (Q, k, m) belong to the coefficients `at`."""
         gram, right = into
         cut = self.separable.slices[b]
         other_rows = np.vstack([self._rows[self._constant_groups][:, cut], self.separable.data[cut]])
@@ -249,7 +277,7 @@ class ReducedPopulationMisfit:
         gram[:, at[:, None], at] += rows @ rows.transpose(0, 2, 1)
 
     def _explained_data(self, run: int, c: Array, varying_rows: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
-        """What the laws explain of one run, (P, m) each: what follows the level, and the rest."""
+        """Modelled data of one run, (Q, m) each: the part that follows the level, and the rest."""
         separable = self.separable
         loaded = np.array([k.loaded for k in separable.coefficients], dtype=bool)
         parts = []
@@ -271,7 +299,7 @@ class ReducedPopulationMisfit:
 
 
 def _with_best_level(residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array]:
-    """Squared residuals (P,) of one run at its best level, and the level: dry friction times 1 + d, d of spread tau."""
+    """Squared residuals (Q,) of one run at its best level 1 + d, and the level; d has standard deviation tau."""
     if tau is None:
         return np.einsum("pm,pm->p", residual, residual), np.ones(len(residual))
     d = np.sum(dry * residual, axis=1) / (np.sum(dry**2, axis=1) + tau**-2)
@@ -280,7 +308,14 @@ def _with_best_level(residual: Array, dry: Array, tau: float | None) -> tuple[Ar
 
 
 def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
-    """Coefficients (P, K) of least squares within bounds, all individuals at once (block pivoting, Portugal 1994)."""
+    """Least-squares coefficients (Q, K) within bounds, all individuals at once.
+
+    References
+    ----------
+    Portugal, L. F., Judice, J. J. & Vicente, L. N. (1994). A comparison of block pivoting and interior-point
+    algorithms. Mathematics of Computation 63, 625-643.
+
+    """
     size = np.sqrt(np.einsum("pkk->pk", gram))
     size[size == 0] = 1.0
     unit = gram / size[:, :, None] / size[:, None, :]
@@ -294,6 +329,7 @@ def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
 
 
 def _pivot_on_bounds(unit: Array, right: Array, low: Array, high: Array) -> Array:
+    """Block pivoting: set coefficients on their bounds and release them until none changes."""
     fixed = np.broadcast_to(low == high, right.shape).copy()
     value = np.where(fixed, low, 0.0)
     for _ in range(MAX_PIVOT_ROUNDS):

@@ -1,4 +1,4 @@
-"""The parts of an effect whose waves share an amplitude: one law where each has its own, and scans as they share it."""
+"""Fit waves of a common amplitude in one run: each with a free amplitude, or pairs with their common amplitudes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PHASE_ROTATIONS = np.array([np.cos(TRIAL_PHASES), np.sin(TRIAL_PHASES)])  # a wa
 
 @dataclass(frozen=True)
 class Wave:
-    """One wave of a sum: its group in the relaxed law, the amplitude that it shares, and its own numbers."""
+    """One wave of a sum: its group in the relaxed model, and the names of its amplitude, frequency and phase."""
 
     g: int
     size: str
@@ -37,7 +37,7 @@ class Wave:
 
 
 class RelaxedWaves:
-    """One run at given values of what the parts share."""
+    """The relaxed model of one run, at given values of the shared parameters."""
 
     def __init__(self, full_model: SeparableModel, effect: Effect, shared_values: Mapping[str, float]) -> None:
         self.full_model, self.effect, self.shared_values = full_model, effect, shared_values
@@ -55,6 +55,7 @@ class RelaxedWaves:
         self._products: dict[tuple[str, str], tuple[Any, ...]] = {}
 
     def _waves(self) -> Iterator[Wave]:
+        """The waves among the groups of the relaxed model."""
         for g, group in enumerate(self.separable.groups):
             part = self.parts.get(group.names[0])
             if part is not None and group.is_sinusoid:
@@ -67,7 +68,14 @@ class RelaxedWaves:
     # --- every wave with an amplitude of its own
 
     def free_amplitude_fits(self, data: Array) -> list[tuple[float, Array]]:
-        """Laws of data (M,), as found and with waves of two sums exchanged: misfits, and numbers (P,) of the whole."""
+        """Fit data (M,) with free amplitudes, as found and with waves of two sums exchanged.
+
+        Returns
+        -------
+        list of (float, array of shape (P,))
+            Misfits and parameter vectors of the full model.
+
+        """
         problem = ProjectedProblem(self.separable, data)
         state = self.search.start_solution(problem)
         found = [state]
@@ -84,7 +92,7 @@ class RelaxedWaves:
         return [(s.misfit, self._in_full_model(s)) for s in found]
 
     def _in_full_model(self, state: SeparableSolution) -> Array:
-        """Numbers (P,) of the whole law that has the waves of a relaxed one."""
+        """Parameter vector (P,) of the full model with the waves of a relaxed solution."""
         law = self.separable.law(state.nonlinear_values, state.coefficients)
         known = {(self.effect.name, name): value for name, value in self.shared_values.items()}
         for slot, value in zip(self.separable.layout.slots, law, strict=True):
@@ -99,7 +107,7 @@ class RelaxedWaves:
     # --- waves that share their amplitudes
 
     def fast_periods(self, p: Array) -> Array:
-        """Periods in the run of the waves that are not slow, sum after sum, (f,); slow ones count as none."""
+        """Return the periods per run of the fast waves, sum after sum, (f,); slow ones count as zero."""
         duration = self.full_model.layout.span.duration
         out = []
         for size in dict.fromkeys(w.size for w in self.waves):
@@ -108,7 +116,7 @@ class RelaxedWaves:
         return np.array(out)
 
     def with_waves_exchanged(self, p: Array) -> Iterator[Array]:
-        """A law (P,) with two waves of two sums exchanged that stand close to each other."""
+        """Yield parameter vectors (P,) with two neighbouring waves of different sums exchanged."""
         for one, other in combinations(self.waves, 2):
             f, g = (self._value(p, w.frequency) for w in (one, other))
             near = abs(f - g) * self.full_model.layout.span.duration < MAX_PAIR_PLACES
@@ -119,13 +127,21 @@ class RelaxedWaves:
                 yield q
 
     def slow_wave_positions(self, p: Array, data: Array) -> list[tuple[float, Array]]:
-        """Where the slowest waves of two sums may stand, beside all others of a law (P,): misfits, and numbers (P,)."""
+        """Scan the slowest waves of two sums beside all others of a model.
+
+        Returns
+        -------
+        list of (float, array of shape (P,))
+            Misfits of the local minima, and their parameter vectors.
+
+        """
         slowest = {}
         for w in sorted(self.waves, key=lambda w: -self._value(p, w.frequency)):
             slowest[w.size] = w
         return [place for pair in combinations(slowest.values(), 2) for place in self._scan_pair(p, data, pair)]
 
     def _scan_pair(self, p: Array, data: Array, pair: tuple[Wave, Wave]) -> list[tuple[float, Array]]:
+        """Scan one pair of waves over frequency and phase."""
         one, other = pair
         basis = self._other_effects_basis(p, pair)
         a, b, aa, bb, ab = self._pair_products(pair, basis)
@@ -160,9 +176,9 @@ class RelaxedWaves:
         return out
 
     def _pair_products(self, pair: tuple[Wave, Wave], basis: Array) -> tuple[Any, ...]:
-        """Both waves at all slow frequencies beside the rest of the law, and their products at all phases.
+        """Both waves at all slow frequencies, other effects projected out, and their products at all phases.
 
-        They depend on the motion alone, and are kept as long as the rest stays the same.
+        They depend on the motion only, and are kept as long as the other effects stay the same.
         """
         key = pair[0].frequency, pair[1].frequency
         if key not in self._products or not np.array_equal(self._products[key][0], basis):
@@ -184,17 +200,19 @@ class RelaxedWaves:
         return self._products[key][1:]
 
     def _set_wave(self, q: Array, w: Wave, frequency: float, phase: float) -> None:
+        """Set frequency and phase of a wave in a parameter vector, in place."""
         for name, value in ((w.frequency, frequency), (w.phase, phase)):
             k = self.full_model.position(self.effect.name, name)
             if k is not None:
                 q[k] = value
 
     def _value(self, p: Array, name: str) -> float:
+        """Value of a parameter of the effect."""
         k = self.full_model.position(self.effect.name, name)
         return self.full_model.layout.fixed[self.effect.name, name] if k is None else float(p[k])
 
     def _slow_quadratures(self, w: Wave) -> Array:
-        """Both quadratures (F, 2, M) of a wave at every slow frequency, of a fixed one at its own."""
+        """Both quadratures (F, 2, M) of a wave at every slow frequency; of a fixed one at its own."""
         fixed = self.full_model.layout.fixed.get((self.effect.name, w.frequency))
         key = w.size if fixed is None else w.frequency
         if key not in self._rows:
@@ -202,6 +220,7 @@ class RelaxedWaves:
         return self._rows[key]
 
     def _quadratures(self, w: Wave, frequencies: Array) -> Array:
+        """Both quadratures (F, 2, M) of a wave at some frequencies."""
         nonlinear_values = np.ones((len(frequencies), len(self.separable.layout.slots)))
         for i in self.separable.groups[w.g].nonlinear_slots:
             nonlinear_values[:, i] = frequencies
@@ -209,7 +228,7 @@ class RelaxedWaves:
         return np.concatenate(rows, axis=2)
 
     def _other_waves(self, p: Array, w: Wave) -> Array:
-        """The other waves of the sum of `w`, (M,)."""
+        """Sum (M,) of the other waves that share the amplitude of `w`."""
         out = np.zeros(self.separable.size)
         for q in self.waves:
             if q.size == w.size and q is not w:
@@ -219,7 +238,7 @@ class RelaxedWaves:
         return out
 
     def _other_effects_basis(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
-        """An orthonormal basis (k, M) of all that stands beside two sums, at the numbers of a law (P,)."""
+        """Orthonormal basis (k, M) of everything beside two sums, at the values of a parameter vector (P,)."""
         known = {(s.effect, s.parameter): float(v) for s, v in zip(self.full_model.layout.slots, p, strict=True)}
         nonlinear_values = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
         rows = []
@@ -244,22 +263,22 @@ class RelaxedWaves:
 
 
 def _without_basis(rows: Array, basis: Array) -> Array:
-    """What an orthonormal basis (k, M) leaves of rows (..., M)."""
+    """Rows (..., M) minus their projection on an orthonormal basis (k, M)."""
     return np.asarray(rows - (rows @ basis.T) @ basis)
 
 
 def _single_precision(rows: Array) -> Array:
-    """In single precision: it only says where to look."""
+    """Rows in single precision: they only show where to refine."""
     return rows.astype(np.float32)
 
 
 def _over_phases(products: Array) -> Array:
-    """Products of waves at all phases, (F PHASES,), from those of their quadratures (F, 2)."""
+    """Products of waves at all phases, (F PHASE_COUNT,), from those of their quadratures (F, 2)."""
     return np.asarray((products @ _single_precision(PHASE_ROTATIONS)).ravel())
 
 
 def _effect_of_part(name: str, part: RelaxedPart, effect: Effect, shared_values: Mapping[str, float]) -> Effect:
-    """A part as it is searched: bounds and fixed values of the whole, what is shared held."""
+    """A part as an effect of its own: bounds and fixed values of the whole, shared parameters fixed."""
     own_parameters = []
     for q, reported_name in zip(part.effect.parameters, part.names, strict=True):
         parameter = effect.parameter(reported_name)

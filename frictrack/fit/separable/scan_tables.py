@@ -1,6 +1,6 @@
-"""All forms of one effect on the grid of its scan, and what each would gain beside a law: closed form, all at once.
+"""Scan effects over grids of their non-linear parameters: the gain of every grid point in closed form, all at once.
 
-Tables depend on the motion alone, so they serve every data set along it. Instances of one effect share theirs.
+Tables depend only on the motion, so they serve every data set along it. Instances of one effect share them.
 """
 
 from __future__ import annotations
@@ -23,22 +23,34 @@ MAX_AT_ONCE = 64  # forms evaluated at once
 
 @dataclass(frozen=True, eq=False)
 class ScanGrid:
-    """Points of a scan: `values` (G, d) of the parameters `names`, and where they stand on their axes, (G, d)."""
+    """Points of a scan: `values` (G, d) of the parameters `names`, and their grid indices `steps` (G, d)."""
 
     names: tuple[str, ...]
     values: Array
     steps: NDArray[np.int_]
 
     def shortened(self) -> ScanGrid:
-        """The grid without its last point."""
+        """Return the grid without its last point."""
         return ScanGrid(self.names, self.values[:-1], self.steps[:-1])
 
 
 @dataclass(frozen=True, eq=False)
 class ScanTable:
-    """Rows of every form: of block b (G c_b, m_b), its columns being coefficients `at[b]` of the C of a form.
+    """Rows of every grid point, in single precision: they only show where to refine.
 
-    In single precision: they only say where to look.
+    Attributes
+    ----------
+    grid : ScanGrid
+        The G points.
+    rows : list of array of shape (G c_b, m_b)
+        Rows in every block b.
+    at : list of array of int
+        Which of the C coefficients of a point the rows of a block belong to.
+    gram : array of shape (G, C, C)
+        Gram matrices.
+    law_products, data_products, neighbour_gram
+        Caches of inner products.
+
     """
 
     grid: ScanGrid
@@ -51,7 +63,25 @@ class ScanTable:
     neighbour_gram: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
 
     def inner_products(self, separable: SeparableModel, state: SeparableSolution, data: Array) -> tuple[Array, Array]:
-        """Inner products with the rows of a law and of its R levels (G, C, K + R), and with its residual (G, C)."""
+        """Compute the inner products of the table with a solution.
+
+        Parameters
+        ----------
+        separable : SeparableModel
+            The model.
+        state : SeparableSolution
+            The solution, with K coefficients and R friction levels.
+        data : array of shape (M,)
+            The data.
+
+        Returns
+        -------
+        products : array of shape (G, C, K + R)
+            With the rows of the solution and of its levels.
+        residual_products : array of shape (G, C)
+            With its residual.
+
+        """
         k = len(state.coefficients)
         out = np.zeros((*self.gram.shape[:2], k + len(state.levels.rows)))
         for g, stamp in enumerate(state.versions):
@@ -65,7 +95,7 @@ class ScanTable:
         return out, self.data_products[1] - out[:, :, :k] @ state.coefficients
 
     def neighbours(self) -> Array:
-        """Gram matrices (G - 1, 2 C, 2 C) of every form and the next one on the grid."""
+        """Return the Gram matrices (G - 1, 2 C, 2 C) of every point and the next one on the grid."""
         if not self.neighbour_gram:
             g, c = self.gram.shape[:2]
             across = np.zeros((g - 1, c, c))
@@ -78,6 +108,7 @@ class ScanTable:
         return self.neighbour_gram[0]
 
     def _products(self, slices: list[slice], rows: Array) -> Array:
+        """Inner products (G, C, k) of the table with rows (k, M)."""
         g, c = self.gram.shape[:2]
         out = np.zeros((g, c, len(rows)))
         single_rows = rows.astype(np.float32)
@@ -89,14 +120,14 @@ class ScanTable:
 
 @dataclass(frozen=True, eq=False)
 class TableScan:
-    """What every form gains beside a law, (G,), and its coefficients (G, C)."""
+    """Gain of every grid point beside a solution, (G,), and its coefficients (G, C)."""
 
     grid: ScanGrid
     gains: Array
     coefficients: Array
 
     def best_distinct(self, most: int) -> list[int]:
-        """Forms of the largest gains, none within `MIN_GRID_STEPS_APART` steps of a better one."""
+        """Return the points of the largest gains, none within `MIN_GRID_STEPS_APART` steps of a better one."""
         chosen: list[int] = []
         left = self.gains.copy()
         for _ in range(most):
@@ -109,7 +140,7 @@ class TableScan:
 
 
 def scan_grid(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
-    """Every combination of the scanned parameters of an effect, those above what the data show left out."""
+    """Create the grid of an effect's scanned parameters, without frequencies above the band of the data."""
     effect_rows = next(e for e in separable.layout.model.effects if e.name == effect)
     span = separable.layout.span if run is None else separable.layout.spans[run]
     highest = max(b.highest for b in separable.blocks)
@@ -129,7 +160,7 @@ def scan_grid(separable: SeparableModel, effect: str, run: int | None) -> ScanGr
 
 @dataclass(frozen=True)
 class ScanItem:
-    """An effect that is scanned: in group `g`; in one `run` where the scan is the run's own."""
+    """An effect to scan, in group `g`; in one `run` if its scan belongs to single runs."""
 
     effect: str
     g: int
@@ -140,16 +171,16 @@ MAX_SCAN_AXES = 3  # numbers of one effect that are scanned together
 
 
 def is_scannable(effect: Effect) -> bool:
-    """Whether the forms of an effect are few columns on a grid: no modifier, not too many numbers at once.
+    """Return whether an effect can be scanned on a grid: it modifies no other and has few scanned parameters.
 
-    One that is relaxed is scanned part by part.
+    An effect with relaxed parts is scanned part by part.
     """
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MAX_SCAN_AXES)
 
 
 def scanned_effects(separable: SeparableModel) -> list[ScanItem]:
-    """What a model has to scan, in its order."""
+    """Return the effects of a model that are scanned, in its order."""
     out = []
     for effect in separable.layout.model.effects:
         g = next(k for k, group in enumerate(separable.groups) if effect.name in group.names)
@@ -166,7 +197,7 @@ def scanned_effects(separable: SeparableModel) -> list[ScanItem]:
 
 
 def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int_]:
-    """Which coefficients of the law belong to an item."""
+    """Return the coefficients of the model that belong to an item."""
     return np.array(
         [
             i
@@ -178,7 +209,7 @@ def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int
 
 
 class ScanTables:
-    """The tables of a layout along its blocks, made when first asked for."""
+    """The tables of a layout along its blocks, created on first use."""
 
     def __init__(self, separable: SeparableModel) -> None:
         self.separable = separable
@@ -186,14 +217,14 @@ class ScanTables:
         self._made: dict[tuple[object, ...], ScanTable] = {}
 
     def grid(self, item: ScanItem) -> ScanGrid:
-        """The grid of an item."""
+        """Return the grid of an item."""
         key = item.effect, item.run
         if key not in self._grids:
             self._grids[key] = scan_grid(self.separable, *key)
         return self._grids[key]
 
     def table(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
-        """The table of an item; kept unless it depends on the law at hand."""
+        """Return the table of an item. It is kept, unless it depends on the current solution."""
         separable = self.separable
         group = separable.groups[item.g]
         if len(group.model.effects) > 1:
@@ -212,7 +243,7 @@ class ScanTables:
         return self._made[key]
 
     def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
-        """What every form of an item gains beside a law without it."""
+        """Compute the gain of every grid point of an item beside a solution without it."""
         table = self.table(item, state)
         mine = coefficients_of(self.separable, item)
         cross, residual_products = table.inner_products(self.separable, state, data)
@@ -221,7 +252,7 @@ class ScanTables:
         )
 
     def pairs(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
-        """What two neighbouring points of one scan would gain together: two lines closer than they can be parted."""
+        """Compute the gain of two neighbouring grid points together: two lines too close to be resolved."""
         table = self.table(item, state)
         cross, residual_products = table.inner_products(self.separable, state, data)
         two = replace(table, gram=table.neighbours(), grid=table.grid.shortened())
@@ -232,6 +263,7 @@ class ScanTables:
         return _table_scan(two, state, both, (-np.inf, np.inf))
 
     def _build(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
+        """Evaluate the rows of an item at all grid points."""
         separable, grid = self.separable, self.grid(item)
         nonlinear_values = np.tile(state.nonlinear_values, (len(grid.values), 1))
         for name, values in zip(grid.names, grid.values.T, strict=True):
@@ -264,9 +296,9 @@ def _chunks(nonlinear_values: Array) -> list[Array]:
 def _table_scan(
     table: ScanTable, state: SeparableSolution, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
 ) -> TableScan:
-    """Gains of all forms beside a law that has none of them, its levels free as far as they are held.
+    """Gains of all grid points beside a solution without them, its levels free within their penalty.
 
-    `products` are those with its rows and levels (G, C, K + R) and with its residual (G, C).
+    `products` are the inner products from `ScanTable.inner_products`, `box` the bounds of the coefficients.
     """
     cross, residual_products = products
     schur, gain_of_free_rows = table.gram.copy(), 0.0
@@ -283,7 +315,7 @@ def _table_scan(
 
 
 def _free_rows(state: SeparableSolution, free: Mask) -> tuple[Array, Array, Array]:
-    """Of the free rows and levels of a law (k,): their inverse Gram matrix, in units of their sizes (k,), and pulls."""
+    """Inverse Gram matrix of the free rows and levels (k,), in units of their sizes (k,), and gradients (k,)."""
     rows = np.concatenate([state.rows, state.levels.rows])[free]
     k, own = len(state.coefficients), state.levels
     precision, gradient = np.zeros((len(free), len(free))), np.zeros(len(free))
@@ -296,7 +328,7 @@ def _free_rows(state: SeparableSolution, free: Mask) -> tuple[Array, Array, Arra
 
 
 def _solve(schur: Array, residual_products: Array, full: Array) -> Array:
-    """Best coefficients (G, C) of forms with what remains of their Gram matrices; absorbed forms get none."""
+    """Best coefficients (G, C) for projected Gram matrices; points that the model absorbs get zero."""
     count = schur.shape[1]
     floor = MIN_UNEXPLAINED_SHARE * full
     if count == 1:

@@ -1,9 +1,14 @@
-"""The default search: scan in closed form, refine off the grid, exchange one effect after the other until none helps.
+"""Fit by variable projection: scan effects in closed form, refine off the grid, exchange positions until none helps.
 
-Whatever is not scanned stands from the start. Then, again and again, every form of every effect that is still out is
-tried beside the law at once, the best is taken in and all numbers are refined together before the next: a weak line
-hides in the leakage of a strong one that stands on the grid. At the end every effect in turn is taken out and its
-scan, beside all the others, says where else it may stand; each such place is refined and kept if the misfit falls.
+Effects without a scan are in the model from the start. Then every grid point of every missing effect is tried at
+once, the best one is added, and all parameters are refined together before the next. A weak spectral line is
+otherwise hidden in the leakage of a strong line that is still on the grid. At the end each effect in turn is removed
+and scanned again beside all others. Every promising position is refined, and kept if the misfit falls.
+
+References
+----------
+Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+
 """
 
 from __future__ import annotations
@@ -37,7 +42,16 @@ MIN_GAIN_SHARE = 1e-6  # of the misfit that a trial must gain to be kept
 
 
 class VariableProjection:
-    """Variable projection along the measured motion. Reused for many data sets, it keeps its tables."""
+    """Variable projection along the measured motion. Its tables are reused for further data sets.
+
+    Parameters
+    ----------
+    separable : SeparableModel
+        The model over its data.
+    tau : float
+        Relative standard deviation of the friction levels.
+
+    """
 
     def __init__(self, separable: SeparableModel, tau: float = 0.03) -> None:
         self.separable, self.tau = separable, tau
@@ -47,12 +61,26 @@ class VariableProjection:
         self.unscanned_groups = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
 
     def __call__(self, data: Array | None = None, nonlinear_values: Array | None = None) -> SeparableSolution:
-        """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
+        """Fit data.
+
+        Parameters
+        ----------
+        data : array of shape (M,), optional
+            Whitened data; default those of the blocks.
+        nonlinear_values : array of shape (P,), optional
+            First values of parameters that no scan finds.
+
+        Returns
+        -------
+        SeparableSolution
+            The best solution found.
+
+        """
         problem = ProjectedProblem(self.separable, self.separable.data if data is None else data, self.tau)
         return self._exchange_until_no_gain(problem, self.start_solution(problem, nonlinear_values))
 
     def start_solution(self, problem: ProjectedProblem, nonlinear_values: Array | None = None) -> SeparableSolution:
-        """The law with every effect where it gained most when it was taken in, refined roughly."""
+        """Return the solution with every effect at the position that gained most when it was added, refined roughly."""
         start_values = self.start_values() if nonlinear_values is None else nonlinear_values
         state = problem.at(start_values, problem.empty_solution(start_values), self.unscanned_groups)
         if problem.levels:
@@ -60,7 +88,21 @@ class VariableProjection:
         return self._add_items(problem, state)
 
     def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
-        """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
+        """Return the events of single runs that gain less than a penalty.
+
+        Parameters
+        ----------
+        state : SeparableSolution
+            The solution.
+        penalty : float
+            Smallest gain of chi-squared. The best run of every effect is kept in any case.
+
+        Returns
+        -------
+        frozenset of (str, int)
+            Pairs (effect, run).
+
+        """
         problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
         without_item = {i: problem.without(state, self.item_coefficients[i]) for i in self.items if i.run is not None}
         if problem.levels:  # these take over what they can
@@ -72,7 +114,7 @@ class VariableProjection:
         )
 
     def exchange_positions(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
-        """The law with one effect, and all whose scan is as short, where they explain most beside each other."""
+        """Exchange the positions of one effect, and of all effects with a short scan, until none helps."""
         all_items = self.items
         self.items = [
             i for i in all_items if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS
@@ -82,7 +124,7 @@ class VariableProjection:
         return state
 
     def restart_effect(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
-        """The same, the effect taken out before and found again run by run, where it gains most first."""
+        """Remove one effect, find it again run by run, largest gain first, and exchange positions."""
         all_items = self.items
         self.items = [i for i in all_items if i.effect == effect]
         without_item = problem.without(state, np.concatenate([self.item_coefficients[i] for i in self.items]))
@@ -93,7 +135,7 @@ class VariableProjection:
         return self.exchange_positions(problem, found, effect)
 
     def start_values(self) -> Array:
-        """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""
+        """Return first values (P,): levels one, the others inside their bounds."""
         low, high = self.separable.layout.bounds
         out = np.ones(len(low))
         for i, s in enumerate(self.separable.layout.slots):
@@ -102,7 +144,7 @@ class VariableProjection:
         return out
 
     def _add_items(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-        """Take in one effect after the other, the one that gains most first."""
+        """Add one effect after the other, largest gain first."""
         remaining = list(self.items)
         while remaining:
             scans = self._scans(problem, state, remaining)
@@ -113,12 +155,13 @@ class VariableProjection:
         return state
 
     def _groups_without(self, remaining: list[ScanItem]) -> set[int]:
+        """Groups without those of the remaining items."""
         return set(range(len(self.separable.groups))) - {i.g for i in remaining}
 
     def _with_item_at(
         self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem, found: TableScan, g: int
     ) -> SeparableSolution:
-        """The law with an item at one point of its scan."""
+        """The solution with an item at one point of its scan."""
         nonlinear_values = state.nonlinear_values.copy()
         for name, value in zip(found.grid.names, found.grid.values[g], strict=True):
             for i, s in enumerate(self.separable.layout.slots):
@@ -127,7 +170,7 @@ class VariableProjection:
         return problem.at(nonlinear_values, state, {item.g}, self.item_coefficients[item])
 
     def _exchange_until_no_gain(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-        """Try other places for every effect, then for pairs of them, until none helps."""
+        """Try other positions of every effect, then of pairs of effects, until none helps."""
         state = problem.refine(state)
         waiting = list(self.items)
         while waiting:
@@ -141,7 +184,7 @@ class VariableProjection:
         return state
 
     def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
-        """A better law with two effects elsewhere: two lines in place of one, or two that trade places."""
+        """A better solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
         shares = self._explained_shares(state)
         misses_effect = self._misses_effect(problem, state)
         for one, other in permutations(self.items, 2):
@@ -158,20 +201,21 @@ class VariableProjection:
         return None
 
     def _misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
-        """Whether one more effect of any kind would explain far more than chance does: something stands wrong."""
+        """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
         best = max(float(s.gains.max()) for s in self._scans(problem, state, self.items).values())
         return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
 
     def _scans(
         self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScanItem]
     ) -> dict[ScanItem, TableScan]:
-        """What one more of every kind of effect would gain."""
+        """Scans of one more effect of every kind."""
         kinds = {(self.separable.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
         return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
 
     def _try_other_positions(
         self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
     ) -> SeparableSolution | None:
+        """A better solution with one item at another position; None if there is none."""
         without_item = problem.without(state, self.item_coefficients[item])
         found = self.tables.scan(item, without_item, problem.data)
         max_misfit = self._max_promising_misfit(state, without_item)
@@ -184,7 +228,7 @@ class VariableProjection:
         return None
 
     def _max_promising_misfit(self, state: SeparableSolution, without_item: SeparableSolution) -> float:
-        """How large a misfit on the grid may be, and the law still be worth refining, beside one with effects out."""
+        """Largest misfit on the grid that is worth a refinement."""
         return (
             state.misfit
             + MAX_LAG_SHARE * (without_item.misfit - state.misfit)
@@ -194,7 +238,7 @@ class VariableProjection:
     def _try_neighbouring_lines(
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
     ) -> SeparableSolution | None:
-        """Two lines side by side, where the two together gain most."""
+        """A better solution with two lines at neighbouring grid points."""
         without_both = problem.without(
             state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
         )
@@ -214,7 +258,7 @@ class VariableProjection:
     def _try_both_again(
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
     ) -> SeparableSolution | None:
-        """Both out; the best place for `one` first, then beside it for the `other`."""
+        """A better solution with both items removed, then `one` and after it `other` at their best positions."""
         without_both = problem.without(
             state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
         )
@@ -230,16 +274,17 @@ class VariableProjection:
     def _refine_if_better(
         self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
     ) -> SeparableSolution | None:
+        """The refined trial, or None if it does not lower the misfit."""
         trial = problem.refine(trial, below=state.misfit)
         return trial if trial.misfit < state.misfit * (1 - MIN_GAIN_SHARE) else None
 
     def _are_same_kind(self, one: ScanItem, other: ScanItem) -> bool:
-        """Whether two items are instances of one effect, found by one number."""
+        """Whether two items are instances of one effect with one scanned parameter."""
         a, b = (self.separable.groups[i.g].model.effects[0] for i in (one, other))
         return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
 
     def _explained_shares(self, state: SeparableSolution) -> Callable[[ScanItem, ScanItem], float]:
-        """How much of each other's rows two items explain, all others projected out."""
+        """Function that returns which share of each other's rows two items explain, all others projected out."""
         rows = np.where(state.excluded[:, None], 0.0, state.rows)
         gram = rows @ rows.T
         size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
@@ -254,17 +299,18 @@ class VariableProjection:
         return share
 
     def _slot_positions(self, item: ScanItem, names: tuple[str, ...]) -> list[int]:
-        """Positions in the layout of the numbers that an item is scanned over."""
+        """Positions in the layout of the scanned parameters of an item."""
         found = (self.separable.position(item.effect, name, item.run) for name in names)
         return [i for i in found if i is not None]
 
     @staticmethod
     def _nearest_point(grid: ScanGrid, state: SeparableSolution, positions: list[int]) -> int:
+        """Grid point nearest to the current values."""
         axis_range = np.ptp(grid.values, axis=0)
         distance = (grid.values - state.nonlinear_values[positions]) / np.where(axis_range > 0, axis_range, 1.0)
         return int(np.argmin(np.sum(distance**2, axis=1)))
 
     def _is_current_position(self, item: ScanItem, state: SeparableSolution, found: TableScan, g: int) -> bool:
-        """Whether the law has the item at that place already, within a step of its scan."""
+        """Whether the item is within one grid step of this point already."""
         nearest = self._nearest_point(found.grid, state, self._slot_positions(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))

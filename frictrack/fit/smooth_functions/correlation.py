@@ -8,7 +8,30 @@ from frictrack.records import Array
 
 
 def correlation_time_frames(r: Array, window: float = 5.0) -> float:
-    """Integrated correlation time of a residual (n,) in frames, summed over a growing window (Sokal 1997)."""
+    """Compute the integrated correlation time of a residual, summed over a growing window.
+
+    Parameters
+    ----------
+    r : array of shape (n,)
+        Residual.
+    window : float
+        The sum ends at the first lag above this multiple of the correlation time.
+
+    Returns
+    -------
+    float
+        Correlation time in frames, at least 1.
+
+    References
+    ----------
+    Sokal, A. (1997). Monte Carlo methods in statistical mechanics. Functional Integration, NATO ASI 361, 131-192.
+
+    Examples
+    --------
+    >>> correlation_time_frames(np.tile([1.0, -1.0], 50))
+    1.0
+
+    """
     n = len(r)
     if n < 8:
         return 1.0

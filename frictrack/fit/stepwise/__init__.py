@@ -1,4 +1,4 @@
-"""Add one effect to a fitted model or remove one: trial values from a scan, then refinement in simulation."""
+"""Add one effect to a fitted model, or remove one: start values from a scan, then refinement in simulation."""
 
 from frictrack.fit.stepwise.growth import (
     add_effect,

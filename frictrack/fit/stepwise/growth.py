@@ -1,4 +1,4 @@
-"""An effect added to a fitted law where its scan gains most, or taken away from it; the rest refined along."""
+"""Add an effect to a fitted model where its scan gains most, or remove one, and refine the other parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,19 @@ TRIAL_MAX_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one need
 
 
 def guess_coefficients(problem: LeastSquaresProblem) -> Array:
-    """Coefficients of a linear model by least squares on the smoothed acceleration."""
+    """Compute first coefficients of a linear model by least squares on the smoothed acceleration.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem of a model without scanned parameters.
+
+    Returns
+    -------
+    array of shape (P,)
+        Unknowns; friction levels one.
+
+    """
     layout = problem.layout
     rows, right = [], []
     p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
@@ -38,16 +50,34 @@ def guess_coefficients(problem: LeastSquaresProblem) -> Array:
 
 
 def _acceleration(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
-    """What the law p (P,) adds to the acceleration along the smoothed motion, (3 p,)."""
+    """Acceleration (3 p,) that the model with unknowns p (P,) adds along the smoothed motion."""
     values, level = problem.layout.values(p, piece.run)
     return np.asarray(-problem.model.force(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values) / piece.mass)
 
 
 def add_effect(solution: Solution, effect: Effect) -> Solution:
-    """Add an effect to a fitted law; where that law is too wild to move on from, add it before the scanned ones.
+    """Add an effect to a fitted model.
 
-    Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
-    Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
+    Without the effect that it lacks, a fitted model may not be integrable with the new one. In that case the effect
+    is added before the scanned ones.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted model.
+    effect : Effect
+        The effect to add.
+
+    Returns
+    -------
+    Solution
+        The larger model, refined as far as a trial needs; see `refine_to_end`.
+
+    Raises
+    ------
+    FrictrackError
+        If the runs lack what the effect needs, or the motion cannot be integrated.
+
     """
     without_scan, scanned = entry_order(solution.problem.model)
     try:
@@ -66,10 +96,7 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
 
 
 def _add_effect(solution: Solution, effect: Effect) -> Solution:
-    """Add an effect where it explains most along the measured motion, and refine everything as far as a trial needs.
-
-    See `refine_to_end`. Raises FrictrackError when the runs lack what the effect needs.
-    """
+    """Add an effect where it explains most along the measured motion, and refine as far as a trial needs."""
     linearised = linearise(solution)
     made = candidate_grids(linearised, effect_for_scan(solution, effect))
     if not made:
@@ -82,14 +109,29 @@ def _add_effect(solution: Solution, effect: Effect) -> Solution:
 
 
 def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
-    """A law with an effect on trial, refined in simulation from where it stands along the measured motion."""
+    """Refine a model with an effect on trial in simulation, from its values along the measured motion.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The model without the effect.
+    trial : CandidateTrial
+        The effect on trial.
+
+    Returns
+    -------
+    Solution
+        The larger model.
+
+    """
     return _with_few_clocks(_simulate_trial(linearised, trial), trial.effect)
 
 
 def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
-    """A law whose clock is wrong in as few runs as explain the data: the others share one, which is right by name.
+    """Remove clock errors of runs that do not need one: the others share the nominal clock.
 
-    All clocks together are absorbed by the law, so that the run next to the middle of them goes first.
+    The model absorbs a common clock error of all runs. The run nearest to the median clock is therefore removed
+    first.
     """
     penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
     while effect.clock is not None:
@@ -113,6 +155,7 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
 
 
 def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
+    """Refine a trial in simulation; if its motion cannot be integrated, refit the coefficients first."""
     layout, about_measurement = trial.layout, linearised.solution
     problem = rebuild_problem(about_measurement.problem, layout)
     starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in about_measurement.responses]
@@ -131,24 +174,24 @@ def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solut
 
 
 def _trial_min_fall(misfit: float, frames: int) -> float:
-    """Fall of chi-squared, in units of what a frame leaves, that a step of a trial must promise."""
+    """Fall of chi-squared, in units of chi-squared per frame, that a trial step must be predicted to gain."""
     return max(TRIAL_MIN_CHI2_FALL, TRIAL_MIN_EXCESS_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
 
 
 def refine_to_end(solution: Solution) -> Solution:
-    """A law that `add_effect` has tried, refined to its end."""
+    """Refine a model that `add_effect` has tried to convergence."""
     return refit_with_scatter(solution, solution.tau or 0.03)
 
 
 def rebuild_problem(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
-    """The same pieces under another layout, with as many panels per frame as its effects need."""
+    """Create the problem of the same pieces under another layout, with the panels per frame that its effects need."""
     fine = max(e.fine for e in layout.model.effects)
     pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
     return problem.rebuild(layout, pieces)
 
 
 def reorder_effects(solution: Solution, model: Model) -> Solution:
-    """The same solution with the effects in the order of `model`."""
+    """Return the same solution with the effects in the order of `model`."""
     old = solution.problem.layout
     made = {e.name: e for e in old.model.effects}
     layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
@@ -159,7 +202,21 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
 
 
 def remove_effect(solution: Solution, name: str) -> Solution:
-    """The model without one effect, refined from where it stands."""
+    """Remove an effect from a fitted model and refine the rest.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted model.
+    name : str
+        Name of the effect.
+
+    Returns
+    -------
+    Solution
+        The smaller model.
+
+    """
     old = solution.problem.layout
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
     layout = replace(old, model=model_without(solution, name), absent=absent)

@@ -1,4 +1,4 @@
-"""In which order effects enter a law that is fitted from scratch, and what is known of one before it is scanned."""
+"""Determine the order in which effects enter a fit from scratch, and what is known of an effect before its scan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,21 @@ PRIOR_HALF_WIDTH_STD = 4.0  # standard deviations of a prior, beyond which nothi
 
 
 def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
-    """Effects to start from, and the others in an order in which none follows one that is still to come."""
+    """Split the effects of a model into those to start from and those to add later.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    first : list of Effect
+        Effects without scanned parameters.
+    later : list of Effect
+        The others; none is tied to an effect that comes after it, if possible.
+
+    """
     without_scan: list[Effect] = []
     while ready := [
         e for e in model.effects if e not in without_scan and not _needs_scan(e) and ties_are_resolved(e, without_scan)
@@ -33,13 +47,29 @@ def _needs_scan(effect: Effect) -> bool:
 
 
 def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
-    """Whether all that an effect is tied to is there."""
+    """Return whether all effects that an effect is tied to are present."""
     leaders = {Tie.read(p.tie).effect for p in effect.parameters if p.tie}
     return leaders <= {effect.name, *(e.name for e in known_values)}
 
 
 def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
-    """The effect for a scan beside a law: what it is tied to stands where it is, a prior narrows where it is sought."""
+    """Prepare an effect for a scan beside a fitted model.
+
+    Tied parameters are fixed at their current values; priors narrow the range of the scan.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted model.
+    effect : Effect
+        The candidate.
+
+    Returns
+    -------
+    Effect
+        The effect to scan.
+
+    """
     changes: dict[str, dict[str, Any]] = {}
     values, _ = solution.problem.layout.values(solution.p, 0)
     for p in effect.nonlinear:
@@ -55,7 +85,10 @@ def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
 
 
 def reversed_ties(model: Model) -> list[Model]:
-    """The same law, each tie between two scanned effects turned round: a scan sees the leader first, and alone."""
+    """Return the same model with each tie between two scanned effects reversed, one model per tie.
+
+    A scan sees the leading effect first and alone, so the other direction may find a better start.
+    """
     out = []
     for e in model.effects:
         for p in (p for p in e.nonlinear if p.tie):
@@ -74,7 +107,7 @@ def reversed_ties(model: Model) -> list[Model]:
 
 
 def model_without(solution: Solution, name: str) -> Model:
-    """The model without one effect; what followed it stays where it is."""
+    """Return the model without one effect; parameters tied to it are fixed at their current values."""
     model = solution.problem.model
     values, _ = solution.problem.layout.values(solution.p, 0)
     out = []
@@ -88,7 +121,7 @@ def model_without(solution: Solution, name: str) -> Model:
 
 
 def _scan_near_prior(p: Parameter, prior: tuple[float, float]) -> Within:
-    """The scan of a parameter as far as its prior believes in it."""
+    """The scan of a parameter within `PRIOR_HALF_WIDTH_STD` standard deviations of its prior."""
     mean, std = prior
     low, high = max(p.bounds[0], mean - PRIOR_HALF_WIDTH_STD * std), min(p.bounds[1], mean + PRIOR_HALF_WIDTH_STD * std)
     return Within((float(low), float(np.nextafter(max(high, low), np.inf))), p.scan)

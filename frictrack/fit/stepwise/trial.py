@@ -1,7 +1,7 @@
-"""An effect tried beside a fitted law: refined along the measured motion, where coefficients are linear.
+"""Try an effect beside a fitted model: refine both along the measured motion, where coefficients are linear.
 
-The base law is fitted along with it, whole, so that a strong effect is judged as rightly as a weak one; a trial takes
-milliseconds. Several places of the scan are tried, since the best form of a grid need not lead to the best law.
+The whole model is fitted together with the effect, so strong and weak effects are judged alike. A trial takes
+milliseconds. Several positions of the scan are tried, because the best grid point need not lead to the best fit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
 
 @dataclass(frozen=True, eq=False)
 class CandidateTrial:
-    """A law with an effect more: its unknowns p (P,) and its misfit along the measured motion."""
+    """A model with one more effect: its layout, its unknowns p (P,) and its misfit along the measured motion."""
 
     effect: Effect
     layout: ParameterLayout
@@ -44,9 +44,26 @@ class CandidateTrial:
 
 
 def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array) -> CandidateTrial:
-    """The best law with an effect more; `data` (L,) are the coordinates of the measured series in `law`.
+    """Fit a model with one more effect along the measured motion.
 
-    One amplitude serves all runs unless that is significantly worse than an amplitude per run.
+    One amplitude serves all runs, unless an amplitude per run is significantly better.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The fitted model.
+    effect : Effect
+        The candidate.
+    scans : list of CandidateScan
+        Its scans.
+    data : array of shape (L,)
+        Coordinates of the measured series in `linearised`.
+
+    Returns
+    -------
+    CandidateTrial
+        The best trial.
+
     """
     left = linearised.residual_projector(linearised.solution.tau)
     runs = len(linearised.solution.problem.layout.run_names)
@@ -69,7 +86,7 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
 
 
 def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
-    """The best law with several effects more whose free parameters are all linear."""
+    """Fit a model with several more effects whose free parameters are all linear."""
     old = linearised.solution.problem.layout
     layout = replace(old, model=Model((*old.model.effects, *effects)))
     known_values = dict(zip(old.names, linearised.solution.p, strict=True))
@@ -81,14 +98,28 @@ def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -
 
 
 def baseline_misfit(linearised: LinearisedModel) -> float:
-    """Misfit of the law itself along the measured motion."""
+    """Compute the misfit of the model itself along the measured motion."""
     layout = linearised.solution.problem.layout
     problem = _projected_problem(linearised, layout)
     return problem.refine(problem.at(np.array(linearised.solution.p)), steps=FINAL_STEPS, enough=FINAL_MIN_FALL).misfit
 
 
 def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
-    """Chi-squared that another effect leaves of what a true one makes of the runs, along the measured motion."""
+    """Compute the chi-squared that another effect leaves of data made by a true one, along the measured motion.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The model without either effect.
+    true, other : CandidateTrial
+        The effect that makes the data, and the one that is fitted to them.
+
+    Returns
+    -------
+    float
+        Expected difference of chi-squared between the two.
+
+    """
     true_problem = _projected_problem(linearised, true.layout)
     ideal = true_problem.data - true_problem.at(np.array(true.p)).residual
     problem = ProjectedProblem(TiedSeparableModel(other.layout, linearised.blocks), ideal, true_problem.tau)
@@ -97,10 +128,10 @@ def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, othe
 
 
 class TiedSeparableModel(SeparableModel):
-    """A law along the motion in which waves that share an amplitude do so: their phases are numbers."""
+    """A separable model in which waves share their amplitude between runs. Their phases are then non-linear."""
 
     def is_sinusoid(self, effect: Effect) -> bool:
-        """Whether quadratures are linear: not where runs share an amplitude and have their own phases."""
+        """Return whether quadratures are linear: not if runs share an amplitude and have their own phases."""
         own = {p.per_run for p in effect.parameters if p.role in ("amplitude", "phase")}
         return super().is_sinusoid(effect) and (len(own) == 1 or len(self.runs) == 1)
 
@@ -111,7 +142,7 @@ def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> 
 
 
 def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
-    """The best of the laws that several starts lead to."""
+    """The best of the fits from several starts."""
     found: list[tuple[ProjectedProblem, SeparableSolution]] = []
     for values, absent in starts:
         old = linearised.solution.problem.layout
@@ -127,15 +158,28 @@ def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterabl
 
 
 def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> float:
-    """Where an unknown begins that the bare law does not have: as scanned, a friction level at one."""
+    """First value of an unknown that the smaller model does not have: from the scan; a friction level is one."""
     return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
 
 
 def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
-    """Trials that may be the best, where they were not found in one go.
+    """Search those trials again that may be best but were not found in one scan.
 
-    Events of single runs were found one by one beside a law that lacked them all. And where no trial leaves the noise,
-    or much is missing, the law may stand where it stood without the effect: all that scans quickly is found again.
+    Events of single runs were found one by one, beside a model that lacked them all. If no trial reaches the noise,
+    or much is missing, the model may be at a wrong position; then all quick scans are repeated.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The fitted model.
+    trials : list of CandidateTrial
+        First trials.
+
+    Returns
+    -------
+    list of CandidateTrial
+        The trials, best first if they were searched again.
+
     """
     misfit = baseline_misfit(linearised)
     min_gain = MIN_GAIN_SHARE * max((misfit - t.misfit for t in trials), default=0.0)
@@ -152,13 +196,14 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
 
 
 def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
+    """A trial with the positions of all quickly scanned effects exchanged."""
     problem = _projected_problem(linearised, trial.layout)
     state = VariableProjection(problem.separable, problem.tau).exchange_positions(problem, problem.at(trial.p), "")
     return _trial(trial.effect, *_refined(problem, state))
 
 
 def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
-    """Events of single runs beside each other, in every run that gains more than their price by one."""
+    """A trial with events searched jointly in all runs, kept where they gain more than their penalty."""
     name, penalty = trial.effect.name, EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
     layout = replace(trial.layout, absent=linearised.solution.problem.layout.absent)
     problem = _projected_problem(linearised, layout)
@@ -187,7 +232,7 @@ def _trial(effect: Effect, problem: ProjectedProblem, state: SeparableSolution) 
 def _with_shared_amplitude(
     linearised: LinearisedModel, free_amplitudes: CandidateTrial, effect: Effect
 ) -> CandidateTrial:
-    """The same effect with one amplitude for all runs, from where an amplitude per run stands: at their mean."""
+    """The same effect with one amplitude for all runs, started at the mean of the amplitudes per run."""
     old = free_amplitudes.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects[:-1], effect)))
     known_values: dict[str, list[float]] = {}
@@ -199,19 +244,19 @@ def _with_shared_amplitude(
 
 
 def is_unconstrained(p: Parameter) -> bool:
-    """Whether nothing is said of an amplitude beside the runs."""
+    """Return whether a parameter is free and has no prior."""
     return p.free and p.prior is None
 
 
 def _starts_of_grids(scans: list[CandidateScan], left: Array, data: Array) -> list[list[Pick]]:
-    """Places worth trying, of every family one each."""
+    """Start positions: the best of every grid, or several of a single grid."""
     if len(scans) > 1:
         return [[_best_forms(s, left, data, 1)[0] for s in scans]]
     return [[pick] for pick in _best_forms(scans[0], left, data, MAX_STARTS)]
 
 
 def _best_forms(found: CandidateScan, left: Array, data: Array, most: int) -> list[Pick]:
-    """The best forms whose coefficients keep their bounds, none within a few steps of a better one."""
+    """Best grid points with coefficients within bounds, none within a few steps of a better one."""
     grid, gains = found.grid, found.gains.copy()
     steps = np.stack(np.unravel_index(np.arange(len(gains)), grid.shape), axis=1)
     out: list[Pick] = []
@@ -257,7 +302,7 @@ def _start_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]
 
 
 def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], float]:
-    """Coefficients of a scan without phases, of every run and for all."""
+    """Coefficients of a scan without phases, for every run and for all."""
     amplitudes = [p for p in effect.parameters if p.linear or p.role == "depth"]
     out: dict[tuple[str, int | None], float] = {}
     if not amplitudes:  # a modifier without a size, such as a lag
@@ -269,7 +314,7 @@ def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, i
 
 
 def _event_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
-    """Events of single runs: kept where they gain more than their price, at least in the best run."""
+    """Events of single runs: kept where they gain more than their penalty, at least in the best run."""
     penalty = EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
     gains = np.array([g for g, _, _ in picks])
     kept = np.flatnonzero((gains > penalty) | (gains == gains.max()))

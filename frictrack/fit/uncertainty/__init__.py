@@ -1,4 +1,4 @@
-"""Parameter uncertainty: estimates with deviations, model misfit, profile likelihood, bootstrap."""
+"""Compute the uncertainty of fitted parameters: estimates, model misfit, profile likelihood, bootstrap."""
 
 from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
 from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimate_parameters, with_misfit

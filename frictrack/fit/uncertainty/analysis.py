@@ -1,4 +1,4 @@
-"""What was asked of a fit's uncertainty beyond its standard deviations: profiles, a bootstrap, their intervals."""
+"""Analyse the uncertainty of a fit beyond its standard deviations: profiles, a bootstrap, and their intervals."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Interval = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class UncertaintyAnalysis:
-    """Profiles and a bootstrap of one fit, where they were asked for."""
+    """Profiles and a bootstrap of one fit, where they were computed."""
 
     profiles: tuple[Profile, ...] = ()
     bootstrap: Bootstrap | None = None
 
     @property
     def intervals(self) -> dict[str, Interval]:
-        """Intervals by address: a profile's, else the bootstrap's."""
+        """Intervals by address: from a profile, or else from the bootstrap."""
         from_bootstrap: dict[str, Interval] = {} if self.bootstrap is None else dict(self.bootstrap.intervals)
         return from_bootstrap | {p.address: (p.low, p.high) for p in self.profiles}
 
     def summary(self) -> dict[str, Any]:
-        """JSON: `profiles` and `bootstrap`, what there is of them."""
+        """Return JSON with `profiles` and `bootstrap`, where they were computed."""
         out: dict[str, Any] = {}
         if self.profiles:
             out["profiles"] = {p.address: p.summary() for p in self.profiles}
@@ -48,9 +48,31 @@ def analyse_uncertainty(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> UncertaintyAnalysis:
-    """Profiles of all shared parameters of a fit, and a bootstrap of so many draws.
+    """Compute the profiles of all shared parameters of a fit, and a bootstrap.
 
-    Raises FrictrackError (usage) for fits of groups.
+    Parameters
+    ----------
+    result : FittedModel
+        The fit.
+    profiles : bool
+        Whether to compute profiles.
+    draws : int
+        Number of bootstrap draws; 0 for none.
+    seed : int
+        Seed of the bootstrap.
+    progress : callable, optional
+        Called with the number done, the total, and what is computed.
+
+    Returns
+    -------
+    UncertaintyAnalysis
+        Profiles and bootstrap.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For fits of groups.
+
     """
     if not hasattr(result, "solution"):
         raise FrictrackError("expected the fit of one group for its profiles; leave out --per group", usage=True)
@@ -66,7 +88,7 @@ def analyse_uncertainty(
 
 
 def merge_uncertainty(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
-    """The JSON of a fit with that of its `Certainty`: every parameter gets its interval."""
+    """Merge the JSON of a fit with that of its `UncertaintyAnalysis`: parameters get their intervals."""
     from_bootstrap = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
     intervals = from_bootstrap | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}
     parameters = {

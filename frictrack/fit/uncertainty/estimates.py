@@ -1,4 +1,4 @@
-"""Fitted unknowns as a person wants them: value, standard deviation, and why a value is not given."""
+"""Convert fitted unknowns to estimates: value, standard deviation, and the reason where no value is given."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ MIN_CORRELATION = 0.95  # correlation from which two parameters are told to trad
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter: value and standard deviation in `unit`, or None with the reason.
+    """The estimate of one parameter: value and standard deviation in `unit`, or None with the reason.
 
-    With the level scattering over few runs, `std` is the one whose +-1.96 covers 95 % (Student, runs - 1).
+    If the friction level scatters over few runs, +-1.96 `std` covers 95 % (Student's t with runs - 1 degrees).
     """
 
     value: float | None
@@ -35,16 +35,16 @@ class Estimate:
 
     @property
     def reported_std(self) -> float | None:
-        """The deviation to quote alone: with what the law misses, where it misses anything."""
+        """Standard deviation to report alone: with the effect of a missing force where the model is rejected."""
         return self.std if self.std_misfit is None else self.std_misfit
 
     def is_significant(self, times: float) -> bool:
-        """Whether the value exceeds so many of its own standard deviations."""
+        """Return whether the value exceeds so many of its own standard deviations."""
         std = self.reported_std
         return self.value is not None and std is not None and abs(self.value) > times * std
 
     def json(self) -> dict[str, Any]:
-        """JSON; `interval` and `std_misfit` where there are any."""
+        """Return JSON; `interval` and `std_misfit` only where they are known."""
         out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
         out |= {} if self.interval is None else {"interval": list(self.interval)}
         return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
@@ -52,7 +52,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Estimates:
-    """All parameters by address, the covariance of the unknowns behind them (P, P), and what is to be said of them."""
+    """All estimates by address, the covariance (P, P) of the unknowns, strong correlations, and remarks."""
 
     parameters: dict[str, Estimate]
     covariance: Array
@@ -60,7 +60,7 @@ class Estimates:
     remarks: list[str] = field(default_factory=list)
 
     def with_intervals(self, found: dict[str, tuple[float | None, float | None]]) -> Estimates:
-        """The same with intervals, by address."""
+        """Return the same estimates with intervals, by address."""
         parameters = {
             name: replace(e, interval=found[name]) if name in found else e for name, e in self.parameters.items()
         }
@@ -68,10 +68,22 @@ class Estimates:
 
 
 def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
-    """Return the same estimates with deviations that hold while the law misses a force.
+    """Add the effect of a missing force to the standard deviations.
 
-    `covariance` (P, P) is what that force adds to the unknowns. Fixed, tied and undetermined parameters stay as they
-    are.
+    Parameters
+    ----------
+    found : Estimates
+        Estimates for noise alone.
+    solution : Solution
+        The fit.
+    covariance : array of shape (P, P)
+        What the missing force adds to the covariance of the unknowns.
+
+    Returns
+    -------
+    Estimates
+        The same with `std_misfit`. Fixed, tied and undetermined parameters are unchanged.
+
     """
     layout = solution.problem.layout
     _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
@@ -86,9 +98,20 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
 
 
 def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
-    """Parameters with deviations; what the data do not determine is null with a reason.
+    """Compute estimates from a fit. Parameters that the data do not determine get no value, but a reason.
 
-    `profile` also looks whether the profiles of the non-linear parameters are bounded, which takes further fits.
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    profile : bool
+        Whether to test that the profiles of the non-linear parameters are bounded, which needs further fits.
+
+    Returns
+    -------
+    Estimates
+        Reported values with standard deviations.
+
     """
     covariance, unseen = covariance_of(solution)
     reasons = _unseen_reasons(solution, unseen) | (undetermined_reasons(solution, covariance) if profile else {})
@@ -96,7 +119,23 @@ def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimate
 
 
 def estimates_from_covariance(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
-    """Parameters as they are quoted, with the deviations of a covariance (P, P); null where there is a reason."""
+    """Compute estimates from a given covariance of the unknowns.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    reasons : dict
+        Address to the reason why no value is given.
+
+    Returns
+    -------
+    Estimates
+        Reported values with standard deviations.
+
+    """
     layout, names, p = solution.problem.layout, solution.problem.layout.names, solution.p
     values, jacobian = reported_values_and_jacobian(solution.problem, p)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
@@ -123,7 +162,7 @@ def estimates_from_covariance(solution: Solution, covariance: Array, reasons: di
 
 
 def correlated_noise_remark(solution: Solution) -> Iterator[str]:
-    """Say that the noise of neighbouring frames is correlated, how large it is, and for how long."""
+    """State that the noise of neighbouring frames is correlated, how strongly, and over how many frames."""
     pieces = [p for p in solution.problem.pieces if p.correlated]
     if pieces:
         rms, time = pieces[0].correlated
@@ -137,7 +176,7 @@ def correlated_noise_remark(solution: Solution) -> Iterator[str]:
 
 
 def negative_force_remark(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
-    """Say which coefficients of a passive force came out clearly negative, and what does that."""
+    """State which coefficients of passive forces are significantly negative, and what may cause that."""
     for effect in solution.problem.model.effects:
         for p in effect.parameters:
             e = found.get(f"{effect.name}.{p.name}") if p.passive else None
@@ -150,7 +189,7 @@ def negative_force_remark(solution: Solution, found: dict[str, Estimate]) -> Ite
 
 
 def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Parameters that follow others, as well known as these."""
+    """Estimates of tied parameters, from those that they follow."""
     layout = solution.problem.layout
     out: dict[str, Estimate] = {}
     for address, tie, unit in layout.tied_parameters():
@@ -164,7 +203,7 @@ def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Esti
 
 
 def _unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
-    """Unknowns that the linearised model does not see at all, with the reason."""
+    """Reasons for unknowns that the linearised model does not respond to."""
     layout, names = solution.problem.layout, solution.problem.layout.names
     mass_undetermined = MASS in layout.model and unseen[layout.index(MASS, "m")]
     out = {
@@ -176,7 +215,28 @@ def _unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:
-    """Pairs of the unknowns `at` whose correlation is above 0.95."""
+    """Return pairs of unknowns whose correlation exceeds `MIN_CORRELATION`.
+
+    Parameters
+    ----------
+    names : list of str
+        Addresses of all unknowns.
+    at : list of int
+        Unknowns to compare.
+    covariance : array of shape (P, P)
+        Their covariance.
+
+    Returns
+    -------
+    list of (str, str, float)
+        Both addresses and the correlation.
+
+    Examples
+    --------
+    >>> correlations(["a", "b"], [0, 1], np.array([[1.0, 0.99], [0.99, 1.0]]))
+    [('a', 'b', 0.99)]
+
+    """
     d = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]

@@ -1,4 +1,4 @@
-"""What profiles and the bootstrap need of a fitted model."""
+"""The interface of a fitted model that profiles and the bootstrap need."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ class FittedModel(Protocol):
 
     @property
     def solution(self) -> Solution:
-        """The unknowns, and the model of the displacement linearised there."""
+        """The unknowns, and the displacement model linearised there."""
 
     @property
     def compared(self) -> Solution:
-        """The same in the domain that was compared: displacement, acceleration or measured friction."""
+        """The solution in the compared domain: displacement, acceleration or measured friction."""
 
     @property
     def domain(self) -> str:
-        """What was compared: "displacement" or "force"."""
+        """The compared domain: "displacement" or "force"."""
 
     @property
     def search(self) -> str:
-        """How the parameters were searched for."""
+        """The search method."""
 
     @property
     def is_default_route(self) -> bool:

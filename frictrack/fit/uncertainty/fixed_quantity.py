@@ -1,4 +1,4 @@
-"""A problem in which one quantity keeps its value while every other unknown is fitted again."""
+"""The least-squares problem with one reported quantity fixed, while all other unknowns are fitted."""
 
 from __future__ import annotations
 
@@ -19,10 +19,19 @@ MIN_DISTANCE_TO_BOUNDS_STD = 20.0  # standard deviations to its bounds that make
 
 
 class FixedQuantityProblem(LeastSquaresProblem):
-    """The same problem, one unknown (the pivot) following from the others so that a quantity has a given value.
+    """The same problem with one unknown (the pivot) chosen so that a quantity has a given value.
 
-    Its unknowns are those of `inner`; what stands in the pivot's place is not read. Without a pivot the quantity is an
-    unknown itself.
+    Parameters
+    ----------
+    inner : LeastSquaresProblem
+        The problem without the condition.
+    quantity : Quantity
+        The reported quantity.
+    value : float
+        Its value.
+    pivot : int or None
+        The unknown that follows from the others. None if the quantity is an unknown itself.
+
     """
 
     def __init__(self, inner: LeastSquaresProblem, quantity: Quantity, value: float, pivot: int | None) -> None:
@@ -33,15 +42,19 @@ class FixedQuantityProblem(LeastSquaresProblem):
 
     @property
     def free(self) -> Mask:
-        """Which unknowns may move, (P,)."""
+        """Which unknowns may change, (P,)."""
         free = np.ones(len(self.layout.slots), dtype=bool)
         free[self.pivot] = False
         return free
 
     def law(self, p: Array) -> Array:
-        """All unknowns (P,), the pivot in its place.
+        """Compute all unknowns (P,) with the pivot solved for.
 
-        Raises FrictrackError where the pivot would leave its bounds.
+        Raises
+        ------
+        FrictrackError
+            If the pivot would leave its bounds.
+
         """
         p = np.array(p, dtype=float)
         if self.direct:
@@ -59,7 +72,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
         return p
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
-        """Simulate and linearise; sensitivities are those of the other unknowns with the pivot following."""
+        """Simulate and linearise every piece; the sensitivities include the response of the pivot."""
         law = self.law(p)
         if self.direct:
             return self.inner.evaluate(law, starts)
@@ -69,6 +82,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
         return [self._with_pivot_derivative(r, derivative) for r in self.inner.evaluate(law, starts)]
 
     def _with_pivot_derivative(self, r: PieceResponse, derivative: Array) -> PieceResponse:
+        """The response of a piece with the pivot following the other unknowns."""
         if self.pivot not in r.active:
             return r
         at = r.active.index(self.pivot)
@@ -86,9 +100,22 @@ class FixedQuantityProblem(LeastSquaresProblem):
 
 
 def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
-    """Which unknown follows: the quoted one, unless its bounds are near and another one has more room.
+    """Choose the pivot: the reported unknown, unless it is close to a bound and another one is not.
 
-    None where the quantity is an unknown itself. `std` (P,) of the unknowns.
+    Parameters
+    ----------
+    quantity : Quantity
+        The reported quantity.
+    solution : Solution
+        The fit.
+    std : array of shape (P,)
+        Standard deviations of the unknowns.
+
+    Returns
+    -------
+    int or None
+        Position of the pivot; None if the quantity is an unknown itself.
+
     """
     p, (low, high) = solution.p, solution.problem.layout.bounds
     influence = np.abs(quantity.gradient(solution.problem, p)) * np.maximum(std, 1e-12)

@@ -1,4 +1,4 @@
-"""What the runs do not determine, in words: which parameters trade places, why, and which run would settle it."""
+"""Describe what the runs do not determine: which parameters are confused, why, and which run would separate them."""
 
 from __future__ import annotations
 
@@ -25,10 +25,23 @@ MAX_NAMES_LISTED = 6  # told of one group
 
 
 def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str]:
-    """Non-linear parameters, and F_s, whose profile is not bounded, by address, with the reason.
+    """Find non-linear parameters, and F_s, whose profile is not bounded.
 
-    F_s and v_s go together: they count when the profile interval of F_s - F_c excludes zero and that of v_s ends on
-    both sides. `covariance` (P, P) is the one stated.
+    F_s and v_s are reported together: only if the interval of F_s - F_c excludes zero and that of v_s is bounded on
+    both sides.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+
+    Returns
+    -------
+    dict of str to str
+        Address to reason.
+
     """
     out: dict[str, str] = {}
     for effect in solution.problem.model.effects:
@@ -45,7 +58,7 @@ def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str
 
 
 def _undetermined_stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | None:
-    """Why F_s and v_s are not to be printed."""
+    """Why F_s and v_s are not determined; None if they are."""
     layout = solution.problem.layout
     rise = layout.index(effect.name, "F_s")
     advice_text = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
@@ -71,7 +84,7 @@ def _undetermined_stribeck(solution: Solution, covariance: Array, effect: Effect
 
 
 def _unbounded_parameters(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tuple[str, str]]:
-    """Non-linear parameters of one effect that are not bounded on both sides."""
+    """Yield the non-linear parameters of one effect that are not bounded on both sides, with the reason."""
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     sizes = {p.name for p in effect.parameters if p.linear or p.role == "depth"}
@@ -96,17 +109,18 @@ def _unbounded_parameters(solution: Solution, covariance: Array, effect: Effect)
 
 
 def _same_wave(size: Slot, slot: Slot) -> bool:
-    """Whether a size belongs to the same run as a non-linear parameter, or either to all."""
+    """Whether an amplitude belongs to the same run as a non-linear parameter, or one of them to all runs."""
     return size.run is None or slot.run is None or size.run == slot.run
 
 
 def _distance_to_bounds(solution: Solution, i: int) -> float:
+    """Distance of an unknown from its nearer bound."""
     low, high = solution.problem.layout.slots[i].bounds
     return float(min(solution.p[i] - low, high - solution.p[i]))
 
 
 def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
-    """Why the profile of one unknown is open; None where it ends on both sides."""
+    """Why the profile of one unknown is unbounded; None if it is bounded on both sides."""
     search = ProfileSearch(
         solution, parse_quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance
     )
@@ -118,12 +132,19 @@ def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | No
 
 
 def as_clause(sentence: str) -> str:
-    """A sentence as part of another one."""
+    """Return a sentence in the form that it has after a semicolon.
+
+    Examples
+    --------
+    >>> as_clause("Film a slower run.")
+    'film a slower run'
+
+    """
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
 def correlated_partners(solution: Solution, i: int) -> str:
-    """Why an unknown is not seen at all: what it cannot be told from, and the run that would tell."""
+    """Explain why an unknown is not determined: what it is confused with, and which run would separate them."""
     layout, jac = solution.problem.layout, solution.jac
     norm = np.linalg.norm(jac, axis=0)
     if norm[i] == 0:
@@ -143,9 +164,22 @@ def correlated_partners(solution: Solution, i: int) -> str:
 def identifiability_remarks(
     solution: Solution, correlations: Sequence[tuple[str, str, float]], undetermined: Sequence[str]
 ) -> list[str]:
-    """What a person should know of the parameters as a whole: who trades places with whom, and what would part them.
+    """State which parameters are confused with each other, and what would separate them.
 
-    `lost` are the addresses that have no value.
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    correlations : sequence of (str, str, float)
+        Strongly correlated pairs.
+    undetermined : sequence of str
+        Addresses that have no value.
+
+    Returns
+    -------
+    list of str
+        Sentences for the report.
+
     """
     groups = _correlated_groups(correlations)
     remarks = [_trade_remark(solution.problem.model, group, correlations) for group in groups]
@@ -155,7 +189,7 @@ def identifiability_remarks(
 def _near_degeneracy_remarks(
     inflation_factor: float, groups: Sequence[Sequence[str]], undetermined: Sequence[str]
 ) -> Iterator[str]:
-    """Whether the law as a whole is nearly unidentifiable, and by what that shows."""
+    """Whether the model as a whole is nearly unidentifiable, and how that shows."""
     lost = [name for name in undetermined if any(name in group for group in groups)]
     linked = [n for g in groups if set(g) & set(lost) for n in g if n not in undetermined]
     if lost:
@@ -172,7 +206,7 @@ def _near_degeneracy_remarks(
 
 
 def _listed_few(names: Sequence[str]) -> str:
-    """Addresses as a sentence has them: runs left out, of many the first few."""
+    """Addresses as a list in a sentence, without runs; only the first few of many."""
     own = list(dict.fromkeys(name.split("[")[0] for name in names))
     return join_words(
         own if len(own) <= MAX_NAMES_LISTED else [*own[:MAX_NAMES_LISTED], f"{len(own) - MAX_NAMES_LISTED} more"]
@@ -180,14 +214,30 @@ def _listed_few(names: Sequence[str]) -> str:
 
 
 def inflation(solution: Solution) -> float:
-    """By how much the worst unknown is known less because the others are not known either; levels as they are."""
+    """Compute how many times the standard deviation of the worst unknown exceeds its value with all others known.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    float
+        Square root of the largest variance inflation factor, friction levels left out.
+
+    References
+    ----------
+    Belsley, D. A., Kuh, E. & Welsch, R. E. (1980). Regression Diagnostics, sec. 3.2. Wiley.
+
+    """
     jac = solution.jac[:, reported_slots(solution.problem.layout)]
     covariance, _ = inverse_normal_matrix(jac)
     return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
 
 
 def _correlated_groups(correlations: Sequence[tuple[str, str, float]]) -> list[list[str]]:
-    """Parameters that are linked by correlations, directly or by way of others."""
+    """Parameters that correlations link, directly or through others."""
     groups: list[list[str]] = []
     for a, b, _ in correlations:
         linked = [g for g in groups if a in g or b in g]
@@ -197,7 +247,7 @@ def _correlated_groups(correlations: Sequence[tuple[str, str, float]]) -> list[l
 
 
 def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tuple[str, str, float]]) -> str:
-    """One group of parameters that trade places, in a sentence or two."""
+    """Sentences about one group of confused parameters."""
     strongest = max((r for a, _, r in correlations if a in group), key=abs)
     own = list(dict.fromkeys(name.split("[")[0] for name in group))
     kinds = list(dict.fromkeys(name.split(".")[0] for name in own))
@@ -214,7 +264,7 @@ def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tup
 
 
 def confusion_remark(model: Model, names: Sequence[str]) -> str:
-    """What the library says of a pair among these effects: that one is mistaken for the other."""
+    """Return which of these effects is mistaken for another, as the effects themselves state."""
     pair = next(_confused_effects(model, names), None)
     return "" if pair is None else f"{pair[0].kind.replace('_', ' ')} is mistaken for {as_clause(pair[0].mistaken_for)}"
 
@@ -226,7 +276,10 @@ def _has_phase(model: Model, addresses: Sequence[str]) -> bool:
 
 
 def deciding_experiment(model: Model, names: Sequence[str]) -> str:
-    """The run that would part these effects: as a known pair says, else the last one of the model that says any."""
+    """Return the run that would separate these effects.
+
+    It comes from a pair that is known to be confused, or else from the last effect of the model that names one.
+    """
     confused = list(_confused_effects(model, names))
     confirming = [a.confirm for a, b in confused if b.kind.replace("_", " ") in a.confirm.lower()]
     text = [e.confirm for e in model.effects if e.name in names and e.confirm]
@@ -234,7 +287,7 @@ def deciding_experiment(model: Model, names: Sequence[str]) -> str:
 
 
 def _confused_effects(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effect]]:
-    """Pairs of effects of which the first says that it is mistaken for the second; the last in the model first."""
+    """Yield pairs of effects of which the first states that it is mistaken for the second; the last effect first."""
     mine = [e for e in model.effects if e.name in names]
     for first in reversed(mine):
         for second in mine:
@@ -243,5 +296,12 @@ def _confused_effects(model: Model, names: Sequence[str]) -> Iterator[tuple[Effe
 
 
 def join_words(words: Sequence[str]) -> str:
-    """``a, b and c``."""
+    """Join words as in a sentence.
+
+    Examples
+    --------
+    >>> join_words(["a", "b", "c"])
+    'a, b and c'
+
+    """
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)

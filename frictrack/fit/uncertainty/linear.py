@@ -1,4 +1,4 @@
-"""Estimate parameters from the model linearised where it stands, in either domain, without profiles."""
+"""Compute estimates from the linearised model, in either domain, without profiles."""
 
 from __future__ import annotations
 
@@ -13,9 +13,20 @@ MIN_STD = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s
 
 
 def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
-    """Parameters with deviations from the law linearised where it stands, best or not, in either domain.
+    """Compute estimates from the model linearised where it stands, whether or not that is the optimum.
 
-    `covariance` (P, P) replaces the one that goes with the domain.
+    Parameters
+    ----------
+    solution : Solution
+        The fit, in the displacement or the force domain.
+    covariance : array of shape (P, P), optional
+        Replaces the covariance of the domain.
+
+    Returns
+    -------
+    Estimates
+        Reported values with standard deviations.
+
     """
     plain = estimate_parameters(solution, profile=False)
     if covariance is None:
@@ -25,7 +36,7 @@ def linear_estimates(solution: Solution, covariance: Array | None = None) -> Est
 
 
 def _undetermined_stribeck(solution: Solution, covariance: Array) -> dict[str, str]:
-    """Stribeck parameters that the linearised law does not settle, with the reason."""
+    """Stribeck parameters that the linearised model does not determine, with the reason."""
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     out: dict[str, str] = {}

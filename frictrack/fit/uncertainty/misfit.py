@@ -1,15 +1,21 @@
-"""Compute how uncertain a law's parameters are while the law misses something.
+"""Compute the uncertainty of the parameters while the model misses a force.
 
-The standard deviations of a fit hold when nothing but noise is left. Where a law is rejected, the force that it misses
-pulls its parameters, by far more than noise does. That force is taken for a smooth random force (a Gaussian process;
-Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63, 425): of its own in every run, or one of place or of speed that all runs
-have in common. Its size and length are those of the highest restricted likelihood (Rasmussen & Williams 2006, ch. 5),
-and what it does to the least-squares parameters is the sandwich (White 1982, Econometrica 50)
+The standard deviations of a fit hold if only noise is left. A rejected model misses a force, which biases its
+parameters by far more than noise does. The missing force is modelled as a Gaussian process: independent in every run,
+or a function of position or speed that all runs share. Its size and length have the highest restricted likelihood.
+Its effect on the least-squares parameters is the sandwich
 
     (J'J)^-1 J'T S T'J (J'J)^-1
 
-with T the trace of the force in the data and S its covariance. The true force is one draw from that process: the part
-of it that looks like the law itself cannot be seen in the residual, but it is as large as the part that can.
+with T the trace of the force in the data and S its covariance. The part of the force that looks like the model cannot
+be seen in the residual, but it is as large as the part that can.
+
+References
+----------
+Kennedy, M. C. & O'Hagan, A. (2001). Bayesian calibration of computer models. J. R. Stat. Soc. B 63, 425-464.
+Rasmussen, C. E. & Williams, C. K. I. (2006). Gaussian Processes for Machine Learning, ch. 5. MIT Press.
+White, H. (1982). Maximum likelihood estimation of misspecified models. Econometrica 50, 1-25.
+
 """
 
 from __future__ import annotations
@@ -47,9 +53,17 @@ MAX_NOISE_CHI2 = 1.2  # chi-squared per degree of freedom up to which a residual
 
 @dataclass(frozen=True)
 class Misfit:
-    """The missing force of a rejected law: what it goes with, and the covariance (P, P) that it adds to the unknowns.
+    """The missing force of a rejected model.
 
-    `axis` is "t" (of its own in every run), "x" or "v"; `evidence` twice the rise of the log restricted likelihood.
+    Attributes
+    ----------
+    axis : str
+        What the force is a function of: "t" (independent in every run), "x" or "v".
+    evidence : float
+        Twice the rise of the log restricted likelihood.
+    covariance : array of shape (P, P)
+        What it adds to the covariance of the unknowns.
+
     """
 
     axis: str
@@ -57,17 +71,22 @@ class Misfit:
     covariance: Array
 
     def summary(self) -> dict[str, Any]:
-        """JSON `misfit` of a fit."""
+        """Return the JSON `misfit` of a fit."""
         return {"axis": self.axis, "evidence": self.evidence, "words": REJECTION_REMARK}
 
 
 def misfit_of(solution: Solution) -> Misfit | None:
-    """Find the most likely missing force of a law, and what it does to the unknowns; None where noise explains all.
+    """Find the most likely missing force of a model, and its effect on the unknowns.
 
-    Examples
-    --------
-    >>> misfit_of(fit.solution) is None  # doctest: +SKIP
-    True
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    Misfit or None
+        None if noise explains the residual.
 
     """
     if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
@@ -92,9 +111,9 @@ def misfit_of(solution: Solution) -> Misfit | None:
 
 
 def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
-    """The most likely force, its covariance scaled to the largest deviation of every unknown under any likely one.
+    """The most likely force, its covariance scaled to the largest standard deviation under any plausible force.
 
-    Which axis the force goes with is not known for sure, and deviations must hold whichever it is.
+    The axis of the missing force is uncertain, and the standard deviations must hold for each plausible one.
     """
     own = np.sqrt(np.maximum(np.diag(best.covariance), 1e-300))
     largest = np.sqrt(np.max([np.diag(m.covariance) for m in plausible], axis=0))
@@ -103,10 +122,24 @@ def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
 
 
 def dispersion(solution: Solution) -> float:
-    """Compute by how much chi-squared differences must be divided while a law leaves more than noise; at least one.
+    """Compute the factor by which differences of chi-squared are divided while a model leaves more than noise.
 
-    Quasi-likelihood (Wedderburn 1974, Biometrika 61): chi-squared per degree of freedom, times the frames over which
-    the residual is alike, since frames that are alike say the same thing.
+    It is chi-squared per degree of freedom times the correlation time of the residual in frames (quasi-likelihood).
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    float
+        The factor, at least 1.
+
+    References
+    ----------
+    Wedderburn, R. W. M. (1974). Quasi-likelihood functions. Biometrika 61, 439-447.
+
     """
     free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
     chi2_per_frame = solution.chi2 / free
@@ -134,7 +167,7 @@ def _maximise_evidence(unexplained: Array, r: Array, covariances: list[Array]) -
 
 
 def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
-    """Forces through knots (m_i, K) along every piece, N, and how alike they are at two knots for every length."""
+    """Yield axis, forces through knots (m_i, K) along every piece, N, and their covariances for every length."""
     motions = [_motion_at_nodes(solution, r) for r in solution.responses]
     chi2_per_frame = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
     per_run_basis = [np.zeros((len(t), chi2_per_frame * len(motions))) for t, *_ in motions]
@@ -169,7 +202,7 @@ def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Ar
 
 
 def _motion_at_nodes(solution: Solution, response: PieceResponse) -> tuple[Array, Array, Array, Array]:
-    """Time, place, velocity, and load times direction at the nodes of one piece, (m,) each."""
+    """Time, position, velocity, and load times direction at the nodes of one piece, (m,) each."""
     piece = response.piece
     _, level = solution.problem.layout.values(solution.p, piece.run)
     path = piece.path_at_nodes(response.motion.x, response.motion.v, level)

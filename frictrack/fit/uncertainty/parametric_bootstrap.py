@@ -1,10 +1,16 @@
-"""Parametric bootstrap: how far the parameters scatter when the fitted law is filmed again and again.
+"""Parametric bootstrap: the scatter of the parameters when data of the fitted model are drawn and fitted again.
 
-Every draw is the law's own motion with new noise, and, where the friction level scatters from run to run, with new
-levels about one; it is refined from the fit, the scatter estimated again. Where a residual is correlated (the law
-misses something, or a run is cut into segments) blocks of it keep their shape and change their sign at random (wild
-bootstrap by block: Cameron, Gelbach & Miller 2008, Review of Economics and Statistics 90). Intervals are studentised:
-quantiles of (drawn - fitted)/(deviation in the draw), (Efron & Tibshirani 1993, ch. 12).
+Every draw is the simulated motion with new noise and, where friction levels scatter between runs, new levels. It is
+refined from the fit, and the scatter is estimated again. Where a residual is correlated (the model misses something,
+or a run is cut into segments), its blocks keep their shape and get random signs (wild cluster bootstrap). Intervals
+are studentised: quantiles of (drawn - fitted)/(standard deviation in the draw).
+
+References
+----------
+Efron, B. & Tibshirani, R. J. (1993). An Introduction to the Bootstrap, ch. 12. Chapman & Hall.
+Cameron, A. C., Gelbach, J. B. & Miller, D. L. (2008). Bootstrap-based improvements for inference with clustered
+errors. Review of Economics and Statistics 90, 414-427.
+
 """
 
 from __future__ import annotations
@@ -42,10 +48,25 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Drawn parameters: `values` and their deviations `stds` (D, A) by `names`, and those of the fit, `fitted`, `std`.
+    """Drawn parameters and their intervals.
 
-    `failed` counts draws that gave no law, `reasons` says why. `correlated` names the runs whose residual was drawn in
-    blocks. `scatter` (D,) is the spread of the friction level found in every draw.
+    Attributes
+    ----------
+    names : list of str
+        Addresses of the A parameters.
+    fitted, std_fitted : array of shape (A,)
+        Fitted values and standard deviations.
+    values, stds : array of shape (D, A)
+        Values and standard deviations in the D draws.
+    scatter : array of shape (D,)
+        Standard deviation of the friction level in every draw.
+    level : float
+        Confidence level of the intervals.
+    failed : int
+        Draws without a result; `reasons` states why.
+    correlated : list of str
+        Runs whose residual was drawn in blocks.
+
     """
 
     names: list[str]
@@ -66,12 +87,12 @@ class Bootstrap:
 
     @property
     def bias(self) -> dict[str, float]:
-        """Mean of the draws less the fitted value."""
+        """Mean of the draws minus the fitted value."""
         return self._each(np.mean(self.values, axis=0) - self.fitted)
 
     @property
     def percentiles(self) -> dict[str, tuple[float, float]]:
-        """Central part of the draws."""
+        """Central interval of the draws."""
         return self._pairs(np.quantile(self.values, self._tails, axis=0, method="weibull"))
 
     @property
@@ -93,7 +114,7 @@ class Bootstrap:
         return {n: (float(a), float(b)) for n, a, b in zip(self.names, *ends, strict=True)}
 
     def summary(self) -> dict[str, Any]:
-        """JSON."""
+        """Return JSON."""
         std, bias, percentiles = self.std, self.bias, self.percentiles
         return {
             "draws": len(self.values),
@@ -119,10 +140,39 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
     scratch: bool = False,
     progress: Progress | None = None,
 ) -> Bootstrap:
-    """Draw new data from a fit and fit them again, `draws` times; `seed` serves where no `rng` is given.
+    """Draw new data from a fit and fit them again.
 
-    Every draw is refined from the fit, or sought from `scratch`. Raises FrictrackError (usage) for fewer than 20
-    draws, and when hardly a draw gives a law.
+    Parameters
+    ----------
+    result : FittedModel
+        The fit.
+    draws : int
+        Number of draws, at least 20.
+    rng : numpy.random.Generator, optional
+        Source of random numbers.
+    seed : int
+        Seed, used without `rng`.
+    level : float
+        Confidence level of the intervals.
+    scratch : bool
+        Fit every draw from scratch instead of refining the fit.
+    progress : callable, optional
+        Called with the number done, the total, and "draws".
+
+    Returns
+    -------
+    Bootstrap
+        The draws.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For fewer than 20 draws, or if too few draws give a result.
+
+    References
+    ----------
+    Efron, B. & Tibshirani, R. J. (1993). An Introduction to the Bootstrap, ch. 12. Chapman & Hall.
+
     """
     if draws < MIN_DRAWS:
         raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
@@ -170,7 +220,7 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
 
 
 def _quoted_with_std(solution: Solution) -> tuple[Array, Array, float]:
-    """Quoted parameters (A,) of a law, their deviations (A,), and the spread of the levels."""
+    """Reported parameters (A,), their standard deviations (A,), and the scatter of the levels."""
     values, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
     covariance, _ = white_noise_covariance(solution)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
@@ -178,7 +228,7 @@ def _quoted_with_std(solution: Solution) -> tuple[Array, Array, float]:
 
 
 def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> LeastSquaresProblem:
-    """The problem with data as the fitted law would give them once more."""
+    """The problem with new data from the fitted model."""
     problem, layout = solution.problem, solution.problem.layout
     p = solution.p.copy()
     if len(layout.levels) >= MIN_RUNS_FOR_SCATTER:
@@ -196,7 +246,7 @@ def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Gen
 
 
 def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solution:
-    """The law of drawn data: refined from the fitted one, or sought as if nothing were known."""
+    """The fit to drawn data: refined from the fitted one, or from scratch."""
     layout = drawn.layout
     if scratch:
         return fit_displacement(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
@@ -205,7 +255,7 @@ def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solut
 
 
 def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:
-    """Noise of every piece in units of sigma: white, or its own residual with the signs of its blocks drawn."""
+    """Noise of every piece in units of sigma: white, or its own residual with random signs of its blocks."""
     if any(r.piece.cut for r in solution.responses):  # neighbouring segments miss alike
         count = batch_count(solution)
         sizes = [len(part) for part in np.array_split(np.arange(len(blocks)), count)]
@@ -216,6 +266,7 @@ def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) 
 
 
 def _wild_residual(response: PieceResponse, block: int, rng: np.random.Generator) -> Array:
+    """The residual of one piece with random signs of its blocks; white noise if it is uncorrelated."""
     n = len(response.r_full)
     if not block:
         return rng.standard_normal(n)
@@ -226,7 +277,7 @@ def _wild_residual(response: PieceResponse, block: int, rng: np.random.Generator
 
 
 def _block_length(response: PieceResponse) -> int:
-    """Frames in a block of a correlated residual: three times the reach of its correlation; 0 where it is white."""
+    """Frames per block of a correlated residual: three times the range of its correlation; 0 where it is white."""
     r = response.r_full
     n = len(r)
     max_lag = min(MAX_LAG_FRAMES, n // 4)

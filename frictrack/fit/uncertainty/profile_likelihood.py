@@ -1,11 +1,18 @@
-"""Profile likelihood: how the misfit rises when one quantity is held and every other unknown is fitted again.
+"""Profile likelihood: the rise of the objective when one quantity is held and all other unknowns are fitted.
 
     rise(c) = min { objective(p) : g(p) = c } - min objective(p)
 
-An interval holds all c with rise below the quantile of chi-squared with one degree of freedom (Wilks 1938; Venzon &
-Moolgavkar 1988, Applied Statistics 37). Where the standard deviation counts more than white noise (a spread known from
-few runs, segments, coloured noise), the rise counts less by the square of that ratio, so that a law that is linear
-gives the interval of its standard deviation. An end that is not reached is None, with the reason.
+The interval holds all c with a rise below the quantile of chi-squared with one degree of freedom. Where the standard
+deviation includes more than white noise (a scatter known from few runs, segments, coloured noise), the rise is
+divided by the square of that ratio. A linear model then gives the interval of its standard deviation. An end that is
+not reached is None, with the reason.
+
+References
+----------
+Wilks, S. S. (1938). Annals of Mathematical Statistics 9, 60-62.
+Venzon, D. J. & Moolgavkar, S. H. (1988). A method for computing profile-likelihood-based confidence intervals.
+Applied Statistics 37, 87-94.
+
 """
 
 from __future__ import annotations
@@ -39,10 +46,25 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one quantity: `rise` (n,) of chi-squared at rising `values` (n,), and its interval.
+    """The profile of one quantity, and its interval.
 
-    `low` and `high` end the interval, None where the profile does not rise far enough, `why_low` and `why_high` say
-    why. `better` is how far the misfit falls below that of the fit somewhere on the way: 0 where the fit was best.
+    Attributes
+    ----------
+    address, unit : str
+        The quantity.
+    value : float
+        Its fitted value.
+    level : float
+        Confidence level.
+    values, rise : array of shape (n,)
+        Values in rising order, and the rise of chi-squared there.
+    low, high : float or None
+        Ends of the interval; None where the profile does not rise far enough, `why_low` and `why_high` state why.
+    better : float
+        How far the objective falls below that of the fit; 0 if the fit was the optimum.
+    refinements : int
+        Number of fits.
+
     """
 
     address: str
@@ -64,11 +86,11 @@ class Profile:
         return self.low is not None and self.high is not None
 
     def excludes(self, value: float) -> bool:
-        """Whether the interval does not hold a value."""
+        """Return whether the interval excludes a value."""
         return (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
 
     def summary(self) -> dict[str, Any]:
-        """JSON."""
+        """Return JSON."""
         why = {k: v for k, v in (("why_low", self.why_low), ("why_high", self.why_high)) if v}
         return {
             "value": self.value,
@@ -84,10 +106,31 @@ class Profile:
 
 @one_thread()
 def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profile:
-    """The profile of one parameter of a fit, or of the difference of two (``"stribeck.F_s - coulomb.F_c"``).
+    """Compute the profile of one parameter of a fit, or of the difference of two.
 
-    Parameters are held as they are quoted, all others and the friction levels are fitted again within their bounds.
-    Raises FrictrackError (usage) for what is not a free parameter of the law or a level outside 0 to 1.
+    Parameters
+    ----------
+    result : FittedModel
+        The fit.
+    address : str
+        A reported parameter, such as ``"coulomb.F_c"``, or ``"stribeck.F_s - coulomb.F_c"``.
+    level : float
+        Confidence level of the interval.
+
+    Returns
+    -------
+    Profile
+        The profile. All other parameters and the friction levels are fitted within their bounds.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the address is no free parameter, or the level is not between 0 and 1.
+
+    References
+    ----------
+    Venzon, D. J. & Moolgavkar, S. H. (1988). Applied Statistics 37, 87-94.
+
     """
     if not 0 < level < 1:
         raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
@@ -102,7 +145,7 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
 
 @dataclass(frozen=True, eq=False)
 class ProfilePoint:
-    """One refinement: the law (its p in full) at a held value, and its signed root z of the rise."""
+    """One fit with the quantity held at c: all unknowns p, starts, and the root z of the rise."""
 
     c: float
     z: float
@@ -112,7 +155,24 @@ class ProfilePoint:
 
 @dataclass(eq=False)
 class ProfileSearch:
-    """Outward from the best law along one quantity. `covariance` (P, P) of the unknowns is the one that is stated."""
+    """The search along one quantity, outward from the best fit.
+
+    Attributes
+    ----------
+    solution : Solution
+        The best fit.
+    quantity : Quantity
+        The quantity.
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    level : float
+        Confidence level.
+    points : list of ProfilePoint
+        Points computed so far.
+    better : float
+        How far the objective fell below that of the best fit.
+
+    """
 
     solution: Solution
     quantity: Quantity
@@ -139,16 +199,20 @@ class ProfileSearch:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Bounds of the quantity where it is an unknown itself; else none, the unknowns have theirs."""
+        """Bounds of the quantity if it is an unknown itself; otherwise infinite."""
         slot = self.solution.problem.layout.slots[self.quantity.slot]
         if self.phases[self.quantity.slot]:
             return self.best.c - np.pi, self.best.c + np.pi
         return slot.bounds if self.pivot is None else (-np.inf, np.inf)
 
     def at(self, c: float) -> ProfilePoint:
-        """The best law with the quantity at c, from its nearest neighbours.
+        """Fit all other unknowns with the quantity held at c, from the nearest points.
 
-        Raises FrictrackError where there is none.
+        Raises
+        ------
+        FrictrackError
+            If no such fit exists.
+
         """
         s = self.solution
         held = FixedQuantityProblem(s.problem, self.quantity, c, self.pivot)
@@ -163,7 +227,7 @@ class ProfileSearch:
         return point
 
     def _predicted(self, c: float) -> tuple[Array, list[Array]]:
-        """Unknowns and starts on the line through the two nearest points of this side, or along the curvature."""
+        """Unknowns and starts extrapolated from the two nearest points of this side, or along the covariance."""
         side = [q for q in self.points if (q.c - self.best.c) * (c - self.best.c) >= 0]
         near, *more = sorted(side, key=lambda q: abs(q.c - c))
         more = [q for q in more if q.c != near.c]
@@ -175,7 +239,7 @@ class ProfileSearch:
         return near.p + share * change, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
 
     def profile(self) -> Profile:
-        """Both sides, and a point beyond either end for its picture."""
+        """Compute both sides, and a point beyond either end for the plot."""
         (low, why_low), (high, why_high) = self.end(-1), self.end(1)
         for end in (low, high):
             if end is not None:
@@ -197,7 +261,23 @@ class ProfileSearch:
         )
 
     def end(self, side: int, max_refinements: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
-        """Where the profile passes the quantile on one side (-1 or 1); None and why where it does not."""
+        """Find where the profile passes the quantile on one side.
+
+        Parameters
+        ----------
+        side : int
+            -1 or 1.
+        max_refinements : int
+            Largest number of fits.
+
+        Returns
+        -------
+        end : float or None
+            The end of the interval.
+        reason : str
+            Why there is no end; empty if there is one.
+
+        """
         last = inner = self.best
         outer, failed_at, bound = None, side * np.inf, self.bounds[side > 0]
         for _ in range(max_refinements):
@@ -219,12 +299,12 @@ class ProfileSearch:
         return None, self._reason_open(inner, bound, failed_at)
 
     def excluded(self, value: float) -> bool:
-        """Whether the interval does not hold a value."""
+        """Return whether the interval excludes a value."""
         point = self._try(value)
         return point is not None and point.z >= self.target
 
     def bounded(self, side: int) -> tuple[bool, str]:
-        """Whether the profile passes the quantile on one side, without finding where: mostly in one refinement."""
+        """Return whether the profile passes the quantile on one side, without locating it; usually one fit suffices."""
         probe, bound = self.best.c + side * PROBE_STD * self.std, self.bounds[side > 0]
         point = self._try(side * min(side * probe, side * bound))
         if point is not None and point.z >= self.target:
@@ -235,6 +315,7 @@ class ProfileSearch:
         return end is not None, why
 
     def _try(self, c: float) -> ProfilePoint | None:
+        """A point at c, or None if no fit exists there."""
         try:
             return self.at(c)
         except (FrictrackError, np.linalg.LinAlgError):
@@ -245,7 +326,7 @@ class ProfileSearch:
         return self.target - inner.z < near or (outer is not None and outer.z - self.target < near)
 
     def _next_outward(self, side: int, last: ProfilePoint, current: ProfilePoint) -> float:
-        """Where the quantile is expected, from the two outermost points; the first step is one deviation."""
+        """Where the quantile is expected, from the two outermost points; the first step is one standard deviation."""
         if current is self.best:
             return current.c + side * self.std
         slope = (current.z - last.z) / abs(current.c - last.c)
@@ -261,6 +342,7 @@ class ProfileSearch:
         return abs(c - self.best.c) > UNLIMITED_RATIO * max(abs(self.best.c), self.std, 1e-12)
 
     def _reason_open(self, reached: ProfilePoint, bound: float, failed_at: float) -> str:
+        """Why the profile has no end on this side."""
         unit = self.quantity.unit
         at_bound = abs(reached.c - bound) < SAME_VALUE_STD * self.std
         points = f"{bound if at_bound else reached.c:.4g} {unit}".removesuffix(" 1")
@@ -274,7 +356,7 @@ class ProfileSearch:
 
 
 def _between(inner: ProfilePoint, outer: ProfilePoint, target: float) -> float:
-    """Where z passes the target between two points, kept off their ends."""
+    """Where z is expected to pass the target between two points, kept away from both."""
     share = (target - inner.z) / max(outer.z - inner.z, 1e-300)
     return inner.c + min(max(share, 0.02), 0.95) * (outer.c - inner.c)
 

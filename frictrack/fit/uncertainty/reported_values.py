@@ -1,4 +1,4 @@
-"""Unknowns as they are quoted: F_s for F_s - F_c, x_0 as a length, newtons where the mass was fitted too."""
+"""Compute parameters as they are reported: F_s for F_s - F_c, x_0 as a length, newtons where the mass was fitted."""
 
 from __future__ import annotations
 
@@ -16,19 +16,35 @@ DIFFERENCE_SEPARATOR = " - "  # of two addresses: their difference
 
 
 def reported_slots(layout: ParameterLayout) -> list[int]:
-    """Positions of the unknowns that are quoted: all but the friction levels."""
+    """Return the positions of the A unknowns that are reported: all but the friction levels."""
     return [i for i, s in enumerate(layout.slots) if s.effect != LEVEL]
 
 
 def reported_values(problem: LeastSquaresProblem, p: Array) -> Array:
-    """The quoted unknowns of a law p (P,), (A,), in the order of `quoted_slots`."""
+    """Compute the reported parameters (A,) of unknowns p (P,), in the order of `reported_slots`."""
     layout = problem.layout
     known = layout.reported_values(p) | {"mass.m": problem.pieces[0].mass / mass_ratio(layout, p)}
     return np.array([known[layout.names[i]] for i in reported_slots(layout)])
 
 
 def reported_values_and_jacobian(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
-    """The quoted unknowns (A,), and their derivatives in the unknowns, (A, P)."""
+    """Compute the reported parameters and their derivatives.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+    p : array of shape (P,)
+        The unknowns.
+
+    Returns
+    -------
+    values : array of shape (A,)
+        Reported parameters.
+    jacobian : array of shape (A, P)
+        Derivatives by forward differences.
+
+    """
     base = reported_values(problem, p)
     jacobian = np.zeros((len(base), len(p)))
     for j in range(len(p)):
@@ -40,7 +56,7 @@ def reported_values_and_jacobian(problem: LeastSquaresProblem, p: Array) -> tupl
 
 
 def reported_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tuple[float, Array]:
-    """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
+    """Compute one tied parameter as it is reported, and its derivative with respect to the unknowns, (P,)."""
     base = problem.layout.reported_values(p)[address]
     gradient = np.zeros(len(p))
     for j in range(len(p)):
@@ -52,7 +68,7 @@ def reported_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> t
 
 
 def reported_by_address(solution: Solution, p: Array) -> dict[str, float]:
-    """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
+    """Return the reported parameters of unknowns p (P,) by address, without friction levels."""
     values = reported_values(solution.problem, p)
     names = [solution.problem.layout.names[i] for i in reported_slots(solution.problem.layout)]
     return dict(zip(names, map(float, values), strict=True))
@@ -60,7 +76,18 @@ def reported_by_address(solution: Solution, p: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quoted unknown, or the difference of two; `slot` is the unknown that is quoted (first)."""
+    """One reported parameter, or the difference of two.
+
+    Attributes
+    ----------
+    address, unit : str
+        Name and unit.
+    slot : int
+        The unknown that is reported (first).
+    weights : array of shape (A,)
+        Weights of the reported parameters.
+
+    """
 
     address: str
     unit: str
@@ -68,18 +95,22 @@ class Quantity:
     weights: Array  # (A,) on the quoted unknowns
 
     def value(self, problem: LeastSquaresProblem, p: Array) -> float:
-        """Its value for unknowns p (P,)."""
+        """Compute its value for unknowns p (P,)."""
         return float(self.weights @ reported_values(problem, p))
 
     def gradient(self, problem: LeastSquaresProblem, p: Array) -> Array:
-        """Its derivative in every unknown, (P,)."""
+        """Compute its derivative with respect to the unknowns, (P,)."""
         return np.asarray(self.weights @ reported_values_and_jacobian(problem, p)[1])
 
 
 def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
-    """What an address means: ``"coulomb.F_c"``, ``"vibration.phase[v3]"``, ``"stribeck.F_s - coulomb.F_c"``.
+    """Parse an address: ``"coulomb.F_c"``, ``"vibration.phase[v3]"`` or ``"stribeck.F_s - coulomb.F_c"``.
 
-    Raises FrictrackError (usage) for an address that is not an unknown of this law.
+    Raises
+    ------
+    FrictrackError
+        (usage) If it is not a reported parameter of this model.
+
     """
     at = reported_slots(layout)
     names = [layout.names[i] for i in at]
