@@ -40,7 +40,7 @@ def test_the_tribometer_names_memory_and_no_velocity_term(strokes):
     assert best.effect == "presliding"
     assert best.p == 0.001
     assert best.heldout_after < 0.3 * best.heldout_before
-    assert any("what does not repeat between" in remark for remark in found.remarks)
+    assert any("that does not repeat between" in remark for remark in found.remarks)
 
 
 def test_the_noise_of_the_tribometer_is_what_differs_from_stroke_to_stroke(strokes):

@@ -229,8 +229,8 @@ def test_a_phase_that_all_runs_share():
     values = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"], "vibration": LINE}
     runs = []
     for i, speed in enumerate((4.0, 5.0)):
-        held = ft.simulate.slide.Conditions(MASS)
-        slide = ft.simulate.slide.simulate(law, values, held, t, (0.0, speed))
+        held = ft.simulate.Conditions(MASS)
+        slide = ft.simulate.simulate(law, values, held, t, (0.0, speed))
         runs.append(measured(t, slide.x, sigma=2e-6, name=f"r{i}", rng=np.random.default_rng(i)))
     fitted = ft.fit(law, runs)
     _true(fitted, {"vibration.phase": 0.7, "vibration.amplitude": 0.8, "vibration.frequency": 61.3})
@@ -271,9 +271,9 @@ def driven(sigma=2e-6, **known):
     """A slider that a measured drive pushes to and fro through its speeds, one direction, mass not given."""
     t = np.arange(1600) / 4000.0
     push = lambda time: 9.0 + 4.0 * np.sin(2 * np.pi * 9.0 * time)  # noqa: E731
-    held = ft.simulate.slide.Conditions(MASS, drive=push)
+    held = ft.simulate.Conditions(MASS, drive=push)
     values = {"coulomb": {"F_c": 8.0}, "viscous": {"F_v": 1.2}}
-    slide = ft.simulate.slide.simulate(models.parse("coulomb,viscous"), values, held, t, (0.0, 1.0))
+    slide = ft.simulate.simulate(models.parse("coulomb,viscous"), values, held, t, (0.0, 1.0))
     return measured(t, slide.x, sigma=sigma, mass=None, drive=push(t), **known)
 
 
