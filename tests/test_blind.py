@@ -12,20 +12,20 @@ import pytest
 
 from frictrack import effects
 from frictrack.blind import benchmark, make, score
-from frictrack.blind import draw_truth as drawing
+from frictrack.blind import truth_sampling as drawing
 from frictrack.blind.detection_limits import ideal_detection_limit, limits_over_ideal
-from frictrack.blind.draw_truth import LAWS, candidates, draw_truth
+from frictrack.blind.effect_placement import SIZE_RANGE
 from frictrack.blind.equivalents import equivalent_effects, solution_at_truth
 from frictrack.blind.failure_overlap import overlap
 from frictrack.blind.foreign_effects import FOREIGN
 from frictrack.blind.ideal_detector import IdealDetector, degrees_of_freedom, is_event, noncentrality_limit
 from frictrack.blind.memory_motion import simulate_memory
 from frictrack.blind.outcome import Outcome, parameter_deviations
-from frictrack.blind.place_effect import SIZE_RANGE
 from frictrack.blind.seal import SEAL_FILE, open_seal
+from frictrack.blind.study_files import run_table, write_study
 from frictrack.blind.tally import tally, wilson
 from frictrack.blind.truth import RunTruth, Truth, effect_named
-from frictrack.blind.write_study import run_table, write_study
+from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
@@ -70,17 +70,17 @@ def brute_force(truth: Truth) -> float:
     numbers = [(e, p) for e in truth.law for p in truth.law[e]]
     blocks, right = [], []
     for i, run in enumerate(truth.runs):
-        plain = truth.slide(run, hidden=False)
-        full = truth.slide(run)
+        plain = truth.trajectory(run, hidden=False)
+        full = truth.trajectory(run)
         columns = [np.ones_like(plain.t)]
-        columns.append((truth.slide(replace(run, speed=run.speed + 1e-3), hidden=False).x - plain.x) / 1e-3)
+        columns.append((truth.trajectory(replace(run, speed=run.speed + 1e-3), hidden=False).x - plain.x) / 1e-3)
         free = np.zeros((len(plain.t), 2 * len(truth.runs) + len(numbers) + len(truth.runs)))
         free[:, 2 * i : 2 * i + 2] = np.column_stack(columns)
         for k, (e, p) in enumerate(numbers):
             more = truth.law | {e: truth.law[e] | {p: truth.law[e][p] * 1.001}}
-            moved = replace(truth, law=more).slide(run, hidden=False).x - plain.x
+            moved = replace(truth, law=more).trajectory(run, hidden=False).x - plain.x
             free[:, 2 * len(truth.runs) + k] = moved / 0.001
-        moved = truth.slide(replace(run, level=run.level * 1.001), hidden=False).x - plain.x
+        moved = truth.trajectory(replace(run, level=run.level * 1.001), hidden=False).x - plain.x
         free[:, 2 * len(truth.runs) + len(numbers) + i] = moved / 0.001
         blocks.append(free / truth.noise)
         right.append((full.x + full.shift - plain.x) / truth.noise)
@@ -165,7 +165,7 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
     run = truth.runs[0]
     values = truth.law | {name: {"tau": value, "stiffness": value, "exponent": 1.0}}
     conditions, t = truth.conditions(run), np.arange(160) / 2000
-    slide = simulate_memory(truth.base + effect_named(name), values, conditions, t, truth.start(run))
+    trajectory = simulate_memory(truth.base + effect_named(name), values, conditions, t, truth.start(run))
     fine = np.linspace(0, t[-1], 40 * 159 + 1)  # Euler, from the first row of its equation
     x = v = 0.0
     state = 5.0 if name == "friction_lag" else 0.0
@@ -176,8 +176,8 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
         a = 0.0 if name == "friction_lag" and v == 0 and push[i] < force else (push[i] - force) / 0.3
         state += h * ((dry - state) / value if name == "friction_lag" else v / value * (1 - state))
         x, v = x + h * v, v + h * a
-    assert slide.x[-1] - slide.x[0] == pytest.approx(x, rel=2e-3)
-    assert slide.v[-1] == pytest.approx(v, rel=2e-3)
+    assert trajectory.x[-1] - trajectory.x[0] == pytest.approx(x, rel=2e-3)
+    assert trajectory.v[-1] == pytest.approx(v, rel=2e-3)
 
 
 @pytest.mark.parametrize("name", FOREIGN)
@@ -188,7 +188,7 @@ def test_a_foreign_cause_moves_the_mass_and_is_in_no_library(name: str):
     }
     truth = holding(TRUTH, **{name: values | {"amplitude": 0.1}})
     run = truth.runs[0]
-    assert np.max(np.abs(truth.slide(run).x - truth.slide(run, hidden=False).x)) > 1e-6
+    assert np.max(np.abs(truth.trajectory(run).x - truth.trajectory(run, hidden=False).x)) > 1e-6
 
 
 def test_foreign_causes_are_of_place_time_velocity_and_memory():
@@ -480,7 +480,9 @@ def test_no_outcome_has_no_share():
     assert empty["seconds"] == {"median": None, "largest": None}
 
 
-@pytest.mark.parametrize(("hits", "of", "low", "high"), [(95, 100, 0.8882, 0.9785), (0, 50, 0.0, 0.0713)])
+@pytest.mark.parametrize(
+    ("hits", "of", "low", "high"), [(95, 100, 0.8882, 0.9785), (0, 50, 0.0, 0.0713), (81, 263, 0.2553, 0.3662)]
+)
 def test_wilson(hits: int, of: int, low: float, high: float):
     assert wilson(hits, of) == pytest.approx((low, high), abs=1e-4)
 
@@ -503,8 +505,8 @@ def test_deviations_are_taken_from_the_truth_as_it_is_quoted():
 def test_overlap_counts_frames_of_where_a_patch_acts():
     truth = replace(TRUTH, hidden=("patch",), runs=TRUTH.runs[:1])
     truth = holding(truth, patch={"F": 0.3, "x_c": 0.15, "w": 0.01})
-    slide = truth.slide(truth.runs[0])
-    inside = slide.t[np.abs(slide.x - 0.15) <= 0.02]
+    trajectory = truth.trajectory(truth.runs[0])
+    inside = trajectory.t[np.abs(trajectory.x - 0.15) <= 0.02]
     exact = [{"run": "r1", "t": [inside[0], inside[-1]]}]
     assert overlap(truth, exact, {}) == 1.0
     assert overlap(truth, [], {}) == 0.0
@@ -518,7 +520,9 @@ def test_what_shifts_the_picture_does_so_under_a_law_with_memory():
     law = truth.base + effect_named("presliding") + effect_named("peak_locking")
     values = truth.law | {"presliding": {"stiffness": 1e-4, "exponent": 1.0}}
     values |= {"peak_locking": {"amplitude": 0.02, "phase": 0.3}}
-    slide = simulate_memory(
+    trajectory = simulate_memory(
         law, values, replace(truth, push=0.012).conditions(truth.runs[0]), np.arange(99) / 4000, (0.05, 0.0)
     )
-    np.testing.assert_allclose(slide.shift, 0.02 * truth.pitch * np.sin(2 * np.pi * slide.x / truth.pitch + 0.3))
+    np.testing.assert_allclose(
+        trajectory.shift, 0.02 * truth.pitch * np.sin(2 * np.pi * trajectory.x / truth.pitch + 0.3)
+    )

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frictrack.motion.structure import Structure, StructureSearch
+from frictrack.motion.system import LineParameters, SmootherData, cutoff_of, factor_smoother, penalty
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
 from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, noise_level
 from frictrack.motion.filter import METHOD_NAMES, MISSING_SIGMA
-from frictrack.motion.structure import Structure, StructureSearch
-from frictrack.motion.system import LineParameters, SmootherData, cutoff_of, factor_smoother, penalty
 from frictrack.records import Displacement
 
 FPS = 4000.0

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from frictrack.motion.system import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from frictrack.motion import CorrelatedNoise, differentiate, low_pass, trade
 from frictrack.motion.filter import Smoother
-from frictrack.motion.system import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from frictrack.records import Displacement
 
 FPS, MASS, NOISE = 4000.0, 0.35, 2e-5

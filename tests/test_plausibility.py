@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.blind.draw_truth import draw_truth
-from frictrack.blind.write_study import write_study
+from frictrack.blind.study_files import write_study
+from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study

@@ -163,9 +163,9 @@ def test_a_study_on_a_slope_follows_gravity():
     assert isinstance(on, Sloped)
     assert abs(np.degrees(on.incline)) == pytest.approx(20.0)
     run = on.runs[0]
-    slide = on.slide(run)
+    trajectory = on.trajectory(run)
     expected = -9.80665 * np.sin(on.incline) - run.level * on.law["coulomb"]["F_c"] / on.mass
-    assert np.polyfit(slide.t[:20], slide.x[:20], 2)[0] * 2 == pytest.approx(expected, rel=1e-3)
+    assert np.polyfit(trajectory.t[:20], trajectory.x[:20], 2)[0] * 2 == pytest.approx(expected, rel=1e-3)
 
 
 # --- drawing

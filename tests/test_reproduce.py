@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.stats import binom
 from typer.testing import CliRunner
 
 from frictrack.cli.utility_commands import app
 from frictrack.effects import Path as Way
 from frictrack.errors import FrictrackError
-from frictrack.reproduce import FULL, QUICK, beam, eq8, laws, printed, recordings, series, statistics
-from frictrack.reproduce.page import Reproduction, number, numeric, render, write
-from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Claim, Part, Table
-from frictrack.reproduce.trials import trials
+from frictrack.reproduce import FULL, QUICK, eq8, laws, papers_method, printed, recordings, statistics, tustin_model
+from frictrack.reproduce.page import Reproduction, format_cell, numeric_columns, render_page, write_reproduction
+from frictrack.reproduce.search_trials import run_trials
+from frictrack.reproduce.sections import FAILS, HOLDS, OPEN, Claim, ResultTable, Section
 
 Array = np.ndarray
 
@@ -55,10 +54,10 @@ def test_adaptive_time_of_table_6_means_12_3_bits() -> None:
 
 def test_frequencies_are_read_in_their_unit() -> None:
     """0.0548 per sample at 4 kHz is 35 Hz, 2.1302 per millisecond 339 Hz (notes 3)."""
-    low = laws.read(printed.ATM1["low"], "sample")
+    low = laws.read_printed(printed.ATM1["low"], "sample")
     assert low[8] == pytest.approx(0.0548 * 4000 / (2 * np.pi))
     assert round(low[8]) == 35
-    assert round(laws.read(printed.ATM2["low"], "millisecond")[4]) == 339
+    assert round(laws.read_printed(printed.ATM2["low"], "millisecond")[4]) == 339
     np.testing.assert_array_equal(low[[0, 4, 6]], [29.9773, 38.2913, -0.4921])  # nothing else is touched
 
 
@@ -78,12 +77,12 @@ def test_laws_by_hand() -> None:
 
 
 @pytest.mark.parametrize("source", [*printed.ATM1.values(), *printed.ATM2.values(), *printed.TM.values()])
-def test_the_simulator_obeys_the_papers_law(source: printed.Printed) -> None:
+def test_the_simulator_obeys_the_papers_law(source: printed.PrintedLaw) -> None:
     """The library's effects and the plain functions say the same force."""
-    law, p = laws.named(source.law), laws.read(source, "millisecond")
+    law, p = laws.law_by_name(source.law), laws.read_printed(source, "millisecond")
     t = np.linspace(0, 0.05, 40)
     v = np.linspace(5, 1, 40)
-    model, values = laws.library(law, p)
+    model, values = laws.to_effects(law, p)
     np.testing.assert_allclose(
         model.force(Way(t, 0 * t, v, 1 + 0 * t), values), law.force(p[None], v, t)[0], rtol=1e-10
     )
@@ -92,24 +91,25 @@ def test_the_simulator_obeys_the_papers_law(source: printed.Printed) -> None:
 @pytest.mark.parametrize("name", ["tustin", "atm1:1", "atm1:3", "atm2:1"])
 def test_reductions_are_the_law_with_its_coefficients_solved(name: str) -> None:
     """From the non-linear parameters alone least squares returns the whole law (ATM2's freer form at order 1 too)."""
-    law = laws.named(name)
+    law = laws.law_by_name(name)
     t = np.arange(400) / 4000
     v = 5 - 40 * t
     p = (
-        rng(3).uniform(0.2, 0.8, len(law.names)) * (series.box(law)[:, 1] - series.box(law)[:, 0])
-        + series.box(law)[:, 0]
+        rng(3).uniform(0.2, 0.8, len(law.names))
+        * (papers_method.search_bounds(law)[:, 1] - papers_method.search_bounds(law)[:, 0])
+        + papers_method.search_bounds(law)[:, 0]
     )
-    data = series.Series(t, v, -law.force(p[None], v, t)[0] / 2.0, 2.0)
+    data = papers_method.AccelerationSeries(t, v, -law.force(p[None], v, t)[0] / 2.0, 2.0)
     for reduction in law.reductions:
         q = p[list(reduction.nonlinear)]
         columns = reduction.columns(q[None], v, t)[0]
         back = reduction.full(q, np.linalg.lstsq(columns.T, data.force, rcond=None)[0])
-        assert series.error(law, back, data) < 1e-12 * float(data.a @ data.a)
+        assert papers_method.squared_error(law, back, data) < 1e-12 * float(data.a @ data.a)
 
 
 def test_unknown_law_says_what_was_expected() -> None:
     with pytest.raises(FrictrackError, match=r'expected a law of the papers \(tustin, atm1:2, atm2:2\) but got "atm3"'):
-        laws.named("atm3")
+        laws.law_by_name("atm3")
 
 
 # ---- recordings and the papers' route
@@ -117,7 +117,7 @@ def test_unknown_law_says_what_was_expected() -> None:
 
 def test_a_recording_moves_as_an_independent_integrator_says() -> None:
     source = printed.TM["low"]
-    made = recordings.of(source, "sample", recordings.BEAM, rng())
+    made = recordings.record_printed(source, "sample", recordings.BEAM, rng())
     F_c, F_s, F_v, v_s = source.values
     solved = solve_ivp(
         lambda t, z: [z[1], -(F_c + (F_s - F_c) * np.exp(-z[1] / v_s) + F_v * z[1]) / 2.0],
@@ -133,43 +133,49 @@ def test_a_recording_moves_as_an_independent_integrator_says() -> None:
 
 
 def test_the_time_unit_decides_what_curves_look_like() -> None:
-    seen = {u: recordings.kind_of_curve(printed.ATM1["low"], u, recordings.BEAM) for u in laws.UNITS}
+    seen = {u: recordings.describe_curve(printed.ATM1["low"], u, recordings.BEAM) for u in laws.UNITS}
     assert [bool(seen[u]["described"]) for u in ("second", "millisecond", "sample")] == [False, False, True]
     braked = [
-        recordings.kind_of_curve(printed.ATM2["high"], u, recordings.BEAM)["braked"] for u in ("millisecond", "sample")
+        recordings.describe_curve(printed.ATM2["high"], u, recordings.BEAM)["braked"] for u in ("millisecond", "sample")
     ]
     assert max(braked) < 0.05  # sums of sines have no mean: nothing brakes the mass
 
 
 @pytest.fixture(scope="module")
-def low() -> tuple[recordings.Recording, series.Series]:
-    made = recordings.of(printed.ATM1["low"], "sample", recordings.BEAM, rng(1))
-    return made, series.measured([made.run])
+def low() -> tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries]:
+    made = recordings.record_printed(printed.ATM1["low"], "sample", recordings.BEAM, rng(1))
+    return made, papers_method.measure_series([made.run])
 
 
-def test_the_chain_gives_the_true_acceleration(low: tuple[recordings.Recording, series.Series]) -> None:
+def test_the_chain_gives_the_true_acceleration(
+    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+) -> None:
     made, data = low
     a = np.interp(data.t, made.truth.t, made.truth.a)
     assert np.sqrt(np.mean((data.a - a) ** 2)) < 0.05 * np.std(a)
     np.testing.assert_allclose(data.force, -2.0 * data.a)
 
 
-def test_single_precision_misfit_is_the_error(low: tuple[recordings.Recording, series.Series]) -> None:
+def test_single_precision_misfit_is_the_error(
+    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+) -> None:
     _, data = low
     law = laws.atm1(2)
-    box = series.box(law)
+    box = papers_method.search_bounds(law)
     p = box[:, 0] + rng(2).random((5, len(box))) * (box[:, 1] - box[:, 0])
-    p[0] = laws.read(printed.ATM1["low"], "sample")
-    exact = [series.error(law, q, data) for q in p]
-    np.testing.assert_allclose(series.misfit(law, data)(p), exact, rtol=1e-3)
+    p[0] = laws.read_printed(printed.ATM1["low"], "sample")
+    exact = [papers_method.squared_error(law, q, data) for q in p]
+    np.testing.assert_allclose(papers_method.misfit(law, data)(p), exact, rtol=1e-3)
 
 
-def test_the_lowest_error_is_no_higher_than_the_truths(low: tuple[recordings.Recording, series.Series]) -> None:
+def test_the_lowest_error_is_no_higher_than_the_truths(
+    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+) -> None:
     """Found from nothing: the sines of Table 1 come back, and the truth itself is no better."""
     _, data = low
-    law, truth = laws.atm1(2), laws.read(printed.ATM1["low"], "sample")
-    best = series.lowest(law, data, [], rng(), 9000)
-    assert series.error(law, best, data) <= series.error(law, truth, data)
+    law, truth = laws.atm1(2), laws.read_printed(printed.ATM1["low"], "sample")
+    best = papers_method.lowest_error_parameters(law, data, [], rng(), 9000)
+    assert papers_method.squared_error(law, best, data) <= papers_method.squared_error(law, truth, data)
     lines = best[4:].reshape(-1, 3)
     lines = lines[np.argsort(lines[:, 1])]
     np.testing.assert_allclose(lines[:, 1], [12.6051, 34.8868], rtol=0.01)
@@ -178,24 +184,11 @@ def test_the_lowest_error_is_no_higher_than_the_truths(low: tuple[recordings.Rec
 
 def test_straightness() -> None:
     v = np.linspace(0, 8, 500)
-    assert beam.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
-    assert beam.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
+    assert tustin_model.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
+    assert tustin_model.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
 
 
 # ---- statistics
-
-
-def test_wilson_interval_is_the_published_one() -> None:
-    """Newcombe 1998, Stat. Med. 17, table I: 81 of 263 is 0.2553 to 0.3662; 0 of 20 is 0 to 0.1611."""
-    np.testing.assert_allclose(statistics.wilson(81, 263), (0.2553, 0.3662), atol=5e-5)
-    np.testing.assert_allclose(statistics.wilson(0, 20), (0.0, 0.1611), atol=5e-5)
-
-
-def test_wilson_interval_covers() -> None:
-    for p in (0.06, 0.3):
-        k = np.arange(201)
-        inside = np.array([lo <= p <= hi for lo, hi in (statistics.wilson(int(i), 200) for i in k)])
-        assert binom.pmf(k, 200, p)[inside].sum() == pytest.approx(0.95, abs=0.015)
 
 
 def test_mean_interval_has_the_width_of_the_standard_error() -> None:
@@ -214,12 +207,12 @@ def test_change_interval_finds_a_change_and_none() -> None:
 def test_chance_of_the_printed_gain() -> None:
     """Runs of mean 34 and deviation 20: 50 against 50, a mean scatters by 0.083 of itself, two by 0.118."""
     x = rng(7).normal(34, 20, 5000)
-    assert statistics.by_chance(x, 50, -0.1254, rng()) == pytest.approx(0.14, abs=0.03)
+    assert statistics.probability_by_chance(x, 50, -0.1254, rng()) == pytest.approx(0.14, abs=0.03)
 
 
 def test_thirty_and_six_per_cent_differ_in_fifty_runs() -> None:
-    assert statistics.differ((15, 3), (50, 50)) == pytest.approx(0.003, abs=0.001)  # notes
-    assert statistics.differ((10, 10), (50, 50)) == 1
+    assert statistics.fisher_p_value((15, 3), (50, 50)) == pytest.approx(0.003, abs=0.001)  # notes
+    assert statistics.fisher_p_value((10, 10), (50, 50)) == 1
 
 
 # ---- Eq. 8
@@ -233,13 +226,13 @@ def test_maximum_of_eq8() -> None:
 
 
 def test_trials_count_generations() -> None:
-    done = trials(eq8.eq8, eq8.BOX, 3, -3.85025, 7240, method="ga")
-    assert np.all(done.cost >= -3.850275)
-    hit = done.cost <= -3.85025
-    assert np.all(np.isfinite(done.first) == hit)
-    assert np.all(done.first[hit] <= done.last[hit])
-    assert np.all(done.settled <= done.last)
-    assert np.all(done.seconds > 0)
+    results = run_trials(eq8.eq8, eq8.SEARCH_INTERVAL, 3, -3.85025, 7240, method="ga")
+    assert np.all(results.cost >= -3.850275)
+    hit = results.cost <= -3.85025
+    assert np.all(np.isfinite(results.first) == hit)
+    assert np.all(results.first[hit] <= results.last[hit])
+    assert np.all(results.converged <= results.last)
+    assert np.all(results.seconds > 0)
 
 
 @pytest.mark.slow
@@ -323,7 +316,7 @@ def test_ours_recovers_table_1(made: tuple[Path, dict]) -> None:
     """Displacement domain: the printed sines come back to a per mille where the papers' route guesses."""
     tables = {t["name"]: t for part in made[1]["parts"] for t in part["tables"]}
     ours = {row[0]: float(row[4].split(" ")[0]) for row in tables["table1"]["rows"] if "±" in row[4]}
-    truth = laws.read(printed.ATM1["low"], "sample")
+    truth = laws.read_printed(printed.ATM1["low"], "sample")
     for name in ("F_1", "f_1", "F_2", "f_2"):
         assert ours[name] == pytest.approx(truth[laws.atm1(2).names.index(name)], rel=2e-3)
 
@@ -332,29 +325,36 @@ def test_ours_recovers_table_1(made: tuple[Path, dict]) -> None:
 
 
 def _small(verdict: str = HOLDS) -> Reproduction:
-    table = Table("t", "A table", ("word", "number"), [["a & b", np.float64(1.5)], ["none", float("nan")]])
+    table = ResultTable("t", "A table", ("word", "number"), [["a & b", np.float64(1.5)], ["none", float("nan")]])
     claim = Claim("Table 9", "x < y", "1 <b>", "2", verdict, "So.")
-    return Reproduction((Part("p", "A: part", ("Text.",), (table,), {}, (claim,)),), 0, True)
+    return Reproduction((Section("p", "A: part", ("Text.",), (table,), {}, (claim,)),), 0, True)
 
 
 def test_page_escapes_and_counts() -> None:
-    page = render(_small(FAILS))
+    page = render_page(_small(FAILS))
     assert "a &amp; b" in page
     assert "1 &lt;b&gt;" in page
     assert "0 hold, 1 do not, 0 cannot be decided" in page
 
 
 def test_numbers_for_people() -> None:
-    assert [number(c) for c in (None, "x", 3.0, -2.0, 0.123456, 36040.0)] == ["–", "x", "3", "−2", "0.1235", "36040"]
+    assert [format_cell(c) for c in (None, "x", 3.0, -2.0, 0.123456, 36040.0)] == [
+        "–",
+        "x",
+        "3",
+        "−2",
+        "0.1235",
+        "36040",
+    ]
     table = _small().parts[0].tables[0]
-    assert numeric(table) == {1}
+    assert numeric_columns(table) == {1}
     assert table.rows[1][1] is None  # no NaN in JSON
 
 
 def test_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FrictrackError, match=r"cannot write .*; choose another folder with -o"):
-        write(_small(), tmp_path / "file")
+        write_reproduction(_small(), tmp_path / "file")
 
 
 def test_quick_is_quick() -> None:

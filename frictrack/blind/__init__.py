@@ -1,8 +1,12 @@
-"""Studies with a sealed truth, and how a diagnosis fares on them.
+"""Test the diagnosis blindly: write studies of known, sealed truth, diagnose them, and count what was right.
 
-from frictrack.blind import make, score
-make(Path("blind"), n=42)           # studies and their seal
-score(Path("blind"))                # named first, false alarms, missed, ... with intervals
+    from frictrack.blind import make, score
+    make(Path("blind"), n=42)           # studies and their sealed truth
+    score(Path("blind"))                # shares of effects named first, false alarms, misses, ... with intervals
+
+A study is drawn at random (`truth_sampling`), a hidden effect is scaled to a size that an ideal detector can just see
+(`effect_placement`, `ideal_detector`), its tables or films are written (`study_files`), and each diagnosis becomes an
+`Outcome`. Effects that fit as well as the hidden one (`equivalents`) count as correct within a group.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The blind benchmark: studies made and sealed, and later opened, diagnosed and counted."""
+"""Run the blind benchmark: write and seal studies, later open them, diagnose them and count what was right."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.blind.draw_truth import draw_truth
 from frictrack.blind.outcome import Outcome, judge_study, read_outcome
 from frictrack.blind.seal import SEAL_FILE, open_seal, seal
+from frictrack.blind.study_files import write_study
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
-from frictrack.blind.write_study import write_study
+from frictrack.blind.truth_sampling import draw_truth
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow import Progress, no_progress
@@ -39,16 +39,42 @@ def make(
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Write n studies (default 420 of tables, 40 of films) into a new folder and seal their truths: its JSON.
+    """Write studies of known truth into a new folder and seal the truth.
 
-    Raises FrictrackError (usage) where the folder holds studies already, or for fewer than one.
+    Parameters
+    ----------
+    folder
+        New or empty folder.
+    n
+        Number of studies; by default 420 with tables or 40 with films.
+    seed
+        Seed of all draws.
+    film
+        Whether to render films instead of writing tables.
+    workers
+        Number of processes; by default as many as `run_parallel` chooses.
+    progress
+        Called with the number of studies done, the number of all and a text.
+
+    Returns
+    -------
+    dict
+        JSON of the command: studies, seed, film, seal, output.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder contains files or n is below 1 (usage).
+
     """
     of = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
     n = sum(of.values()) if n is None else n
     if n < 1:
         raise FrictrackError(f"expected at least one study but got --n {n}", usage=True)
     if folder.exists() and any(folder.iterdir()):
-        raise FrictrackError(f"expected a new or empty folder but {folder} holds something; name another", usage=True)
+        raise FrictrackError(
+            f"expected a new or empty folder but {folder} contains files; give another folder", usage=True
+        )
     folder.mkdir(parents=True, exist_ok=True)
     jobs = _plan_studies(n, of, seed)
     names = [f"study_{i + 1:0{len(str(n))}d}" for i in range(n)]
@@ -59,7 +85,7 @@ def make(
 
 
 def _plan_studies(n: int, of: dict[str, int], seed: int) -> list[tuple[int, str, int]]:
-    """Seed, kind and turn of every study, kinds shuffled: neither place nor name may tell."""
+    """Seed, kind and turn of each study, with kinds shuffled so that neither order nor name reveals them."""
     shares = {kind: n * count / sum(of.values()) for kind, count in of.items()}
     counts = {kind: int(share) for kind, share in shares.items()}
     short = sorted(shares, key=lambda kind: counts[kind] - shares[kind])[: n - sum(counts.values())]
@@ -68,16 +94,17 @@ def _plan_studies(n: int, of: dict[str, int], seed: int) -> list[tuple[int, str,
     rng = np.random.default_rng([seed, 11])
     rng.shuffle(kinds)
     seeds = rng.choice(2**31, n, replace=False)
-    begun = {kind: int(rng.integers(100)) for kind in of}  # whose turn is first
+    first_turn = {kind: int(rng.integers(100)) for kind in of}
     done: Counter[str] = Counter()
     out = []
     for own, kind in zip(seeds, kinds, strict=True):
-        out.append((int(own), kind, begun[kind] + done[kind]))
+        out.append((int(own), kind, first_turn[kind] + done[kind]))
         done[kind] += 1
     return out
 
 
 def _make_study(folder: Path, seed: int, kind: str, turn: int, *, film: bool) -> Truth:
+    """Draw and write one study."""
     truth = draw_truth(seed, kind, turn, film=film)
     write_study(truth, folder)
     return truth
@@ -86,10 +113,29 @@ def _make_study(folder: Path, seed: int, kind: str, turn: int, *, film: bool) ->
 def score(
     folder: Path, *, seed: int = 0, workers: int | None = None, progress: Progress = no_progress
 ) -> dict[str, Any]:
-    """Open the seal, diagnose every study, add what is named, and count: JSON of the command.
+    """Open the sealed truth, diagnose each study, add the named effects, and count what was right.
 
-    An outcome is kept in the folder as soon as it is there, so that a score that was interrupted goes on. Raises
-    FrictrackError where there is no seal, or where files were changed since it was closed.
+    Each outcome is stored in the folder at once, so an interrupted call continues where it stopped.
+
+    Parameters
+    ----------
+    folder
+        Folder written by `make`.
+    seed
+        Seed of the diagnoses.
+    workers, progress
+        As in `make`.
+
+    Returns
+    -------
+    dict
+        JSON of the command; `tally` describes it. It is also written to score.json, with all outcomes.
+
+    Raises
+    ------
+    FrictrackError
+        If there is no sealed truth, or if files changed since it was sealed.
+
     """
     truths = open_seal(folder)
     key = sha256((folder / SEAL_FILE).read_bytes()).hexdigest()[:16] + f" seed {seed}"
@@ -111,16 +157,17 @@ def score(
 
 
 def _to_json(row: Outcome) -> dict[str, Any]:
+    """Outcome as JSON."""
     values: dict[str, Any] = to_builtins(asdict(row))
     return {"alike" if key == "equivalents" else key: value for key, value in values.items()}  # key in existing files
 
 
 def _read_kept(path: Path, key: str) -> Outcome | None:
-    """An outcome of these very studies, if there is one."""
+    """Stored outcome; None if there is none, or only one of other studies or another seed."""
     if not path.is_file():
         return None
-    held = json.loads(path.read_text(encoding="utf-8"))
-    return read_outcome(held["outcome"]) if held["key"] == key else None
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    return read_outcome(stored["outcome"]) if stored["key"] == key else None
 
 
 def _write_kept(path: Path, row: Outcome, key: str) -> None:
@@ -128,14 +175,14 @@ def _write_kept(path: Path, row: Outcome, key: str) -> None:
 
 
 def _write_json(path: Path, value: Any) -> None:
-    """A JSON file, replaced whole."""
+    """Replace a JSON file atomically."""
     replace_text(path, json.dumps(value, indent=1, ensure_ascii=False))
 
 
 def _run_with_progress(
     work: dict[str, partial[Any]], workers: int | None, progress: Progress, what: str
 ) -> Iterator[tuple[str, Any]]:
-    """Results as they come, from several processes where that pays."""
+    """Yield names and results as they finish, and report the progress."""
     progress(0, len(work), what)
     for done, pair in enumerate(run_parallel(work, workers), 1):
         progress(done, len(work), what)

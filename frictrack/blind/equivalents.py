@@ -1,4 +1,4 @@
-"""Which library effects nobody could tell from what is hidden: their best fits to data without noise are as good."""
+"""Find the library effects that fit data without noise as well as a hidden effect does."""
 
 from __future__ import annotations
 
@@ -17,21 +17,32 @@ from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.stepwise import effect_for_scan, rebuild_problem, remove_effect, simulate_trial, try_effect
 from frictrack.records import Array
 
-MAX_CHI2_EXCESS = 10.0  # expected chi-squared below which two causes are one for these runs
-NEAR = 0.3, 60.0  # share of the rise, and chi-squared, along the motion below which a rival is followed to its end
+MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
+SCREEN_SHARE, SCREEN_CHI2 = 0.3, 60.0  # share of the rise, and chi-squared, below which a linearised rival is refined
 
 
 def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
-    """For every hidden cause the library effects that stand in for it beside all the rest, itself first.
+    """Find for each hidden effect the library effects that can replace it, the others staying.
 
-    `base` is the fitted base law, whose pieces and layout are taken; its data are replaced by the true motion.
+    Parameters
+    ----------
+    truth
+        Truth of the study.
+    base
+        Fitted base law. Its pieces and layout are used; its data are replaced by the true motion.
+
+    Returns
+    -------
+    dict
+        For each hidden effect the names of equivalent effects, itself first.
+
     """
     full = solution_at_truth(truth, base)
     return {name: (name, *_equivalents(full, name)) for name in truth.hidden}
 
 
 def _equivalents(full: Solution, name: str) -> list[str]:
-    """Effects that explain the data without noise as well as the hidden one does."""
+    """Names of effects that explain the data without noise as well as the hidden one does."""
     reduced = remove_effect(full, name)
     linearised = linearise(reduced)
     chi2_rise = reduced.objective - full.objective
@@ -52,7 +63,7 @@ def _equivalents(full: Solution, name: str) -> list[str]:
 
 
 def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, chi2_rise: float) -> float:
-    """By how much chi-squared is larger with another effect in the place of the true one."""
+    """Excess of chi-squared with another effect instead of the true one; inf if the linearised fit is far worse."""
     grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
     if not grids:
         return np.inf
@@ -60,7 +71,7 @@ def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, ch
     trial = try_effect(
         linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.coordinates[:, 0]
     )
-    if trial.misfit > NEAR[0] * chi2_rise + NEAR[1] + _level_penalty(full):
+    if trial.misfit > SCREEN_SHARE * chi2_rise + SCREEN_CHI2 + _level_penalty(full):
         return np.inf
     extended = simulate_trial(linearised, trial)
     fitted = refine(extended.problem, extended.p, extended.starts, tau=full.tau)
@@ -68,15 +79,29 @@ def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, ch
 
 
 def _level_penalty(full: Solution) -> float:
-    """What the true levels' departure from one costs."""
+    """Penalty of the true friction levels, which scatter about 1."""
     penalty = penalty_residual(full.problem.layout, full.p, full.tau)
     return float(penalty @ penalty)
 
 
 def solution_at_truth(truth: Truth, base: Solution) -> Solution:
-    """The true law at the true motion, refined by what rounding leaves."""
-    slides = [truth.slide(run) for run in truth.runs]
-    pieces = [replace(p, y=(slides[p.run].x + slides[p.run].shift)[p.frames]) for p in base.problem.pieces]
+    """Fit the true law to the true motion, from the true parameters; only rounding errors remain.
+
+    Parameters
+    ----------
+    truth
+        Truth of the study.
+    base
+        Fitted base law of the study.
+
+    Returns
+    -------
+    Solution
+        The refined solution with all hidden effects.
+
+    """
+    trajectories = [truth.trajectory(run) for run in truth.runs]
+    pieces = [replace(p, y=(trajectories[p.run].x + trajectories[p.run].shift)[p.frames]) for p in base.problem.pieces]
     base_layout = base.problem.layout
     model = base_layout.model
     for name in truth.hidden:
@@ -86,18 +111,18 @@ def solution_at_truth(truth: Truth, base: Solution) -> Solution:
     problem = rebuild_problem(base.problem.rebuild(base_layout, pieces), layout)
     starts = [
         np.array([np.interp(p.t[0], s.t - _release_time(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
-        for p, s in ((p, slides[p.run]) for p in pieces)
+        for p, s in ((p, trajectories[p.run]) for p in pieces)
     ]
     return refine(problem, _true_parameters(truth, layout), starts, tau=max(truth.scatter, MIN_SCATTER))
 
 
 def _release_time(time: Array, recorded: Array) -> float:
-    """When a run was released, on the clock of its table, s."""
+    """Time of release on the clock of the table, s."""
     return float(recorded[0] - time[0])
 
 
 def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
-    """The true numbers as a fit counts them, (P,)."""
+    """True parameters in the order of the layout, (P,)."""
     out = []
     for slot in layout.slots:
         run = truth.runs[slot.run or 0]
@@ -111,7 +136,7 @@ def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
 
 
 def _hidden_values(truth: Truth, name: str, run: int | None) -> dict[str, float]:
-    """Numbers of a hidden cause in one run, or in any that has it."""
+    """Parameter values of a hidden effect in one run, or in the first run that has it."""
     chosen: tuple[RunTruth, ...] = truth.runs if run is None else (truth.runs[run],)
     found: list[EffectValues] = [r.values for r in chosen if name in r.values]
     return found[0][name]

@@ -1,4 +1,4 @@
-"""Causes that the library does not know: what a diagnosis must call unexplained, or replace by an equal."""
+"""Effects that the library does not contain: a diagnosis must call them unexplained, or reproduce them by others."""
 
 from __future__ import annotations
 
@@ -11,65 +11,65 @@ from frictrack.effects import Effect, Parameter, Path, Span
 from frictrack.records import Array
 
 Shape = Callable[[Path, dict[str, float]], Array]
-RESONANCE_WIDTH = 0.15  # width of a resonance in the speed, over that speed
-N_HARMONICS = 5  # harmonics of a saw tooth, and one
+RESONANCE_WIDTH = 0.15  # width of a resonance in speed, over that speed
+N_HARMONICS = 5  # one more than the harmonics of a sawtooth
 
 
 def _rate_and_state(path: Path, q: dict[str, float]) -> Array:
-    """Friction falls with the logarithm of the speed (Dieterich 1979, steady state)."""
+    """Friction falls with the logarithm of the speed (steady state of Dieterich 1979, J. Geophys. Res. 84)."""
     return -path.load * path.s * np.log((path.speed + 1e-3) / q["speed"])
 
 
 def _flash_weakening(path: Path, q: dict[str, float]) -> Array:
-    """Asperities melt beyond a speed, and friction falls with its inverse (Rice 2006)."""
+    """Asperities weaken beyond a speed, and friction falls with its inverse (Rice 2006, J. Geophys. Res. 111)."""
     return path.load * path.s * (1 + (path.speed / q["speed"]) ** 4) ** -0.25
 
 
 def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
-    """The mounting resonates, and takes energy, at one speed of sliding."""
+    """The mounting resonates and takes energy at one sliding speed."""
     return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (RESONANCE_WIDTH * q["speed"])) ** 2) / 2)
 
 
 def _joint(path: Path, q: dict[str, float]) -> Array:
-    """Two halves of the course are of different material."""
+    """Two halves of the course consist of different materials."""
     return path.load * path.s * np.tanh((path.x - q["place"]) / 2e-3)
 
 
 def _saw(path: Path, q: dict[str, float]) -> Array:
-    """Plates of equal length lie on the course like scales: a saw tooth, its edges rounded by the slider's length."""
+    """Overlapping plates of equal length: a sawtooth in place, with edges rounded by the length of the slider."""
     turns = 2 * np.pi * path.x / q["length"]
     return path.load * path.s * np.sum([np.sin(k * turns) / k for k in range(1, N_HARMONICS)], axis=0)
 
 
 def _magnet(path: Path, q: dict[str, float]) -> Array:
-    """Something beside the course attracts the mass, on the way there and back."""
+    """A magnet next to the course attracts the mass; the force does not depend on the direction of motion."""
     u = (path.x - q["place"]) / q["length"]
     return np.asarray(u / (1 + u**2) ** 2)
 
 
 def _chirp(path: Path, q: dict[str, float]) -> Array:
-    """A machine next door runs up."""
+    """A nearby machine runs up: a force with rising frequency."""
     return np.sin(2 * np.pi * q["frequency"] * (1 + 4 * path.t) * path.t)
 
 
 def _gust(path: Path, q: dict[str, float]) -> Array:
-    """A constant force sets in at some moment after release."""
+    """A constant force begins at some time after release."""
     return (1 + np.tanh((path.t - q["time"]) / 2e-3)) / 2
 
 
 def _breakdown(path: Path, q: dict[str, float]) -> Array:
-    """The film of lubricant is used up after some way, wherever that began."""
+    """The lubricant film is used up after some sliding distance, at any place."""
     return path.load * path.s * (1 + np.tanh((path.distance - q["length"]) / 3e-3)) / 2
 
 
 def _heat(path: Path, q: dict[str, float]) -> Array:
-    """Friction falls with a temperature that follows the power of friction late: a memory of the speed."""
+    """Friction falls with a temperature that follows the dissipated power with a delay: a memory of the speed."""
     t, v = path.t, path.v
     if path.before is not None:
         t, v = np.append(path.before[0], t), np.append(path.before[2], v)
     growth = np.exp((t - t[-1]) / q["time"])
-    warm = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / q["time"]
-    return -path.load * path.s * warm[-len(path.t) :]
+    temperature = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / q["time"]
+    return -path.load * path.s * temperature[-len(path.t) :]
 
 
 UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
@@ -84,11 +84,23 @@ FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
     "gust": (_gust, ("time",)),
     "breakdown": (_breakdown, ("length",)),
     "heat": (_heat, ("time",)),
-}  # name: shape, and the numbers that it needs
+}  # name: shape, and the non-linear parameters that it needs
 
 
 def foreign_effect(name: str) -> Effect:
-    """A cause of that name as an effect with one coefficient, which no library lists."""
+    """Build an effect that is not in the library.
+
+    Parameters
+    ----------
+    name
+        Key of `FOREIGN`.
+
+    Returns
+    -------
+    Effect
+        Force effect with one coefficient, the amplitude in N.
+
+    """
     shape, needs = FOREIGN[name]
     return Effect(
         name=name,
@@ -104,7 +116,21 @@ def foreign_effect(name: str) -> Effect:
 
 
 def parameter_range(name: str, span: Span) -> tuple[float, float]:
-    """Where a number of such a cause may lie, given how far the runs reach."""
+    """Range from which a non-linear parameter of a foreign effect is drawn.
+
+    Parameters
+    ----------
+    name
+        "place", "length" (m), "speed" (m/s), "frequency" (Hz) or "time" (s).
+    span
+        Range of place, speed and time that the runs cover.
+
+    Returns
+    -------
+    tuple of float
+        Lowest and highest value.
+
+    """
     travel = span.x_max - span.x_min
     return {
         "place": (span.x_min + 0.3 * travel, span.x_max - 0.3 * travel),

@@ -1,13 +1,13 @@
-"""The ideal detector: what the best possible reading of a study could see of a hidden cause.
+"""The ideal detector: how well the best possible analysis of a study could see a hidden effect.
 
-It knows the base law's form, the noise, the scatter of the levels and the form of the cause; it does not know starts,
-the law's numbers, the levels and the cause's coefficients, and it looks through a library of forms as the diagnosis
-does. With the displacement's sensitivities J to all that it must fit (levels held by their scatter) and the trace d
-that the cause leaves, the likelihood ratio is chi-squared with the non-centrality
+It knows the form of the base law, the noise, the scatter of the friction levels and the form of the effect. It does not
+know the starts, the parameters of the law, the levels and the coefficients of the effect, and it scans as many forms as
+the diagnosis does. With the sensitivities J of the displacement to all unknowns (levels restrained by their scatter)
+and the trace d of the effect, the likelihood ratio is chi-squared with the non-centrality
 
     rise = min_b |d/noise - J b|^2
 
-and the limit is the rise that exceeds the threshold of the whole search in 95 of 100 repeats.
+The detection limit is the rise that exceeds the threshold of the whole scan in 95 of 100 repeats.
 """
 
 from __future__ import annotations
@@ -26,30 +26,57 @@ from frictrack.records import Array, Mask
 from frictrack.simulate import Trajectory
 from frictrack.simulate.dynamics import MotionResponse, Panels, solve_motion
 
-ALPHA = 0.005  # of the candidates' half of a diagnosis
-N_CANDIDATES = 25  # effects that are tried, each of which gets the same part of alpha
-FORMS_PER_CELL = 4  # forms of a scan that are one: its steps are a quarter of a resolution cell
+ALPHA = 0.005  # false-alarm probability of the candidates' half of a diagnosis
+N_CANDIDATES = 25  # effects that are tried; they share alpha equally
+FORMS_PER_CELL = 4  # forms of a scan per independent one: its steps are a quarter of a resolution cell
 POWER = 0.95
-MIN_SPEED = 0.02  # m/s, below which a run is taken for stuck
-LAW_STEP = 1e-6  # relative step of a number of the law
-EFFECT_STEP = 1e-3  # relative step of a number of a cause that does not enter linearly
-MIN_SCATTER, MAX_SCATTER, N_SCATTERS = 1e-4, 0.5, 40
+MIN_SPEED = 0.02  # m/s; a slower run counts as stuck
+LAW_STEP = 1e-6  # relative step of a parameter of the law
+EFFECT_STEP = 1e-3  # relative step of a non-linear parameter of an effect
+MIN_SCATTER, MAX_SCATTER, N_SCATTERS = 1e-4, 0.5, 40  # relative; grid on which the likeliest scatter is found
 
 
 @cache
 def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
-    """Rise of chi-squared, with so many free coefficients, that is seen in 95 of 100 repeats.
+    """Non-centrality of chi-squared that exceeds the detection threshold in 95 of 100 repeats.
 
-    It is the largest of so many independent `forms` of one candidate.
+    Parameters
+    ----------
+    degrees_of_freedom
+        Free coefficients of an effect.
+    forms
+        Independent forms that are scanned; the threshold is corrected for them (Bonferroni).
+
+    Returns
+    -------
+    float
+        Rise of chi-squared at the detection limit.
+
+    Examples
+    --------
+    >>> noncentrality_limit(1) < noncentrality_limit(2) < noncentrality_limit(2, forms=100)
+    True
+
     """
     threshold = float(chi2.isf(ALPHA / N_CANDIDATES / forms, degrees_of_freedom))
     return float(brentq(lambda nc: ncx2.sf(threshold, degrees_of_freedom, nc) - POWER, 1.0, 1e4))
 
 
 def degrees_of_freedom(effect: Effect, runs: int) -> int:
-    """Coefficients that a scan of an effect has free: a phase makes two of one, and so many in every run.
+    """Count the free coefficients of an effect in a scan.
 
-    Events of single runs are judged one by one.
+    Parameters
+    ----------
+    effect
+        The effect. A phase doubles a coefficient, and a phase per run does so in each run.
+    runs
+        Number of runs. Events in single runs are tested one by one, so they count once.
+
+    Returns
+    -------
+    int
+        At least 1.
+
     """
     if is_event(effect):
         return 1
@@ -61,19 +88,19 @@ def degrees_of_freedom(effect: Effect, runs: int) -> int:
 
 
 def is_event(effect: Effect) -> bool:
-    """Whether the cause happens at a moment of its own in every run."""
+    """Whether the effect is an event at a separate time in each run."""
     return any(p.per_run and p.scan is not None for p in effect.parameters)
 
 
 @dataclass(frozen=True)
 class _LinearisedRun:
-    """One run under the base law: its motion, the frames in which it moves, and how it answers to forces.
+    """One run under the base law: motion, moving frames (m of n), paths, response to forces and sensitivities.
 
-    `sensitivity` (n, 2 + P + 1): change of x per unit of start, law and level.
+    `sensitivity` (m, 2 + P + 1) is the change of x per unit of start, law parameters and level.
     """
 
     truth: RunTruth
-    slide: Trajectory
+    trajectory: Trajectory
     moving: Mask
     path: Path  # at the nodes
     at_frames: Path
@@ -83,50 +110,83 @@ class _LinearisedRun:
 
 
 class IdealDetector:
-    """The ideal detector of one study, made from the truth without what is hidden."""
+    """Ideal detector of one study.
+
+    Parameters
+    ----------
+    base_study
+        Truth of the study without hidden effects.
+
+    """
 
     def __init__(self, base_study: Truth) -> None:
         self.base_study = base_study
         self._runs = [_linearise_run(base_study, run) for run in base_study.runs]
 
     @property
-    def slides(self) -> list[Trajectory]:
-        """The motions without what is hidden."""
-        return [linearised.slide for linearised in self._runs]
+    def trajectories(self) -> list[Trajectory]:
+        """Motions of all runs without hidden effects."""
+        return [linearised.trajectory for linearised in self._runs]
 
     def limit(self, effect: Effect) -> float:
-        """Rise of chi-squared at which an effect is seen in 95 of 100 repeats."""
-        span, runs = self.base_study.span(self.slides), len(self.base_study.runs)
+        """Rise of chi-squared at which an effect is seen in 95 of 100 repeats; see `noncentrality_limit`."""
+        span, runs = self.base_study.span(self.trajectories), len(self.base_study.runs)
         scans = [len(p.scan(span)) for p in effect.parameters if p.scan is not None and p.fixed is None]
         forms = int(np.prod(scans)) * (runs if is_event(effect) else 1)
         return noncentrality_limit(degrees_of_freedom(effect, runs), max(1, forms // FORMS_PER_CELL))
 
     def trace_and_rise(self, truth: Truth) -> tuple[Array, float]:
-        """The trace: what nothing but the hidden causes explains, in units of the noise, its square the rise.
+        """Compute the trace of the hidden effects by simulation.
 
-        And the rise where nobody tells the scatter of the levels: the likeliest one takes its part.
+        Parameters
+        ----------
+        truth
+            The study with hidden effects.
+
+        Returns
+        -------
+        trace : Array
+            The part of their whitened displacement that law, levels and starts cannot explain, (N + runs,). Its squared
+            norm is the rise of chi-squared.
+        rise : float
+            The rise if the scatter of the levels is not known but estimated.
+
         """
         split = self._remove_starts(*self._changes(truth))
         return self._unexplained(*split), self._rise_with_unknown_scatter(*split)
 
     def _changes(self, truth: Truth) -> tuple[list[Array], list[Mask]]:
-        """Of every run the change of the recorded x (n,) by the hidden causes, and the frames in which both move."""
-        shifts = []
+        """For each run the change of the recorded x (n,), m, by the hidden effects, and the frames where both move."""
+        changes = []
         for linearised, run in zip(self._runs, truth.runs, strict=True):
             if not run.values:
-                shifts.append((np.zeros(len(linearised.slide.t)), linearised.moving))
+                changes.append((np.zeros(len(linearised.trajectory.t)), linearised.moving))
                 continue
-            full = truth.slide(run)
-            shifts.append((full.x + full.shift - linearised.slide.x, linearised.moving & _moving_frames(full)))
-        return [d for d, _ in shifts], [use for _, use in shifts]
+            full = truth.trajectory(run)
+            changes.append((full.x + full.shift - linearised.trajectory.x, linearised.moving & _moving_frames(full)))
+        return [d for d, _ in changes], [frames for _, frames in changes]
 
     def linear_trace(self, effect: Effect, values: list[EffectValues]) -> Array:
-        """The same to first order in a cause's size, for an effect with its numbers in every run (none: absent)."""
+        """Compute the trace of an effect to first order in its size.
+
+        Parameters
+        ----------
+        effect
+            The effect.
+        values
+            Its parameter values in each run; empty in runs without it.
+
+        Returns
+        -------
+        Array
+            Trace as in `trace_and_rise`, (N + runs,).
+
+        """
         moved = [self._response(linearised, effect, own) for linearised, own in zip(self._runs, values, strict=True)]
         return self._unexplained(*self._remove_starts(moved, [linearised.moving for linearised in self._runs]))
 
     def trace_derivatives(self, effect: Effect, values: list[EffectValues]) -> Array:
-        """How the trace changes with every free number of a cause, (N, k): all that it can take beside another one."""
+        """Derivative of the linear trace with respect to each free parameter of an effect, (N + runs, k)."""
         trace, out = self.linear_trace(effect, values), []
         there = [i for i, own in enumerate(values) if own]
         for p in (p for p in effect.parameters if p.fixed is None):
@@ -139,30 +199,30 @@ class IdealDetector:
         return np.column_stack(out)
 
     def sensitivities(self, effect: Effect, values: list[EffectValues]) -> list[tuple[Trajectory, Mask, Array, Array]]:
-        """Of every run: motion, frames in which it moves (m of them), answers of x to start (2), law and level, effect.
+        """For each run: motion, moving frames (n,), and derivatives of x at those m frames.
 
-        The answers (m, 2 + P + 1) and (m,) are in m per unit.
+        The derivatives are with respect to start, law and level, (m, 2 + P + 1), and to the effect, (m,); m per unit.
         """
         pairs = zip(self._runs, values, strict=True)
-        return [(s.slide, s.moving, s.sensitivity, self._response(s, effect, own)[s.moving]) for s, own in pairs]
+        return [(s.trajectory, s.moving, s.sensitivity, self._response(s, effect, own)[s.moving]) for s, own in pairs]
 
     def force_share(self, effect: Effect, values: list[EffectValues]) -> float:
-        """Root mean square of a hidden force over that of the base law, both along the base law's motion."""
+        """Root mean square of a hidden force over that of the base law, along the motion of the base law."""
         linearised = self._runs
         more = [self._force(run, effect, own) for run, own in zip(linearised, values, strict=True)]
         whole = [self.base_study.base.force(run.path, self.base_study.law) for run in linearised]
         return float(np.linalg.norm(np.concatenate(more)) / np.linalg.norm(np.concatenate(whole)))
 
     def _force(self, linearised: _LinearisedRun, effect: Effect, own: EffectValues) -> Array:
-        """Force that an effect adds at the nodes, N."""
+        """Force that an effect adds at the nodes, N, (3 p,)."""
         if not own or effect.acts_on == "measurement":
             return np.zeros(len(linearised.path.t))
         more = (self.base_study.base + effect).force(linearised.path, self.base_study.law | own)
         return np.asarray(more - self.base_study.base.force(linearised.path, self.base_study.law))
 
     def _response(self, linearised: _LinearisedRun, effect: Effect, own: EffectValues) -> Array:
-        """Change of the recorded x (n,) by an effect, first order."""
-        out = np.zeros(len(linearised.slide.t))
+        """Change of the recorded x (n,), m, by an effect to first order."""
+        out = np.zeros(len(linearised.trajectory.t))
         if own and effect.acts_on == "measurement":
             coefficients = [own[effect.name][p.name] for p in effect.linear]
             out[linearised.moving] = effect.columns(linearised.at_frames, own[effect.name]) @ coefficients
@@ -172,14 +232,14 @@ class IdealDetector:
         return out
 
     def _unexplained(self, a: Array, d: Array) -> Array:
-        """What is left of whitened changes d (N,), over the noise, when law and levels are fitted again."""
+        """Part of whitened changes d (N,) that law and levels with sensitivities a (N, P + runs) cannot explain."""
         n = len(self._runs)
         prior = np.zeros((n, a.shape[1]))
         prior[:, -n:] = np.eye(n) / max(self.base_study.scatter, MIN_SCATTER)
         return unexplained_part(np.append(d, np.zeros(n)), np.vstack([a, prior]))
 
     def _rise_with_unknown_scatter(self, a: Array, d: Array) -> float:
-        """Rise by whitened changes d (N,) where the scatter of the levels is the likeliest one (Harville 1977)."""
+        """Rise by whitened changes d (N,) at the likeliest scatter of the levels (REML; Harville 1977, JASA 72)."""
         n = len(self._runs)
         norm = np.linalg.norm(a[:, :-n], axis=0)
         law, _ = np.linalg.qr(a[:, :-n] / np.where(norm > 0, norm, 1.0))
@@ -195,13 +255,13 @@ class IdealDetector:
         return max(min_deviance - float(np.linalg.slogdet(np.eye(n) + known**2 * gram)[1]), 0.0)
 
     def _remove_starts(self, moved: list[Array], use: list[Mask]) -> tuple[Array, Array]:
-        """Answers to law and levels (N, P + runs) and changes of x (N,) of all runs, whitened, their starts removed."""
+        """Whitened sensitivities to law and levels (N, P + runs) and changes of x (N,), with starts projected out."""
         pairs = enumerate(zip(self._runs, moved, use, strict=True))
         split = [self._remove_start(i, linearised, change, frames) for i, (linearised, change, frames) in pairs]
         return np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split])
 
     def _remove_start(self, i: int, linearised: _LinearisedRun, moved: Array, frames: Mask) -> tuple[Array, Array]:
-        """A change (n,) and the answers to law and levels (n, P + runs) of one run, whitened, its start removed."""
+        """The same of one run, the change (n,) first; `use` selects its frames."""
         whole = np.zeros((len(moved), linearised.sensitivity.shape[1]))
         whole[linearised.moving] = linearised.sensitivity
         sensitivity, change = whole[frames] / self.base_study.noise, moved[frames] / self.base_study.noise
@@ -217,21 +277,35 @@ class IdealDetector:
 
 
 def unexplained_part(trace: Array, columns: Array) -> Array:
-    """What is left of a trace (N,) when so many columns (N, k) are fitted beside it."""
+    """Residual of a trace after a least-squares fit of columns.
+
+    Parameters
+    ----------
+    trace
+        Values to explain, (N,).
+    columns
+        Columns that may explain them, (N, k).
+
+    Returns
+    -------
+    Array
+        Residual, (N,).
+
+    """
     norm = np.linalg.norm(columns, axis=0)
     columns = columns / np.where(norm > 0, norm, 1.0)
     return np.asarray(trace - columns @ np.linalg.lstsq(columns, trace, rcond=1e-11)[0])
 
 
 def _with_step(own: EffectValues, effect: str, name: str, step: float) -> EffectValues:
-    """The numbers of a cause with one of them changed."""
+    """Parameter values of an effect with one of them changed."""
     return {effect: own[effect] | {name: own[effect][name] + step}}
 
 
-def _moving_frames(slide: Trajectory) -> Mask:
-    """Frames of the one stretch in which a run moves."""
-    rows = np.flatnonzero(np.abs(slide.v) > MIN_SPEED)
-    out: Mask = np.zeros(len(slide.t), dtype=bool)
+def _moving_frames(trajectory: Trajectory) -> Mask:
+    """Frames (n,) from the first motion to the first stop."""
+    rows = np.flatnonzero(np.abs(trajectory.v) > MIN_SPEED)
+    out: Mask = np.zeros(len(trajectory.t), dtype=bool)
     if len(rows):
         stops = np.flatnonzero(np.diff(rows) > 1)
         out[rows[: stops[0] + 1] if len(stops) else rows] = True
@@ -239,29 +313,31 @@ def _moving_frames(slide: Trajectory) -> Mask:
 
 
 def _linearise_run(truth: Truth, run: RunTruth) -> _LinearisedRun:
-    """One run under the base law, linearised."""
-    slide, conditions, base = truth.slide(run, hidden=False), truth.conditions(run), truth.base
-    moving, s = _moving_frames(slide), float(np.sign(run.speed))
-    t, x, v = slide.t[moving], slide.x[moving], slide.v[moving]
+    """Simulate one run under the base law and linearise it."""
+    trajectory, conditions, base = truth.trajectory(run, hidden=False), truth.conditions(run), truth.base
+    moving, s = _moving_frames(trajectory), float(np.sign(run.speed))
+    t, x, v = trajectory.t[moving], trajectory.x[moving], trajectory.v[moving]
     push = conditions.drive or np.zeros_like
 
     def law(x: Array, v: Array, t: Array) -> Array:
         return (push(t) - base.force(conditions.path(x, v, t, s), truth.law)) / conditions.mass
 
     panels = Panels(t)
-    motion, linear = solve_motion(law, panels, (float(x[0]), float(v[0])), np.interp(panels.t, slide.t, slide.a))
+    motion, linear = solve_motion(
+        law, panels, (float(x[0]), float(v[0])), np.interp(panels.t, trajectory.t, trajectory.a)
+    )
     path = conditions.path(motion.x, motion.v, panels.t, s)
     inputs = np.column_stack([*_force_sensitivities(base, truth.law, path)]) / -conditions.mass
     start = np.zeros((2, inputs.shape[1] + 2))
     start[0, 0] = start[1, 1] = 1.0
     _, edges = linear.respond(np.column_stack([np.zeros((len(inputs), 2)), inputs]), start)
     return _LinearisedRun(
-        run, slide, moving, path, conditions.path(x, v, t, s), linear, conditions.mass, edges[:, 0, :]
+        run, trajectory, moving, path, conditions.path(x, v, t, s), linear, conditions.mass, edges[:, 0, :]
     )
 
 
 def _force_sensitivities(base: Model, law: EffectValues, path: Path) -> list[Array]:
-    """Force per unit of every free number of the law, and of the level, at the nodes."""
+    """Derivative of the force at the nodes (3 p,) with respect to each free parameter of the law, then to the level."""
     force = base.force(path, law)
     out = []
     for effect in base.effects:

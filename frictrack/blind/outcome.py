@@ -1,4 +1,4 @@
-"""One blind study through the whole loop, and how it went."""
+"""Diagnose one blind study, add the named effects, and compare the result with the truth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,36 @@ from frictrack.flow import Session, open_study
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of one study, beside the truth."""
+    """Result of one study, with the truth.
+
+    Attributes
+    ----------
+    name, kind, hidden, size, film
+        Study: its name, kind, hidden effects, their sizes over the ideal limit, and whether it has films.
+    verdict
+        Verdict of the diagnosis; "failed" if it raised an error.
+    named
+        Effects named as missing, in order.
+    group
+        The first named effect and those that the diagnosis cannot distinguish from it.
+    equivalents
+        For each hidden effect those that fit as well; "alike" in JSON.
+    noted
+        Faults that tracking or calibration found and corrected.
+    reduced_chi2, heldout
+        After adding the named effects: reduced chi-squared, and held-out error over the true noise.
+    z
+        (Estimate - truth) / stated standard deviation, where exactly the hidden effects were named.
+    overlap
+        F1 score of the frames where the model fails.
+    limits
+        Detection limits over those of the ideal detector, where nothing is hidden.
+    seconds
+        CPU time of the diagnosis, s.
+    fault
+        Error message of a failed study.
+
+    """
 
     name: str
     kind: str
@@ -29,21 +58,21 @@ class Outcome:
     size: tuple[float, ...]
     film: bool = False
     verdict: str = ""
-    named: tuple[str, ...] = ()  # effects found, in order
-    group: tuple[str, ...] = ()  # the first one and what the diagnosis cannot tell from it
-    equivalents: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden effect: those that fit as well
-    noted: tuple[str, ...] = ()  # faults that the measuring chain told and took away by itself
-    reduced_chi2: float | None = None  # after adding what was named
-    heldout: float | None = None  # held-out error over the true noise, after adding
-    z: dict[str, float] = field(default_factory=dict)  # (found - true)/stated deviation of the law that was named
-    overlap: float | None = None  # F1 of the frames where it fails
-    limits: dict[str, float] = field(default_factory=dict)  # detection limits over the ideal detector's, nothing hidden
-    seconds: float = 0.0  # of the diagnosis, CPU
-    fault: str = ""  # what went wrong, where nothing could be judged
+    named: tuple[str, ...] = ()
+    group: tuple[str, ...] = ()
+    equivalents: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    noted: tuple[str, ...] = ()
+    reduced_chi2: float | None = None
+    heldout: float | None = None
+    z: dict[str, float] = field(default_factory=dict)
+    overlap: float | None = None
+    limits: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    fault: str = ""
 
 
 def read_outcome(raw: dict[str, Any]) -> Outcome:
-    """An outcome from its JSON."""
+    """Read an outcome from its JSON."""
     lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
     equivalents = {name: tuple(others) for name, others in raw["alike"].items()}
     known = {key: value for key, value in raw.items() if key != "alike"}
@@ -51,13 +80,31 @@ def read_outcome(raw: dict[str, Any]) -> Outcome:
 
 
 def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
-    """Diagnose a study, add what it names, and compare with the truth; work that fails is an outcome too."""
+    """Diagnose a study, add the named effects, and compare with the truth.
+
+    Parameters
+    ----------
+    name
+        Name of the study.
+    truth
+        Its truth.
+    folder
+        Folder with its study file.
+    seed
+        Seed of the diagnosis.
+
+    Returns
+    -------
+    Outcome
+        The result; an error becomes an outcome with the verdict "failed".
+
+    """
     blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
     try:
         return _diagnose(truth, folder, seed, blank)
     except FrictrackError as e:
         return replace(blank, verdict="failed", fault=str(e))
-    except Exception as e:  # noqa: BLE001 - a fault of ours is a failure of this study, and no end of the others
+    except Exception as e:  # noqa: BLE001 - an internal error fails this study only
         return replace(blank, verdict="failed", fault=f"{type(e).__name__}: {e}")
 
 
@@ -86,26 +133,25 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
 
 
 def _tracking_error(session: Session, truth: Truth) -> float | None:
-    """What the tracker was truly off by in the fitted frames, rms in um, beside each film's own start and speed.
+    """True rms error of the tracked displacement in the fitted frames, um, without a straight line per film.
 
-    A shake of the camera is taken away by the fixed reference. None where frames are lost: they are no longer those
-    that were drawn.
+    A camera shake is removed by the fixed reference. None if frames are lost, because frames no longer correspond.
     """
     squares = []
     for run, work in zip(truth.runs, session.runs, strict=True):
-        slide, displacement = truth.slide(run), work.get("displacement")
-        if len(displacement.x) != len(slide.x):
+        trajectory, displacement = truth.trajectory(run), work.get("displacement")
+        if len(displacement.x) != len(trajectory.x):
             return None
-        drawn = slide.x if "camera_shake" in run.values else slide.x + slide.shift
+        drawn = trajectory.x if "camera_shake" in run.values else trajectory.x + trajectory.shift
         kept = displacement.valid & work.get("friction").free
-        off, t = (displacement.x - drawn)[kept], slide.t[kept] - slide.t[kept].mean()
+        off, t = (displacement.x - drawn)[kept], trajectory.t[kept] - trajectory.t[kept].mean()
         off = off - off.mean()
         squares.append((off - t * (t @ off) / (t @ t)) ** 2)
     return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
-    """What is named first, and what the diagnosis cannot tell from it."""
+    """The first named effect, and those that the diagnosis cannot distinguish from it."""
     if not diagnosis["missing"]:
         return ()
     first = diagnosis["missing"][0]
@@ -114,19 +160,19 @@ def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _has_equivalents(truth: Truth) -> bool:
-    """Whether what nobody can tell from the truth is known: of films whose frames are the drawn ones, too."""
+    """Whether equivalents can be computed: an effect of the library is hidden and frames correspond to the truth."""
     retimed = truth.film and "dropped_frame" in truth.hidden
     return bool(truth.hidden) and truth.kind != "foreign" and not retimed
 
 
 def _without_additions(session: Session, noise: float, out: Outcome) -> Outcome:
-    """Nothing to add: the errors of the law as it stands."""
+    """Errors of the fitted law when no effect was named."""
     errors = session.fit()["errors"]
     return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / noise)
 
 
 def _with_additions(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcome:
-    """What was named is added, one after the other."""
+    """Add the named effects one after the other; return the errors and deviations afterwards."""
     for name in out.named:
         after = session.add(name)
     errors = after["error_after"]
@@ -139,14 +185,30 @@ def _with_additions(session: Session, truth: Truth, noise: float, out: Outcome) 
 
 
 def _faults_in_notes(session: Session) -> tuple[str, ...]:
-    """Faults that are in the notes of the records."""
+    """Faults that notes of tracking and calibration report."""
     stages = [(work, name) for work in session.runs for name in ("track", "displacement") if name in work.stages]
     words = " ".join(note for work, name in stages for note in work.get(name).notes)
     return tuple(name for name, e in effects.LIBRARY.items() if any(phrase in words for phrase in e.noted_as))
 
 
 def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
-    """(Found - true)/stated deviation of all shared numbers, where exactly what was hidden was named."""
+    """(Estimate - truth) / stated standard deviation of all parameters that the runs share.
+
+    Parameters
+    ----------
+    truth
+        Truth of the study.
+    named
+        Effects named by the diagnosis.
+    parameters
+        JSON `parameters` of the fit: value and std by address ("effect.parameter").
+
+    Returns
+    -------
+    dict
+        Deviation by address; empty unless exactly the hidden effects were named.
+
+    """
     if set(named) != set(truth.hidden):
         return {}
     own = {name: next(r.values[name] for r in truth.runs if name in r.values) for name in truth.hidden}

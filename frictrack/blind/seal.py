@@ -1,4 +1,4 @@
-"""The seal: truths of all studies in one file that nobody reads by accident, and that tells when data were changed."""
+"""Seal the truth of all studies in one encoded file with checksums, and open it again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ SEALED_SUFFIXES = (".csv", ".toml", ".avi")
 
 
 def seal(folder: Path, truths: dict[str, Truth]) -> None:
-    """Close the truths of the studies in `folder`, by their names, with a hash of every file that was handed out."""
+    """Write the truth of all studies, encoded so that nobody reads it by accident, with a checksum of each file.
+
+    Parameters
+    ----------
+    folder
+        Folder with one sub-folder per study.
+    truths
+        Truth by name of the study.
+
+    """
     text = json.dumps({name: asdict(t) for name, t in truths.items()})
     packed = base64.b64encode(zlib.compress(text.encode(), 9)).decode()
     body = {"studies": len(truths), "sealed": packed, "files": file_hashes(folder)}
@@ -25,9 +34,23 @@ def seal(folder: Path, truths: dict[str, Truth]) -> None:
 
 
 def open_seal(folder: Path) -> dict[str, Truth]:
-    """Open the seal: truths by the names of their studies.
+    """Read the sealed truth and verify the checksums.
 
-    Raises FrictrackError where there is none, or where a file was changed since it was closed.
+    Parameters
+    ----------
+    folder
+        Folder written by `seal`.
+
+    Returns
+    -------
+    dict
+        Truth by name of the study.
+
+    Raises
+    ------
+    FrictrackError
+        If there is no sealed truth (usage), or if a file changed.
+
     """
     path = folder / SEAL_FILE
     if not path.is_file():
@@ -47,6 +70,6 @@ def open_seal(folder: Path) -> dict[str, Truth]:
 
 
 def file_hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every table, film and study file, by its path within the folder."""
+    """SHA-256 of each table, film and study file, by path within the folder."""
     files = sorted(p for p in folder.glob("*/*") if p.suffix in SEALED_SUFFIXES)
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}

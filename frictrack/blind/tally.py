@@ -1,4 +1,4 @@
-"""Outcomes of many studies as the figures that a user asks for, each with its interval (Wilson 1927)."""
+"""Count the outcomes of many studies: shares of correct diagnoses with Wilson intervals."""
 
 from __future__ import annotations
 
@@ -8,30 +8,35 @@ from itertools import permutations
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import binomtest, norm
 
 from frictrack.blind.outcome import Outcome
 from frictrack.blind.truth import effect_named
 
-PARAMETER_CONFIDENCE = 0.99  # of the parameters' intervals
-REDUCED_CHI2_RANGE, HELDOUT_TOLERANCE = (0.9, 1.1), 0.05
+PARAMETER_CONFIDENCE = 0.99  # level of the intervals that should contain the true parameters
+REDUCED_CHI2_RANGE = (0.9, 1.1)  # within which a fit explains the data
+HELDOUT_TOLERANCE = 0.05  # relative difference of the held-out error from the noise
 Criterion = Callable[[Outcome], bool]
-VERDICTS_WITHOUT_NAMES = ("complete", "undetermined")  # verdicts that name nothing
+VERDICTS_WITHOUT_NAMES = ("complete", "undetermined")
 
 
 def wilson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
-    """Confidence interval of a share (Wilson 1927)."""
+    """Confidence interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22); (0, 1) if there are no cases.
+
+    Examples
+    --------
+    >>> [round(edge, 4) for edge in wilson(95, 100)]
+    [0.8882, 0.9785]
+
+    """
     if not of:
         return 0.0, 1.0
-    z = float(norm.isf((1 - level) / 2))
-    share, spread = hits / of, z**2 / of
-    middle = (share + spread / 2) / (1 + spread)
-    half = z * np.sqrt(share * (1 - share) / of + spread / (4 * of)) / (1 + spread)
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+    interval = binomtest(hits, of).proportion_ci(confidence_level=level, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def count_with_interval(hits: int, of: int) -> dict[str, Any]:
-    """A share with its interval."""
+    """Share of hits with its 95 % Wilson interval, as JSON."""
     return {"hits": hits, "of": of, "share": hits / of if of else None, "interval": list(wilson(hits, of))}
 
 
@@ -39,48 +44,48 @@ def _share(rows: Sequence[Outcome], criterion: Criterion) -> dict[str, Any]:
     return count_with_interval(sum(map(criterion, rows)), len(rows))
 
 
-# --- what is right of one study
+# --- criteria of one study
 
 
 def is_named_first(row: Outcome) -> bool:
-    """The hidden cause is named first; what was found in the records and mended there was named before all else."""
+    """Whether the hidden effect is named first; a fault that was found and corrected during tracking counts."""
     return is_named_in_record(row) or (bool(row.group) and row.group[0] == row.hidden[0])
 
 
 def is_named_in_record(row: Outcome) -> bool:
-    """The hidden fault was found in the records, and nothing else is named."""
+    """Whether tracking or calibration found the hidden fault, and nothing else is named."""
     return row.hidden[0] in row.noted and not row.named
 
 
 def is_in_group(row: Outcome) -> bool:
-    """The hidden cause is named first, or in a group no larger than what nobody could tell apart."""
+    """Whether the hidden effect is first, or in a first group no larger than the set of its equivalents."""
     return is_named_first(row) or (row.hidden[0] in row.group and len(row.group) <= len(_equivalent_set(row)))
 
 
 def _equivalent_set(row: Outcome) -> tuple[str, ...]:
-    """What nobody could tell from the first hidden cause, itself among them."""
+    """Equivalents of the first hidden effect, itself included."""
     return row.equivalents.get(row.hidden[0], row.hidden[:1])
 
 
 def are_both_named(row: Outcome) -> bool:
-    """Two named effects stand for the two hidden causes, each the cause itself or what nobody could tell from it."""
+    """Whether two named effects are the two hidden ones or equivalents of them."""
     sets = [set(row.equivalents.get(h, (h,))) | {h} for h in row.hidden]
     return any(all(n in s for n, s in zip(pair, sets, strict=True)) for pair in permutations(row.named, len(sets)))
 
 
 def is_reproduced(row: Outcome) -> bool:
-    """A foreign cause is called unexplained, or its stand-ins leave nothing but noise."""
+    """Whether a foreign effect is called unexplained, or the named effects leave only noise."""
     good = row.reduced_chi2 is not None and row.reduced_chi2 <= REDUCED_CHI2_RANGE[1]
     return row.verdict == "unexplained" or (good and row.verdict in ("missing", "ambiguous"))
 
 
 def is_fault(name: str) -> bool:
-    """Whether a cause lies in the measurement."""
+    """Whether an effect is a fault of the measurement."""
     return effect_named(name).acts_on == "measurement"
 
 
 def can_show(row: Outcome) -> bool:
-    """Whether the data can show a fault of the measurement: no force does the same, or a film's background tells."""
+    """Whether the data can reveal a measurement fault: no force is equivalent, or the background of a film shows it."""
     first = effect_named(row.hidden[0])
     if row.film and first.film_fault and first.noted_as:
         return True
@@ -88,7 +93,7 @@ def can_show(row: Outcome) -> bool:
 
 
 def is_called_fault(row: Outcome) -> bool:
-    """A fault of the measurement is called one, by the diagnosis or by the measuring chain before it."""
+    """Whether the diagnosis, tracking or calibration attributes a measurement fault to the measurement."""
     return row.hidden[0] in row.noted or (bool(row.group) and is_fault(row.group[0].split(":")[0]))
 
 
@@ -100,11 +105,24 @@ def _within_chi2(row: Outcome) -> bool:
     return row.reduced_chi2 is not None and REDUCED_CHI2_RANGE[0] <= row.reduced_chi2 <= REDUCED_CHI2_RANGE[1]
 
 
-# --- all of them
+# --- all studies
 
 
 def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
-    """All figures of the benchmark as JSON, `studies` first; what no study speaks of has share null."""
+    """Compute all figures of the benchmark.
+
+    Parameters
+    ----------
+    rows
+        Outcomes of the studies.
+
+    Returns
+    -------
+    dict
+        JSON: number of studies, then shares by kind of study, errors after adding the named effects, overlap of
+        failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
+
+    """
     kind = {k: [r for r in rows if r.kind == k] for k in ("one", "none", "two", "foreign", "fault")}
     one = kind["one"]
     criterion = [r for r in one + kind["fault"] if is_named_first(r)]
@@ -149,7 +167,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def limits(rows: Sequence[Outcome]) -> dict[str, dict[str, float]]:
-    """Stated detection limits over the ideal detector's, per effect: median and largest."""
+    """Median and largest ratio of stated to ideal detection limits, by effect."""
     out = {}
     for name in sorted({n for r in rows for n in r.limits}):
         ratios = [r.limits[name] for r in rows if name in r.limits]
@@ -162,12 +180,12 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def seconds(rows: Sequence[Outcome]) -> dict[str, float | None]:
-    """CPU time of a diagnosis."""
+    """Median and largest CPU time of a diagnosis, s."""
     times = [r.seconds for r in rows if r.verdict != "failed"]
     return {"median": _median(times), "largest": max(times, default=None)}
 
 
 def confusion(rows: Sequence[Outcome]) -> dict[str, dict[str, int]]:
-    """What was named first (or the verdict), by what was hidden."""
+    """Count of what was named first (or of the verdict), by hidden effect."""
     names = sorted({r.hidden[0] for r in rows})
     return {n: dict(Counter(r.group[0] if r.group else r.verdict for r in rows if r.hidden[0] == n)) for n in names}

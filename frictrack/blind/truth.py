@@ -1,4 +1,4 @@
-"""The truth of one blind study: a law, runs, a camera, what is hidden in it, and the motion that follows from all."""
+"""The truth of one blind study: law, runs, camera and hidden effects, and the motion that follows from them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,34 @@ from frictrack.blind.memory_motion import simulate_memory
 from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.simulate import Conditions, Trajectory, simulate
+from frictrack.simulate import Conditions, Trajectory, push_force, simulate
 from frictrack.simulate.rendering import Oscillation
 
-START_X_M = 0.05  # m, where a run toward +x begins; one toward -x begins at the other end of the course
-EffectValues = dict[str, dict[str, float]]
+START_X_M = 0.05  # start of runs toward +x; runs toward -x start at the other end of the course
+EffectValues = dict[str, dict[str, float]]  # effect -> parameter -> value (SI)
 
 
 @dataclass(frozen=True)
 class RunTruth:
-    """One run: start speed (m/s, negative toward -x), mass over the reference, friction level, frames.
+    """Truth of one run.
 
-    `values` are those of the hidden causes as they act in this run (none of a cause that is absent from it), `phase`
-    that of the vertical or rocking motion at release, rad.
+    Attributes
+    ----------
+    name
+        Name of the run.
+    speed
+        Start speed, m/s; negative toward -x.
+    mass_ratio
+        Mass over the reference mass.
+    level
+        Dry friction over its mean.
+    frames
+        Number of frames.
+    phase
+        Phase of the vertical motion or rotation at release, rad.
+    values
+        Parameter values of the hidden effects that act in this run.
+
     """
 
     name: str
@@ -40,10 +55,40 @@ class RunTruth:
 
 @dataclass(frozen=True)
 class Truth:
-    """All that is known of a study and sealed; SI units.
+    """Truth of one study, in SI units; its fields are keys of the sealed file.
 
-    `law` holds the base law as its effects take it (F_s above F_c). `size` is every hidden cause over what the ideal
-    detector sees in 95 of 100 repeats, `rise` its expected rise of chi-squared.
+    Attributes
+    ----------
+    seed, kind
+        Seed of the draw; "one", "none", "two", "foreign" or "fault".
+    model, law
+        Effects of the base law, and their values as effects use them (F_s above F_c).
+    mass, fps, pitch, noise
+        Reference mass (kg), frame rate (1/s), pixel pitch (m) and standard deviation of a position (m).
+    scatter
+        Relative standard deviation of dry friction from run to run.
+    course
+        Length of the course, m.
+    hidden
+        Names of the hidden effects.
+    push
+        Duration of the measured push at the start, s; 0 where runs start in motion.
+    lift
+        Measured vertical motion: amplitude (m) and frequency (Hz).
+    clamp
+        Place of the beam's clamp, m.
+    turn
+        Rotation of the target that a film shows: amplitude (rad) and frequency (Hz).
+    stated
+        Whether the tables state the noise.
+    film
+        Whether the study consists of films.
+    runs
+        Truth of the runs.
+    size, rise
+        For each hidden effect its size over what the ideal detector sees in 95 of 100 repeats, and its expected rise of
+        chi-squared.
+
     """
 
     seed: int
@@ -57,11 +102,11 @@ class Truth:
     scatter: float
     course: float
     hidden: tuple[str, ...] = ()
-    push: float = 0.0  # s during which a drive that is measured pushes; 0: runs start moving
-    lift: tuple[float, float] | None = None  # vertical motion that is measured: amplitude m, frequency Hz
-    clamp: float | None = None  # m, where the beam is clamped
-    turn: tuple[float, float] | None = None  # rocking of the target that a film shows: amplitude rad, frequency Hz
-    stated: bool = True  # whether the tables state the noise
+    push: float = 0.0
+    lift: tuple[float, float] | None = None
+    clamp: float | None = None
+    turn: tuple[float, float] | None = None
+    stated: bool = True
     film: bool = False
     runs: tuple[RunTruth, ...] = ()
     size: tuple[float, ...] = ()
@@ -69,37 +114,32 @@ class Truth:
 
     @property
     def base(self) -> Model:
-        """The law without what is hidden."""
+        """The base law, without hidden effects."""
         return models.of(self.model)
 
     def conditions(self, run: RunTruth) -> Conditions:
-        """What holds in a run."""
+        """Conditions of one run."""
         return Conditions(
             mass=self.mass * run.mass_ratio,
             load=run.mass_ratio * run.level,
             mass_ratio=run.mass_ratio,
             pixel_pitch=self.pitch,
             drive=self.drive(run) if self.push else None,
-            lift=None if self.lift is None else _second_derivative(Oscillation(*self.lift, run.phase)),
+            lift=None if self.lift is None else Oscillation(*self.lift, run.phase).second_derivative(),
             angle=None if self.turn is None else Oscillation(*self.turn, run.phase),
             clamp_x=self.clamp,
         )
 
     def drive(self, run: RunTruth) -> Callable[[Array], Array]:
-        """The push of a run, N; without friction it would bring the mass to its speed."""
-        strength = 2 * self.mass * run.mass_ratio * run.speed / self.push
-
-        def push(t: Array) -> Array:
-            return np.asarray(strength * np.sin(np.pi * np.clip(np.asarray(t) / self.push, 0.0, 1.0)) ** 2)
-
-        return push
+        """Drive force of the push of a run as a function of time, N."""
+        return push_force(self.mass * run.mass_ratio, run.speed, self.push)
 
     def start(self, run: RunTruth) -> tuple[float, float]:
-        """Place and speed in the first frame; a pushed run starts at rest."""
+        """Position (m) and velocity (m/s) in the first frame; a pushed run starts at rest."""
         return (START_X_M if run.speed > 0 else self.course + START_X_M), (0.0 if self.push else run.speed)
 
-    def slide(self, run: RunTruth, *, hidden: bool = True) -> Trajectory:
-        """The true motion of one run, with what is hidden or without."""
+    def trajectory(self, run: RunTruth, *, hidden: bool = True) -> Trajectory:
+        """Simulate the true motion of one run, with or without the hidden effects."""
         model, values = self.base, dict(self.law)
         for name in run.values if hidden else ():
             model = model + effect_named(name)
@@ -109,32 +149,34 @@ class Truth:
             return simulate_memory(model, values, self.conditions(run), t, self.start(run))
         return simulate(model, values, self.conditions(run), t, self.start(run))
 
-    def span(self, slides: list[Trajectory]) -> Span:
-        """How far some of the runs reach."""
+    def span(self, trajectories: list[Trajectory]) -> Span:
+        """Range of time, place and speed that motions cover."""
         return Span(
-            duration=max(float(s.t[-1]) for s in slides),
-            x_min=min(float(s.x.min()) for s in slides),
-            x_max=max(float(s.x.max()) for s in slides),
-            v_min=min(float(np.abs(s.v).min()) for s in slides),
-            v_max=max(float(np.abs(s.v).max()) for s in slides),
+            duration=max(float(s.t[-1]) for s in trajectories),
+            x_min=min(float(s.x.min()) for s in trajectories),
+            x_max=max(float(s.x.max()) for s in trajectories),
+            v_min=min(float(np.abs(s.v).min()) for s in trajectories),
+            v_max=max(float(np.abs(s.v).max()) for s in trajectories),
             fps=self.fps,
             clamp_x=self.clamp,
         )
 
 
 def effect_named(name: str) -> Effect:
-    """The cause of that name, of the library or not."""
+    """Get an effect of the library or a foreign effect by name.
+
+    Examples
+    --------
+    >>> effect_named("drag").acts_on, effect_named("magnet").acts_on
+    ('force', 'force')
+
+    """
     return foreign_effect(name) if name in FOREIGN else effects.get(name)
 
 
 def read_truth(raw: dict[str, Any]) -> Truth:
-    """A truth from its JSON."""
+    """Read a truth from its JSON."""
     runs = tuple(RunTruth(**run) for run in raw["runs"])
     lists = {name: tuple(raw[name]) for name in ("model", "hidden", "size", "rise")}
     pairs = {name: raw[name] and tuple(raw[name]) for name in ("lift", "turn")}
     return Truth(**raw | lists | pairs | {"runs": runs})
-
-
-def _second_derivative(swing: Oscillation) -> Oscillation:
-    """Its second derivative."""
-    return Oscillation(-swing.amplitude * (2 * np.pi * swing.frequency) ** 2, swing.frequency, swing.phase)

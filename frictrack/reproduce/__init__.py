@@ -1,7 +1,9 @@
-"""Both papers again: every table and figure that recordings rendered from their own tables allow, and what holds.
+"""Reproduce both papers: tables and figures from recordings simulated from their own tables, and which claims hold.
 
-from frictrack.reproduce import reproduce
-result = reproduce(Path("reproduced"))         # page, figures, tables, JSON
+    from frictrack.reproduce import reproduce
+    result = reproduce(Path("reproduced"))         # page, figures, tables, JSON
+
+Each function that returns a `Section` reproduces one part; notebooks call them one by one.
 """
 
 from __future__ import annotations
@@ -11,13 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictrack.reproduce.augmented import orders, two_models
-from frictrack.reproduce.beam import time_units, tustin_groups
-from frictrack.reproduce.collision import sine_filter
+from frictrack.reproduce.augmented_models import orders, two_models
 from frictrack.reproduce.eq8 import eq8_trials
-from frictrack.reproduce.friction_problem import genetic_searches
-from frictrack.reproduce.page import Reproduction, shown, write
-from frictrack.reproduce.parts import FULL, QUICK, Claim, Effort, Part, Progress, Table, silent
+from frictrack.reproduce.friction_search import genetic_searches
+from frictrack.reproduce.page import Reproduction, tables_html, write_reproduction
+from frictrack.reproduce.second_paper import sine_filter
+from frictrack.reproduce.sections import FULL, QUICK, Claim, Effort, Progress, ResultTable, Section, silent
+from frictrack.reproduce.tustin_model import time_units, tustin_groups
 from frictrack.workers import run_parallel
 
 __all__ = [
@@ -25,16 +27,16 @@ __all__ = [
     "QUICK",
     "Claim",
     "Effort",
-    "Part",
     "Reproduction",
-    "Table",
+    "ResultTable",
+    "Section",
     "eq8_trials",
     "genetic_searches",
     "orders",
     "reproduce",
-    "reproduced",
-    "shown",
+    "run_sections",
     "sine_filter",
+    "tables_html",
     "time_units",
     "tustin_groups",
     "two_models",
@@ -42,18 +44,37 @@ __all__ = [
 
 
 def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
-    """Reproduce both papers into `folder`: the JSON of `frictrack reproduce`.
+    """Reproduce both papers and write page, figures, tables and JSON.
 
-    `quick` takes few seeds, which shows that everything runs and proves nothing. `seed` is that of the rendered
-    recordings; the searches take the seeds 0, 1, 2, ...
+    Parameters
+    ----------
+    folder
+        Where to write.
+    quick
+        Use few seeds: shows that everything runs, but decides no claim.
+    seed
+        Seed of the simulated recordings; the searches use the seeds 0, 1, 2, ...
+    progress
+        Called with the number of sections done, the number of all and a text.
+
+    Returns
+    -------
+    dict
+        JSON of `frictrack reproduce`.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
     """
-    return write(reproduced(quick=quick, seed=seed, progress=progress), folder)
+    return write_reproduction(run_sections(quick=quick, seed=seed, progress=progress), folder)
 
 
-def reproduced(*, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
-    """Everything that `reproduce` writes, unwritten. In full the parts are run_parallel over the processors."""
+def run_sections(*, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
+    """Run all sections without writing them; parameters as in `reproduce`. Without `quick` they run in parallel."""
     effort = QUICK if quick else FULL
-    steps: tuple[Callable[[], Part], ...] = (
+    steps: tuple[Callable[[], Section], ...] = (
         time_units,
         partial(tustin_groups, effort, seed),
         partial(two_models, effort, seed),
@@ -62,22 +83,23 @@ def reproduced(*, quick: bool = False, seed: int = 0, progress: Progress = silen
         partial(genetic_searches, effort, seed),
         partial(sine_filter, effort, seed),
     )
-    parts = _one_by_one(steps, progress) if quick else _spread(steps, progress)
+    parts = _one_by_one(steps, progress) if quick else _in_parallel(steps, progress)
     return Reproduction(parts, seed, quick)
 
 
-def _one_by_one(steps: Sequence[Callable[[], Part]], progress: Progress) -> tuple[Part, ...]:
-    made = []
+def _one_by_one(steps: Sequence[Callable[[], Section]], progress: Progress) -> tuple[Section, ...]:
+    """Run sections one after the other."""
+    finished = []
     for i, step in enumerate(steps):
-        made.append(step())
+        finished.append(step())
         progress(i + 1, len(steps), "reproduce")
-    return tuple(made)
+    return tuple(finished)
 
 
-def _spread(steps: Sequence[Callable[[], Part]], progress: Progress) -> tuple[Part, ...]:
-    """The parts in their order, whichever is done first."""
-    made: dict[str, Part] = {}
+def _in_parallel(steps: Sequence[Callable[[], Section]], progress: Progress) -> tuple[Section, ...]:
+    """Run sections in several processes; return them in their order."""
+    finished: dict[str, Section] = {}
     for name, part in run_parallel({str(i): step for i, step in enumerate(steps)}):
-        made[name] = part
-        progress(len(made), len(steps), "reproduce")
-    return tuple(made[str(i)] for i in range(len(steps)))
+        finished[name] = part
+        progress(len(finished), len(steps), "reproduce")
+    return tuple(finished[str(i)] for i in range(len(steps)))

@@ -1,4 +1,4 @@
-"""The papers' figures, drawn from what came out here. Readable in grey: lines differ in dash, markers in shape."""
+"""Draw the papers' figures from our results; lines also differ in dash and markers in shape, for print in grey."""
 
 from __future__ import annotations
 
@@ -11,50 +11,51 @@ from matplotlib.figure import Figure
 
 from frictrack.plots import style
 from frictrack.records import Array
-from frictrack.reproduce.recordings import Recording
-from frictrack.reproduce.series import Series
+from frictrack.reproduce.papers_method import AccelerationSeries
+from frictrack.reproduce.recordings import SyntheticRecording
 
-LOOKS: tuple[dict[str, Any], ...] = (
+CURVE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": style.VERMILLION, "linestyle": "-"},
     {"color": style.BLUE, "linestyle": (0, (5, 1.5))},
     {"color": style.GREEN, "linestyle": (0, (1, 1))},
 )
-SEEN: dict[str, Any] = {"color": "#999999", "linewidth": 1.0}
+MEASURED_STYLE: dict[str, Any] = {"color": "#999999", "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (9, 2)))
 Curve = tuple[str, Array]  # label, values along a series
 
 
-def _room(ax: Axes) -> None:
+def _place_legend(ax: Axes) -> None:
+    """Put the legend above the curves and extend the y axis for it."""
     ax.legend(loc="upper right", ncols=2)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.22 * (high - low))
 
 
 @style.styled
-def traces(title: str, panels: Mapping[str, tuple[Series, Sequence[Curve]]]) -> Figure:
-    """Acceleration over time: the papers' chain in grey, laws upon it; one panel per recording, side by side."""
+def traces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]]) -> Figure:
+    """Acceleration over time, measured in grey and laws over it, one panel per recording."""
     figure = style.new_figure(3.3, title)
     for ax, (name, (series, curves)) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
     ):
-        ax.plot(1e3 * series.t, series.a, label="measured", **SEEN)
-        for (label, a), look in zip(curves, LOOKS, strict=False):
-            ax.plot(1e3 * series.t, a, label=label, **look)
+        ax.plot(1e3 * series.t, series.a, label="measured", **MEASURED_STYLE)
+        for (label, a), curve_style in zip(curves, CURVE_STYLES, strict=False):
+            ax.plot(1e3 * series.t, a, label=label, **curve_style)
         ax.set(title=name, xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
-        _room(ax)
+        _place_legend(ax)
     return figure
 
 
 @style.styled
-def motions(title: str, recordings: Mapping[str, Sequence[Recording]]) -> Figure:
+def motions(title: str, recordings: Mapping[str, Sequence[SyntheticRecording]]) -> Figure:
     """True velocity and acceleration of recordings over time, one column per group."""
     figure = style.new_figure(4.6, title)
     axes = figure.subplots(2, len(recordings), squeeze=False, sharex="col")
     for column, (name, group) in zip(axes.T, recordings.items(), strict=True):
-        for recording, look in zip(group, style.RUN_STYLES, strict=False):
+        for recording, curve_style in zip(group, style.RUN_STYLES, strict=False):
             t = 1e3 * recording.truth.t
-            column[0].plot(t, recording.truth.v, label=recording.run.name, **look)
-            column[1].plot(t, recording.truth.a, **look)
+            column[0].plot(t, recording.truth.v, label=recording.run.name, **curve_style)
+            column[1].plot(t, recording.truth.a, **curve_style)
         column[0].set(title=name, ylabel="velocity v / (m/s)", ylim=(0, None))
         column[0].legend(ncols=3, loc="lower left")
         column[1].set(xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
@@ -62,23 +63,23 @@ def motions(title: str, recordings: Mapping[str, Sequence[Recording]]) -> Figure
 
 
 @style.styled
-def forces(title: str, panels: Mapping[str, tuple[Series, Sequence[tuple[str, Array, Array]]]]) -> Figure:
-    """Friction over speed: measured points, and laws as (label, v, F)."""
+def forces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[tuple[str, Array, Array]]]]) -> Figure:
+    """Friction force over speed: measured points, and laws as (label, v, F)."""
     figure = style.new_figure(3.3, title)
     for ax, (name, (series, curves)) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
     ):
         ax.plot(series.v, series.force, label="measured", **(style.DOT_STYLE | {"color": "#999999"}))
-        for (label, v, F), look in zip(curves, LOOKS, strict=False):
-            ax.plot(v, F, label=label, **look)
+        for (label, v, F), curve_style in zip(curves, CURVE_STYLES, strict=False):
+            ax.plot(v, F, label=label, **curve_style)
         ax.set(title=name, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
-        _room(ax)
+        _place_legend(ax)
     return figure
 
 
 @style.styled
 def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Sequence[float]]) -> Figure:
-    """Errors on a logarithmic axis, side by side: one cluster per group, one bar per method."""
+    """Errors on a logarithmic axis: one cluster per group, one bar per method."""
     figure = style.new_figure(3.6, title)
     ax = figure.subplots()
     width = 0.8 / len(series)
@@ -118,7 +119,7 @@ def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
 
 @style.styled
 def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
-    """Figs. 18 and 19: generation of the last improvement, run by run, with our mean and the printed one."""
+    """Figs. 18 and 19: generation of the last improvement of each run, with our mean and the printed one."""
     figure = style.new_figure(3.0, "Figs. 18, 19  Generation of the last improvement")
     axes = figure.subplots(1, len(runs), sharey=True)
     for ax, (name, last) in zip(axes, runs.items(), strict=True):
@@ -126,7 +127,7 @@ def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figu
         ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
         ax.axhline(printed[name], color=style.VERMILLION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
         ax.set(title=name, xlabel="seed")
-        _room(ax)
+        _place_legend(ax)
     axes[0].set_ylabel("generations")
     return figure
 
@@ -136,8 +137,8 @@ def lengths(curves: Mapping[str, Array]) -> Figure:
     """Code length over the generations, Eq. 7 as read and as printed."""
     figure = style.new_figure(2.7, "Eq. 7  Code length", width=6.0)
     ax = figure.subplots()
-    for (name, bits), look in zip(curves.items(), LOOKS, strict=False):
-        ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)
+    for (name, bits), curve_style in zip(curves.items(), CURVE_STYLES, strict=False):
+        ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **curve_style)
     ax.set(xlabel="generation G", ylabel="code length L / bits", ylim=(0, 62))
     ax.legend(loc="upper right")
     return figure
@@ -145,10 +146,10 @@ def lengths(curves: Mapping[str, Array]) -> Figure:
 
 @style.styled
 def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
-    """How far above the lowest known error the runs of every setting end: cumulative shares."""
+    """Cumulative shares of the final errors over the lowest error known, for each setting."""
     figure = style.new_figure(3.2, title, width=7.5)
     ax = figure.subplots()
-    for (name, ratio), look in zip(finals.items(), style.RUN_STYLES, strict=False):
+    for (name, ratio), curve_style in zip(finals.items(), style.RUN_STYLES, strict=False):
         steps = np.sort(ratio)
         dash = DASHES[list(finals).index(name) % len(DASHES)]
         ax.step(
@@ -156,7 +157,7 @@ def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
             np.arange(1, len(steps) + 1) / len(steps),
             where="post",
             label=name,
-            color=look["color"],
+            color=curve_style["color"],
             linestyle=dash,
         )
     ax.axvline(local, color="#666666", linewidth=0.8)

@@ -1,7 +1,4 @@
-"""The papers' laws as plain functions of speed and time, for a whole population of parameter sets at once.
-
-This is the papers' objective to the letter: friction along the *measured* v and t. Parameters are rows p (P, d).
-"""
+"""The papers' friction laws as functions of measured speed and time, for many parameter sets p (P, d) at once."""
 
 from __future__ import annotations
 
@@ -16,18 +13,29 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import Array
-from frictrack.reproduce.printed import Printed
+from frictrack.reproduce.printed import PrintedLaw
 
 Real = NDArray[np.floating[Any]]
-SECOND, MILLISECOND = 1.0, 1e3  # 1/s: the papers' "rad/s" may be per second, per millisecond or per sample
+PER_SECOND, PER_MILLISECOND = 1.0, 1e3  # 1/s: the papers' "rad/s" may mean per second, per millisecond or per sample
 PER_FRAME = 4000.0
-UNITS = {"second": SECOND, "millisecond": MILLISECOND, "sample": PER_FRAME}
+UNITS = {"second": PER_SECOND, "millisecond": PER_MILLISECOND, "sample": PER_FRAME}
 STATIC = ("F_c", "F_s", "F_v", "v_s")
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """A law with its coefficients left to least squares: what remains to be searched."""
+    """A law whose linear coefficients are solved by least squares.
+
+    Attributes
+    ----------
+    nonlinear
+        Indices of the non-linear parameters.
+    columns
+        Function of those q (P, k), of v (n,) and t (n,) that returns force per coefficient, (P, c, n).
+    full
+        Function of q (k,) and the coefficients (c,) that returns all parameters (d,).
+
+    """
 
     nonlinear: tuple[int, ...]  # their places among the parameters
     columns: Callable[[Real, Real, Real], Real]  # nonlinear q (P, k), v, t -> N per coefficient, (P, c, n)
@@ -35,8 +43,19 @@ class Reduction:
 
 
 @dataclass(frozen=True)
-class Law:
-    """An equation of the papers: its parameters by name and its force."""
+class PaperLaw:
+    """An equation of the papers.
+
+    Attributes
+    ----------
+    name, names
+        Name of the law, and names of its d parameters.
+    force
+        Function of parameter sets p (P, d), v (n,), m/s, and t (n,), s, that returns the force (P, n), N.
+    reductions
+        Ways to solve for its linear coefficients.
+
+    """
 
     name: str
     names: tuple[str, ...]
@@ -44,33 +63,53 @@ class Law:
     reductions: tuple[Reduction, ...]
 
 
-def tustin() -> Law:
-    """Eq. 2 with |v| and sgn(v) read into it (v > 0 here): F_c + (F_s - F_c) exp(-v/v_s) + F_v v."""
-    return Law("tustin", STATIC, _tustin, (Reduction((3,), lambda q, v, t: _static_columns(q, v), _full_atm1),))
+def tustin() -> PaperLaw:
+    """Tustin model, Eq. 2 for v > 0: F_c + (F_s - F_c) exp(-v/v_s) + F_v v.
+
+    Examples
+    --------
+    >>> float(tustin().force(np.array([[3.0, 5.0, 1.5, 0.5]]), np.array([0.0]), np.array([0.0]))[0, 0])
+    5.0
+
+    """
+    return PaperLaw("tustin", STATIC, _tustin, (Reduction((3,), lambda q, v, t: _static_columns(q, v), _full_atm1),))
 
 
-def atm1(n: int) -> Law:
-    """Eq. 3: Tustin plus n sines in time; frequencies in Hz."""
+def atm1(n: int) -> PaperLaw:
+    """First augmented Tustin model, Eq. 3: Tustin plus n sines in time; frequencies in Hz."""
     names = STATIC + tuple(f"{k}_{i}" for i in range(1, n + 1) for k in ("F", "f", "phi"))
-    return Law(f"atm1:{n}", names, _atm1, (Reduction((3, *range(5, 4 + 3 * n, 3)), _atm1_columns, _full_atm1),))
+    return PaperLaw(f"atm1:{n}", names, _atm1, (Reduction((3, *range(5, 4 + 3 * n, 3)), _atm1_columns, _full_atm1),))
 
 
-def atm2(n: int) -> Law:
-    """Eq. 4 with t restored in every sum; sliding sines first, then viscous ones; frequencies in Hz.
+def atm2(n: int) -> PaperLaw:
+    """Second augmented Tustin model, Eq. 4 with the missing t in each sum; frequencies in Hz.
 
-    Reduced twice: with the phases searched too, and as a freer law in which every sine has an amplitude of its own.
+    Sliding sines come first, then viscous ones. It has two reductions: one with phases among the non-linear parameters,
+    and one that gives each sine a free amplitude.
     """
     pairs = tuple(f"{k}_{i}" for kind in ("", "v") for i in range(1, n + 1) for k in (f"f{kind}", f"phi{kind}"))
     names = ("f_c", "f_s", "f_v", "v_s", *pairs)
-    strict = Reduction(tuple(range(3, 4 + 4 * n)), _atm2_columns, lambda q, c: np.concatenate([c, q]))
-    freer = Reduction((3, *range(4, 4 + 4 * n, 2)), _freer_columns, _full_freer)
-    return Law(f"atm2:{n}", names, _atm2, (strict, freer))
+    with_phases = Reduction(tuple(range(3, 4 + 4 * n)), _atm2_columns, lambda q, c: np.concatenate([c, q]))
+    free_amplitudes = Reduction((3, *range(4, 4 + 4 * n, 2)), _free_amplitude_columns, _full_free_amplitude)
+    return PaperLaw(f"atm2:{n}", names, _atm2, (with_phases, free_amplitudes))
 
 
-def named(name: str) -> Law:
-    """The law of a name such as "tustin" or "atm1:2"."""
+def law_by_name(name: str) -> PaperLaw:
+    """Get a law by name.
+
+    Raises
+    ------
+    FrictrackError
+        If the name is not "tustin", "atm1:n" or "atm2:n" (usage).
+
+    Examples
+    --------
+    >>> law_by_name("atm1:1").names
+    ('F_c', 'F_s', 'F_v', 'v_s', 'F_1', 'f_1', 'phi_1')
+
+    """
     kind, _, order = name.partition(":")
-    makers: dict[str, Callable[[int], Law]] = {"atm1": atm1, "atm2": atm2}
+    makers: dict[str, Callable[[int], PaperLaw]] = {"atm1": atm1, "atm2": atm2}
     if name == "tustin":
         return tustin()
     if kind not in makers or not order.isdigit():
@@ -78,34 +117,60 @@ def named(name: str) -> Law:
     return makers[kind](int(order))
 
 
-def read(printed: Printed, unit: str) -> Array:
-    """Printed parameters (d,) with frequencies in Hz, their "rad/s" read as rad per `unit` (a key of `UNITS`)."""
+def read_printed(printed: PrintedLaw, unit: str) -> Array:
+    """Convert printed parameters.
+
+    Parameters
+    ----------
+    printed
+        A printed law.
+    unit
+        Time unit of its angular frequencies, a key of `UNITS`.
+
+    Returns
+    -------
+    Array
+        Parameters with frequencies in Hz, (d,).
+
+    """
     out = np.array(printed.values)
-    for i, name in enumerate(named(printed.law).names):
+    for i, name in enumerate(law_by_name(printed.law).names):
         if name.startswith("f") and name[-1].isdigit():
             out[i] *= UNITS[unit] / (2 * np.pi)
     return out
 
 
-def library(law: Law, p: Array) -> tuple[Model, Values]:
-    """The same law in frictrack's own effects, for the simulator; F_s there is the rise over F_c."""
+def to_effects(law: PaperLaw, p: Array) -> tuple[Model, Values]:
+    """Express a law of the papers by effects of frictrack, for the simulator.
+
+    Parameters
+    ----------
+    law, p
+        The law and its parameters (d,), frequencies in Hz.
+
+    Returns
+    -------
+    tuple
+        Model, and values by effect; there F_s is the rise above F_c.
+
+    """
     kind, _, order = law.name.partition(":")
     q = dict(zip(law.names, map(float, p), strict=True))
     n = int(order or 0)
     if kind == "atm2":
-        own = {k: q[k] for k in ("f_c", "f_s", "f_v", "v_s")}
+        parameters = {k: q[k] for k in ("f_c", "f_s", "f_v", "v_s")}
         for i in range(1, n + 1):
-            own |= {f"sliding_frequency_{i}": q[f"f_{i}"], f"sliding_phase_{i}": q[f"phi_{i}"]}
-            own |= {f"viscous_frequency_{i}": q[f"fv_{i}"], f"viscous_phase_{i}": q[f"phiv_{i}"]}
-        return models.atm2(n), {law.name: own}
+            parameters |= {f"sliding_frequency_{i}": q[f"f_{i}"], f"sliding_phase_{i}": q[f"phi_{i}"]}
+            parameters |= {f"viscous_frequency_{i}": q[f"fv_{i}"], f"viscous_phase_{i}": q[f"phiv_{i}"]}
+        return models.atm2(n), {law.name: parameters}
     values = {
         "coulomb": {"F_c": q["F_c"]},
         "stribeck": {"F_s": q["F_s"] - q["F_c"], "v_s": q["v_s"], "delta": 1.0},
         "viscous": {"F_v": q["F_v"]},
     }
     for i in range(1, n + 1):
-        line = "vibration" if i == 1 else f"vibration:{i}"
-        values[line] = {"amplitude": q[f"F_{i}"], "frequency": q[f"f_{i}"], "phase": q[f"phi_{i}"]}
+        effect = "vibration" if i == 1 else f"vibration:{i}"
+        values[effect] = {"amplitude": q[f"F_{i}"], "frequency": q[f"f_{i}"], "phase": q[f"phi_{i}"]}
     return (models.atm1(n) if n else models.tustin()), values
 
 
@@ -130,7 +195,7 @@ def _atm2(p: Real, v: Real, t: Real) -> Real:
 
 
 def _sine(p: Real, i: int, t: Real) -> Real:
-    """sin(2 pi f t + phi) with f, phi = p[:, i], p[:, i + 1]."""
+    """sin(2 pi f t + phi) with f, phi = p[:, i], p[:, i + 1], (P, n)."""
     return np.sin((2 * np.pi) * p[:, i, None] * t + p[:, i + 1, None])
 
 
@@ -152,7 +217,7 @@ def _atm2_columns(q: Real, v: Real, t: Real) -> Real:
     return np.stack([sliding * (1 - decay), decay, viscous * v], axis=1)
 
 
-def _freer_columns(q: Real, v: Real, t: Real) -> Real:
+def _free_amplitude_columns(q: Real, v: Real, t: Real) -> Real:
     middle = 1 + (q.shape[1] - 1) // 2
     decay = np.exp(-v / q[:, :1])[:, None]
     angle = (2 * np.pi) * q[:, 1:, None] * t
@@ -163,9 +228,9 @@ def _freer_columns(q: Real, v: Real, t: Real) -> Real:
 
 
 def _polar(c: Array) -> tuple[Array, Array]:
-    """Amplitudes and phases of coefficients of sines, then of cosines."""
-    along, across = np.split(c, 2)
-    return np.hypot(along, across), np.arctan2(across, along)
+    """Amplitudes and phases from coefficients of sines, then of cosines."""
+    sine, cosine = np.split(c, 2)
+    return np.hypot(sine, cosine), np.arctan2(cosine, sine)
 
 
 def _full_atm1(q: Array, c: Array) -> Array:
@@ -173,7 +238,7 @@ def _full_atm1(q: Array, c: Array) -> Array:
     return np.concatenate([c[:3], q[:1], lines.ravel()])
 
 
-def _full_freer(q: Array, c: Array) -> Array:
+def _full_free_amplitude(q: Array, c: Array) -> Array:
     size, phase = _polar(c[1:])
     sliding, viscous = np.split(size, 2)
     static = [sliding.mean(), c[0], viscous.mean(), q[0]]

@@ -1,4 +1,4 @@
-"""The output folder: one self-contained page, figures as SVG, tables as CSV, everything as JSON."""
+"""Write the reproduction: a self-contained page, figures as SVG, tables as CSV, and JSON."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_number
 from frictrack.report import SvgEmbedder, page_template
-from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
+from frictrack.reproduce.sections import FAILS, HOLDS, OPEN, Cell, Claim, ResultTable, Section
 
-KINDS = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
+VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that was reproduced."""
+    """All sections of a reproduction, with the seed of its recordings and whether it was quick."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[Section, ...]
     seed: int
     quick: bool
 
     @property
     def claims(self) -> list[Claim]:
-        """Every claim, in the order of the parts."""
+        """All claims in order of the sections."""
         return [claim for part in self.parts for claim in part.claims]
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many claims hold, do not, and cannot be decided."""
+        """Number of claims that hold, fail and cannot be decided."""
         verdicts = [claim.verdict for claim in self.claims]
-        return {kind: verdicts.count(verdict) for verdict, kind in KINDS.items()}
+        return {kind: verdicts.count(verdict) for verdict, kind in VERDICT_CLASSES.items()}
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `reproduce`."""
+        """JSON of `reproduce`."""
         return {
             "seed": self.seed,
             "quick": self.quick,
@@ -49,22 +49,38 @@ class Reproduction:
         }
 
 
-def write(done: Reproduction, folder: Path) -> dict[str, Any]:
-    """Write page, figures, tables and JSON into `folder`; the JSON, with where it all lies.
+def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, Any]:
+    """Write page, figures, tables and JSON.
 
-    Raises FrictrackError when the folder cannot be written.
+    Parameters
+    ----------
+    reproduction
+        What to write.
+    folder
+        Where to write; created if it does not exist.
+
+    Returns
+    -------
+    dict
+        JSON with the paths of page and folder.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
     """
     try:
         for sub in ("figures", "tables"):
             (folder / sub).mkdir(parents=True, exist_ok=True)
-        for part in done.parts:
+        for part in reproduction.parts:
             for name, (_, figure) in part.figures.items():
                 (folder / "figures" / f"{name}.svg").write_text(plots.svg(figure), encoding="utf-8")
             for table in part.tables:
                 _write_csv(table, folder / "tables" / f"{table.name}.csv")
         page = folder / "reproduce.html"
-        page.write_text(render(done), encoding="utf-8")
-        result = done.summary() | {"page": str(page), "output": str(folder)}
+        page.write_text(render_page(reproduction), encoding="utf-8")
+        result = reproduction.summary() | {"page": str(page), "output": str(folder)}
         (folder / "reproduce.json").write_text(json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
     except OSError as e:
         raise FrictrackError(
@@ -73,28 +89,30 @@ def write(done: Reproduction, folder: Path) -> dict[str, Any]:
     return result
 
 
-def render(done: Reproduction) -> str:
-    """The page as HTML."""
+def render_page(reproduction: Reproduction) -> str:
+    """Render the page as HTML."""
     draw = SvgEmbedder()
     return page_template("page.html.j2", "reproduce").render(
-        parts=done.parts,
-        claims=done.claims,
-        counts=done.counts,
-        quick=done.quick,
-        kinds=KINDS,
-        pictures={p.name: [(caption, draw(figure)) for caption, figure in p.figures.values()] for p in done.parts},
-        numeric=numeric,
-        number=number,
+        parts=reproduction.parts,
+        claims=reproduction.claims,
+        counts=reproduction.counts,
+        quick=reproduction.quick,
+        kinds=VERDICT_CLASSES,
+        pictures={
+            p.name: [(caption, draw(figure)) for caption, figure in p.figures.values()] for p in reproduction.parts
+        },
+        numeric_columns=numeric_columns,
+        format_cell=format_cell,
     )
 
 
-def numeric(table: Table) -> set[int]:
-    """Columns of numbers."""
+def numeric_columns(table: ResultTable) -> set[int]:
+    """Indices of the columns with numbers."""
     return {i for i, _ in enumerate(table.heads) if any(isinstance(row[i], float) for row in table.rows)}
 
 
-def number(cell: Cell) -> str:
-    """A cell for people: four digits."""
+def format_cell(cell: Cell) -> str:
+    """Text of a cell; numbers get four digits."""
     if cell is None:
         return "\N{EN DASH}"
     if isinstance(cell, str):
@@ -103,23 +121,25 @@ def number(cell: Cell) -> str:
     return f"{cell:.0f}".replace("-", "\N{MINUS SIGN}") if whole else format_number(cell, 4)
 
 
-def _write_csv(table: Table, path: Path) -> None:
+def _write_csv(table: ResultTable, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table.heads)
         writer.writerows(table.rows)
 
 
-def shown(tables: Sequence[Table]) -> Markup:
-    """Tables as HTML, for a notebook."""
+def tables_html(tables: Sequence[ResultTable]) -> Markup:
+    """Render tables as HTML, for a notebook."""
     out = Markup("")
     for t in tables:
-        right = numeric(t)
+        right = numeric_columns(t)
         heads = Markup("").join(Markup("<th>{}</th>").format(h) for h in t.heads)
         cells = Markup("").join(
             Markup("<tr>{}</tr>").format(
                 Markup("").join(
-                    Markup('<td style="text-align:{}">{}</td>').format("right" if i in right else "left", number(c))
+                    Markup('<td style="text-align:{}">{}</td>').format(
+                        "right" if i in right else "left", format_cell(c)
+                    )
                     for i, c in enumerate(row)
                 )
             )

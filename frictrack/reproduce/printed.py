@@ -1,4 +1,4 @@
-"""What the two papers print, typed in as it stands; units and slips as printed, readings are taken elsewhere."""
+"""Values that the two papers print, with units and misprints as printed; `laws.read_printed` converts them."""
 
 from __future__ import annotations
 
@@ -11,31 +11,47 @@ PAPERS = {
 
 
 @dataclass(frozen=True)
-class Printed:
-    """One printed law: its equation, parameters in the order of `laws.Law.names`, speed of its group, error."""
+class PrintedLaw:
+    """One printed law.
 
-    law: str  # "tustin", "atm1:2" or "atm2:2"
-    where: str  # table or section
-    values: tuple[float, ...]  # forces N, speeds m/s, angular frequencies "rad/s", phases rad
-    speed: float | None  # m/s at release
-    error: float | None = None  # as printed, without a unit
+    Attributes
+    ----------
+    law
+        "tustin", "atm1:2" or "atm2:2".
+    where
+        Table or section.
+    values
+        Parameters in the order of `laws.PaperLaw.names`: forces (N), speeds (m/s), angular frequencies ("rad/s"),
+        phases (rad).
+    speed
+        Start speed of the group, m/s.
+    error
+        Printed error, without a unit.
+
+    """
+
+    law: str
+    where: str
+    values: tuple[float, ...]
+    speed: float | None
+    error: float | None = None
 
 
 # First paper, section 3.1: F_c, F_s, F_v, v_s.
 TM = {
-    "low": Printed("tustin", "section 3.1 (1)", (13.5698, 57.2303, 8.376, 0.5712), 5.0),
-    "high": Printed("tustin", "section 3.1 (2)", (12.9804, 37.2733, 12.306, 0.862), 8.0),
+    "low": PrintedLaw("tustin", "section 3.1 (1)", (13.5698, 57.2303, 8.376, 0.5712), 5.0),
+    "high": PrintedLaw("tustin", "section 3.1 (2)", (12.9804, 37.2733, 12.306, 0.862), 8.0),
 }
 # Tables 1 and 2: F_c, F_s, F_v, v_s, then F_i, omega_i, phi_i of either sine.
 ATM1 = {
-    "low": Printed(
+    "low": PrintedLaw(
         "atm1:2",
         "Table 1",
         (29.9773, 43.6321, 4.7892, 0.2881, 38.2913, 0.0198, -0.4921, 151.2731, 0.0548, 1.0582),
         5.0,
         4.22e3,
     ),
-    "high": Printed(
+    "high": PrintedLaw(
         "atm1:2",
         "Table 2",
         (32.3294, 45.1892, 6.8931, 0.4219, 42.3214, 0.2031, -0.5391, 182.3912, 0.0612, 2.0103),
@@ -45,14 +61,14 @@ ATM1 = {
 }
 # Tables 3 and 4: f_c, f_s, f_v, v_s, then omega_i, phi_i (sliding), then Omega_j, Phi_j (viscous).
 ATM2 = {
-    "low": Printed(
+    "low": PrintedLaw(
         "atm2:2",
         "Table 3",
         (35.7298, 42.7981, 22.3214, 0.6042, 2.1302, 0.7092, 0.4902, 1.1932, 1.1021, 1.4128, 1.9037, 0.0653),
         5.0,
         1.37e3,
     ),
-    "high": Printed(
+    "high": PrintedLaw(
         "atm2:2",
         "Table 4",
         (37.5031, 47.3242, 8.9972, 0.5310, 1.5021, 0.2910, 0.5921, 2.4532, 0.3402, 0.0324, 0.9935, 0.3801),
@@ -61,8 +77,8 @@ ATM2 = {
     ),
 }
 # Second paper, Tables 1 and 2 (the second is captioned "without" but is the result with the sine filter).
-WITHOUT_FILTER = Printed("tustin", "second paper, Table 1", (10.0, 17.8104, 5.0, 0.2512), None)
-WITH_FILTER = Printed(
+WITHOUT_FILTER = PrintedLaw("tustin", "second paper, Table 1", (10.0, 17.8104, 5.0, 0.2512), None)
+WITH_FILTER = PrintedLaw(
     "atm1:2",
     "second paper, Table 2",
     (4.0266, 12.7125, 14.7817, 1.9551, 1.5971, 2.8556, 0.3363, 0.2665, 0.7038, 0.8242),

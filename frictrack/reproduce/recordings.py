@@ -1,8 +1,8 @@
-"""Recordings of the papers' kind, rendered from their tables: a 4 kHz camera, white tracking noise, a short view.
+"""Simulate recordings of the papers' kind from their tables: a 4 kHz camera, white tracking noise, a short view.
 
-Neither paper publishes its recordings, nor the mass, the field of view or the camera's noise. Chosen here: 2 kg and
-0.5 m for the beam (the printed Tustin models then bring 5 and 8 m/s to rest in 0.26 and 0.29 s, and the fast mass
-leaves the view while still fast), 0.35 kg for the struck slider (3.4 m/s from 2 J), 10 um of noise.
+Neither paper publishes its recordings, the mass, the field of view or the camera noise. Chosen here are 2 kg and 0.5 m
+for the beam (the printed Tustin models then brake 5 and 8 m/s to rest in 0.26 and 0.29 s, and the fast mass leaves the
+view while still fast), 0.35 kg for the struck slider (3.4 m/s from 2 J), and 10 um of noise.
 """
 
 from __future__ import annotations
@@ -17,113 +17,178 @@ from frictrack.models import Model, Values
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement, Run
 from frictrack.reproduce import laws, printed
-from frictrack.reproduce.printed import Printed
+from frictrack.reproduce.printed import PrintedLaw
 from frictrack.simulate import Conditions, Trajectory, simulate
 
 FPS = 4000.0
-SIGMA = 1e-5  # m, tracking noise of one frame
-PITCH = 5e-4  # m/px
-LONGEST = 0.3  # s, a recording
-SENSOR = 0.5  # m/s^2, noise of the second paper's acceleration sensor
-SLOWEST = 0.5  # m/s: filmed until the mass is nearly at rest, where the free section would end
+TRACKING_NOISE = 1e-5  # m, standard deviation per frame
+PIXEL_PITCH = 5e-4  # m/px
+MAX_DURATION_S = 0.3  # of a recording
+SENSOR_NOISE = 0.5  # m/s^2, standard deviation of the second paper's acceleration sensor
+MIN_SPEED = 0.5  # m/s, at which a recording ends: nearly at rest, as the free section would
 
 
 @dataclass(frozen=True)
-class Bench:
-    """What the papers leave open about an experiment."""
+class TestRig:
+    """What the papers do not specify: mass, kg, and length of the field of view, m."""
 
-    mass: float  # kg
-    view: float  # m, over which the mass is filmed
+    mass: float
+    view: float
 
 
-BEAM = Bench(2.0, 0.5)
-STRUCK = Bench(0.35, 0.5)
+BEAM = TestRig(2.0, 0.5)
+STRUCK = TestRig(0.35, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """A recording of known truth: the measured run, and the true slide at its frames."""
+class SyntheticRecording:
+    """A simulated recording: the measured run, and the true motion at its frames."""
 
     run: Run
     truth: Trajectory
 
 
-def of(source: Printed, unit: str, bench: Bench, rng: np.random.Generator, speed: float | None = None) -> Recording:
-    """A recording of a printed law, its frequencies read as rad per `unit`."""
-    law = laws.named(source.law)
+def record_printed(
+    source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator, speed: float | None = None
+) -> SyntheticRecording:
+    """Simulate a recording of a printed law.
+
+    Parameters
+    ----------
+    source
+        The printed law.
+    unit
+        Time unit of its frequencies, a key of `laws.UNITS`.
+    bench
+        Mass and field of view.
+    rng
+        Source of the noise.
+    speed
+        Start speed, m/s; by default the printed one, or that of the printed impact energy.
+
+    Returns
+    -------
+    SyntheticRecording
+        Measured run and true motion.
+
+    """
+    law = laws.law_by_name(source.law)
     speed = source.speed if speed is None else speed
     if speed is None:
         speed = float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
-    return record(*laws.library(law, laws.read(source, unit)), bench, speed, rng)
+    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, speed, rng)
 
 
-def dithering(static: Printed, sines: Printed, share: float, speed: float, rng: np.random.Generator) -> Recording:
-    """A recording of a printed Tustin model with a share of the printed sines (read per sample) on top of it."""
-    p = laws.read(sines, "sample")
+def record_with_dither(
+    static: PrintedLaw, sines: PrintedLaw, share: float, speed: float, rng: np.random.Generator
+) -> SyntheticRecording:
+    """Simulate a recording of a printed Tustin model plus a share of printed sines (frequencies per sample)."""
+    p = laws.read_printed(sines, "sample")
     p[:4] = static.values
     p[4::3] *= share
-    return record(*laws.library(laws.named(sines.law), p), BEAM, speed, rng)
+    return record_law(*laws.to_effects(laws.law_by_name(sines.law), p), BEAM, speed, rng)
 
 
-def record(model: Model, values: Values, bench: Bench, speed: float, rng: np.random.Generator) -> Recording:
-    """A recording of any law: simulated, filmed at 4 kHz while in view and in motion, tracked with white noise.
+def record_law(
+    model: Model, values: Values, bench: TestRig, speed: float, rng: np.random.Generator
+) -> SyntheticRecording:
+    """Simulate a recording of any law: motion in view, white tracking noise, and the papers' filter and differences.
 
-    Its motion is that of the papers' chain: low-pass (Butterworth, cut-off by residual analysis) and two differences.
+    Parameters
+    ----------
+    model, values
+        The law, and its parameters by effect.
+    bench
+        Mass and field of view.
+    speed
+        Start speed, m/s.
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    SyntheticRecording
+        Measured run and true motion.
+
     """
-    slide = _filmed(model, values, bench, speed)
-    n = len(slide.t)
+    trajectory = _simulate_in_view(model, values, bench, speed)
+    n = len(trajectory.t)
     nan = np.full(n, np.nan)
-    x = slide.x + SIGMA * rng.standard_normal(n)
-    seen = Displacement(slide.t, x, nan, nan, np.full(n, SIGMA), nan, np.ones(n, dtype=bool), pixel_pitch=PITCH)
-    run = Run(seen, differentiate(low_pass(seen, method="butterworth")), mass=bench.mass, name=f"{speed:.3g} m/s")
-    return Recording(run, slide)
+    x = trajectory.x + TRACKING_NOISE * rng.standard_normal(n)
+    displacement = Displacement(
+        trajectory.t, x, nan, nan, np.full(n, TRACKING_NOISE), nan, np.ones(n, dtype=bool), pixel_pitch=PIXEL_PITCH
+    )
+    run = Run(
+        displacement,
+        differentiate(low_pass(displacement, method="butterworth")),
+        mass=bench.mass,
+        name=f"{speed:.3g} m/s",
+    )
+    return SyntheticRecording(run, trajectory)
 
 
-def _filmed(model: Model, values: Values, bench: Bench, speed: float) -> Trajectory:
-    """The slide while it is in view, moves and is not too long."""
-    frames = int(_ends(model, values, bench, speed) * FPS) + 1
+def _simulate_in_view(model: Model, values: Values, bench: TestRig, speed: float) -> Trajectory:
+    """True motion while the mass is in view and moves, at most `MAX_DURATION_S`."""
+    frames = int(_end_time(model, values, bench, speed) * FPS) + 1
     t = np.arange(frames) / FPS
-    return simulate(model, values, Conditions(bench.mass, pixel_pitch=PITCH), t, (0.0, speed))
+    return simulate(model, values, Conditions(bench.mass, pixel_pitch=PIXEL_PITCH), t, (0.0, speed))
 
 
-def _ends(model: Model, values: Values, bench: Bench, speed: float) -> float:
-    """When the mass leaves the view or gets slow, s."""
+def _end_time(model: Model, values: Values, bench: TestRig, speed: float) -> float:
+    """Time at which the mass leaves the view or becomes slow, s."""
 
     def motion(t: float, state: Array) -> Array:
         x, v = (np.array([value]) for value in state)
-        path = Path(np.array([t]), x, v, np.ones(1), pixel_pitch=PITCH)
+        path = Path(np.array([t]), x, v, np.ones(1), pixel_pitch=PIXEL_PITCH)
         return np.array([state[1], -model.force(path, values)[0] / bench.mass])
 
-    def slow(t: float, state: Array) -> float:
-        return float(state[1] - SLOWEST)
+    def slowed_down(t: float, state: Array) -> float:
+        return float(state[1] - MIN_SPEED)
 
-    def gone(t: float, state: Array) -> float:
+    def out_of_view(t: float, state: Array) -> float:
         return float(bench.view - state[0])
 
-    slow.terminal = gone.terminal = True  # type: ignore[attr-defined]
-    step = 2 / FPS  # no pulse is shorter
-    solved = solve_ivp(motion, (0.0, LONGEST), [0.0, speed], events=[slow, gone], max_step=step, rtol=1e-5)
+    slowed_down.terminal = out_of_view.terminal = True  # type: ignore[attr-defined]
+    step = 2 / FPS  # shorter than any pulse
+    solved = solve_ivp(
+        motion, (0.0, MAX_DURATION_S), [0.0, speed], events=[slowed_down, out_of_view], max_step=step, rtol=1e-5
+    )
     return float(solved.t[-1])
 
 
-def grouped(recordings: list[Recording], group: str) -> list[Run]:
-    """The runs of some recordings as one group, each with a name of its own."""
+def group_runs(recordings: list[SyntheticRecording], group: str) -> list[Run]:
+    """Runs of recordings as one group, with distinct names."""
     return [replace(r.run, group=group, name=f"{group}, {r.run.name}") for r in recordings]
 
 
-def kind_of_curve(source: Printed, unit: str, bench: Bench) -> dict[str, float | bool]:
-    """What a printed law looks like with its frequencies read as rad per `unit`: the test of the time unit.
+def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, float | bool]:
+    """Describe the motion of a printed law with its frequencies read in one time unit.
 
-    Curves of the described kind have several cycles of a dither in a slide of 0.1 to 0.3 s that brakes the mass, and
-    no line above a tenth of the frame rate, which the low-pass would remove.
+    Curves as the papers describe them have several cycles of a dither in a slide of 0.1 to 0.3 s that brakes the mass,
+    and no sine above a tenth of the frame rate, which the low-pass would remove.
+
+    Parameters
+    ----------
+    source
+        The printed law.
+    unit
+        Time unit of its frequencies, a key of `laws.UNITS`.
+    bench
+        Mass; the field of view is not limited here.
+
+    Returns
+    -------
+    dict
+        Duration, share of the speed lost, range of frequencies, cycles, mean force, and "described".
+
     """
-    law = laws.named(source.law)
-    p = laws.read(source, unit)
+    law = laws.law_by_name(source.law)
+    p = laws.read_printed(source, unit)
     speed = source.speed or float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
-    slide = _filmed(*laws.library(law, p), replace(bench, view=1e3), speed)
+    trajectory = _simulate_in_view(*laws.to_effects(law, p), replace(bench, view=1e3), speed)
     lines = np.array([x for x, name in zip(p, law.names, strict=True) if name.startswith("f") and name[-1].isdigit()])
-    duration = float(slide.t[-1])
-    braked = float(1 - slide.v[-1] / speed)
+    duration = float(trajectory.t[-1])
+    braked = float(1 - trajectory.v[-1] / speed)
     cycles = float(lines.max() * duration)
     return {
         "duration_ms": 1e3 * duration,
@@ -131,6 +196,6 @@ def kind_of_curve(source: Printed, unit: str, bench: Bench) -> dict[str, float |
         "lowest_Hz": float(lines.min()),
         "highest_Hz": float(lines.max()),
         "cycles": cycles,
-        "mean_force_N": float(slide.F.mean()),
+        "mean_force_N": float(trajectory.F.mean()),
         "described": bool(braked > 0.5 and cycles >= 3 and lines.max() < FPS / 10),
     }

@@ -9,8 +9,8 @@ import numpy as np
 import frictrack as ft
 from frictrack.blind.detection_limits import unit_values
 from frictrack.blind.ideal_detector import IdealDetector
+from frictrack.blind.study_files import run_table
 from frictrack.blind.truth import RunTruth, Truth, effect_named
-from frictrack.blind.write_study import run_table
 from frictrack.effects import LIBRARY
 from frictrack.records import Displacement, Run
 

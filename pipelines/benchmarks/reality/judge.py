@@ -14,8 +14,8 @@ from typing import Any
 
 from frictrack.blind.equivalents import equivalent_effects
 from frictrack.blind.outcome import parameter_deviations
+from frictrack.blind.study_files import write_study
 from frictrack.blind.truth import effect_named
-from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.pipeline import RunPipeline

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.blind.draw_truth import MAX_DURATION_S, draw_truth
-from frictrack.blind.render_run import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL
-from frictrack.blind.render_run import FILM_WIDTH_PX as FILM_WIDTH
+from frictrack.blind.film_rendering import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL
+from frictrack.blind.film_rendering import FILM_WIDTH_PX as FILM_WIDTH
+from frictrack.blind.study_files import run_table, study_lines
 from frictrack.blind.truth import RunTruth, Truth
-from frictrack.blind.write_study import run_table, study_lines
+from frictrack.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions
 from frictrack.simulate.rendering import Camera, Rod, Target, render, write_film
@@ -106,9 +106,9 @@ def sloped(flat: Truth, degrees: float, rng: np.random.Generator) -> Sloped:
 def _frames(truth: Truth, run: RunTruth) -> int:
     """Frames until the mass leaves the course or has come to rest."""
     run = replace(run, frames=int(MAX_DURATION_S * truth.fps))
-    slide = truth.slide(run)
-    gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > truth.course)
-    stops = np.flatnonzero(np.abs(slide.v) < 1e-9)
+    trajectory = truth.trajectory(run)
+    gone = np.flatnonzero(np.abs(trajectory.x - trajectory.x[0]) > truth.course)
+    stops = np.flatnonzero(np.abs(trajectory.v) < 1e-9)
     return min([run.frames, *(int(rows[0]) + more for rows, more in ((gone, 0), (stops, RESTS)) if len(rows))])
 
 
@@ -134,8 +134,8 @@ def write_case(case: Case, folder: Path) -> Case:
 
 def recorded(truth: Truth, run: RunTruth, rng: np.random.Generator) -> Recorded:
     """The table of one run as it should be."""
-    slide = truth.slide(run)
-    return Recorded(run_table(truth, run, rng), slide.x + slide.shift, truth.noise)
+    trajectory = truth.trajectory(run)
+    return Recorded(run_table(truth, run, rng), trajectory.x + trajectory.shift, truth.noise)
 
 
 def _write(data: Any, path: Path) -> None:
@@ -162,11 +162,11 @@ def _lines(case: Case) -> list[str]:
 def filmed(case: Case, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
     """Render one run: a block before a still wall that turns, or passes behind a rod, as the fault has it."""
     truth, fault = case.truth, case.fault
-    slide = truth.slide(run)
+    trajectory = truth.trajectory(run)
     turns = fault.kind == "rotation"
     height = TURNED_HEIGHT if turns else HEIGHT
     rate = np.radians(fault.size) * truth.fps * (1 if truth.seed % 2 else -1) if turns else 0.0
-    along = CubicSpline(slide.t, (slide.x + slide.shift) / truth.pitch)
+    along = CubicSpline(trajectory.t, (trajectory.x + trajectory.shift) / truth.pitch)
 
     def position(t: Any) -> tuple[Any, ...]:
         place = along(t), np.full(np.shape(t), height / 2 - 3)

@@ -1,4 +1,4 @@
-"""Studies are drawn: laws, masses, speeds, cameras and what is hidden, over ranges that know nothing of it."""
+"""Draw the truth of a study: law, mass, speeds and camera from ranges that do not depend on the hidden effects."""
 
 from __future__ import annotations
 
@@ -9,31 +9,47 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
+from frictrack.blind.effect_placement import SIZE_RANGE, PlacedEffect, place_effect
 from frictrack.blind.foreign_effects import FOREIGN
 from frictrack.blind.ideal_detector import IdealDetector, unexplained_part
-from frictrack.blind.place_effect import SIZE_RANGE, PlacedEffect, place_effect
 from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 KINDS = ("one", "none", "two", "foreign", "fault")
-LAWS = (  # base laws, and how often each is drawn
+LAWS = (  # base laws, and the share of each
     (("coulomb", "stribeck", "viscous"), 0.6),
     (("coulomb", "viscous"), 0.25),
     (("coulomb", "drag"), 0.15),
 )
-UNUSED_SENSOR_SHARE = 0.15  # share of the studies that measure a drive, a vertical motion or a clamp without need
-PUSH_S = 0.012  # s
-MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # s and frames of a run
-FRAMES_AFTER_STOP = 8  # frames after a stop
-MIN_FRAMES = 80  # frames of a run
-MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per name; of one with memory, whose motion takes long
-MAX_EFFECTS_TRIED = 8  # names tried until one can be seen
-FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
+UNUSED_SENSOR_SHARE = 0.15  # of the studies measure a drive, a vertical motion or a clamp that no effect needs
+PUSH_S = 0.012  # duration of a measured push
+MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # of a run
+FRAMES_AFTER_STOP = 8
+MIN_FRAMES = 80  # of a run
+MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per effect; fewer with memory, because its simulation is slow
+MAX_EFFECTS_TRIED = 8  # until one is visible
+FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m; px, as measured on such films
 
 
 def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
-    """Names that a study of a kind can hide beside a base law, in a fixed order."""
+    """List the effects that a study can hide, in a fixed order.
+
+    Parameters
+    ----------
+    kind
+        Kind of the study, one of `KINDS`.
+    law
+        Effects of the base law.
+    film
+        Whether the study consists of films.
+
+    Returns
+    -------
+    list of str
+        Names of effects.
+
+    """
     if kind == "foreign":
         return list(FOREIGN)
     if kind == "fault":
@@ -44,9 +60,9 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
         for e in effects.LIBRARY.values()
         if e.name not in law
         and not e.replaces
-        and not (e.memory and not e.modifies)  # what swings under no drive stands still
+        and not (e.memory and not e.modifies)  # a model of its own memory needs a drive to show
         and not (e.modifies and not kinds & e.modifies)
-        and e.clock is None  # one of a run's typed numbers, no cause
+        and e.clock is None  # a setting of a run, not an effect of the motion
         and not (e.test_draw.only_with and not kinds & e.test_draw.only_with)
         and "angle" not in e.needs
         and not (film and (e.acts_on == "measurement" or e.needs or e.memory))
@@ -54,15 +70,36 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
 
 
 def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
-    """One truth of a kind: "none", "one", "two", "foreign" or "fault".
+    """Draw the truth of one study.
 
-    `turn` counts the studies of a kind: the causes take turns, so that all of them come up equally often. Raises
-    FrictrackError when nothing visible was found in many draws.
+    Parameters
+    ----------
+    seed
+        Seed of the draw.
+    kind
+        "none", "one", "two", "foreign" or "fault": how many effects are hidden, and which.
+    turn
+        Number of the study among those of its kind; effects take turns, so that all are equally frequent.
+    film
+        Whether the study consists of films.
+
+    Returns
+    -------
+    Truth
+        The truth, with hidden effects of a visible size.
+
+    Raises
+    ------
+    FrictrackError
+        If no visible effect was found in many draws.
+
     """
     rng = np.random.default_rng([seed, 2026])
     for attempt in range(MAX_EFFECTS_TRIED):
         first = _effect_in_turn(kind, turn + attempt, film=film)
-        law = _law_names(rng, [law for law, _ in LAWS if first is None or first in candidates(kind, law, film=film)])
+        law = _draw_law_names(
+            rng, [law for law, _ in LAWS if first is None or first in candidates(kind, law, film=film)]
+        )
         names = _hidden_effects(kind, law, first, rng, film=film)
         for _ in range(MAX_DRAWS_MEMORY if any(effect_named(n).memory for n in names) else MAX_DRAWS):
             base_study = _draw_base(seed, kind, law, names, rng, film=film)
@@ -73,25 +110,26 @@ def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Tr
 
 
 def _try_draw(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+    """Draw runs and hide effects; return None if a run is too short or an effect is not visible."""
     try:
         base_study = replace(base_study, runs=tuple(_draw_runs(base_study, rng)))
         if any(run.frames < MIN_FRAMES for run in base_study.runs):
             return None
         return _hide_effects(base_study, names, rng)
-    except FrictrackError:  # a motion that cannot be followed
+    except FrictrackError:  # a motion that cannot be integrated
         return None
 
 
 def _effect_in_turn(kind: str, turn: int, *, film: bool) -> str | None:
-    """The cause whose turn it is, whatever the base law; None where nothing is hidden."""
+    """The effect whose turn it is, whatever the base law; None if nothing is hidden."""
     if kind == "none":
         return None
     order = list(dict.fromkeys(n for law, _ in LAWS for n in candidates(kind, law, film=film)))
     return order[turn % len(order)]
 
 
-def _law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) -> tuple[str, ...]:
-    """A base law that can lack the cause."""
+def _draw_law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) -> tuple[str, ...]:
+    """Draw one of the base laws that can lack the effect."""
     share = np.array([share for law, share in LAWS if law in fitting])
     return fitting[int(rng.choice(len(fitting), p=share / share.sum()))]
 
@@ -99,10 +137,11 @@ def _law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) -> tupl
 def _hidden_effects(
     kind: str, law: tuple[str, ...], first: str | None, rng: np.random.Generator, *, film: bool
 ) -> tuple[str, ...]:
+    """Names of the effects to hide: the first one and, for kind "two", a random second one."""
     if first is None or kind != "two":
         return () if first is None else (first,)
     possible = candidates(kind, law, film=film)
-    has_memory = effect_named(first).memory  # what reshapes the same friction would have to be followed along with it
+    has_memory = effect_named(first).memory  # an effect that modifies the same friction would need the same memory
     others = [
         n
         for n in possible
@@ -112,13 +151,14 @@ def _hidden_effects(
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw from a log-uniform distribution."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _draw_base(
     seed: int, kind: str, law: tuple[str, ...], names: tuple[str, ...], rng: np.random.Generator, *, film: bool
 ) -> Truth:
-    """Law and camera, before the runs and before anything is hidden."""
+    """Draw law and camera, before runs and hidden effects."""
     mass = _log_uniform(rng, 0.05, 2.0)
     needs = {need for name in names for need in effect_named(name).needs}
     has_unused = (rng.random(3) < UNUSED_SENSOR_SHARE) & (not film)
@@ -146,7 +186,7 @@ def _draw_base(
 
 
 def _draw_law(names: tuple[str, ...], level: float, rng: np.random.Generator) -> EffectValues:
-    """Numbers of a base law whose Coulomb friction is `level` N."""
+    """Draw the parameters of a base law with a Coulomb friction of `level` N."""
     possible: EffectValues = {
         "coulomb": {"F_c": level},
         "stribeck": {"F_s": level * float(rng.uniform(0.2, 1.0)), "v_s": _log_uniform(rng, 0.1, 0.8), "delta": 1.0},
@@ -157,16 +197,15 @@ def _draw_law(names: tuple[str, ...], level: float, rng: np.random.Generator) ->
 
 
 def _draw_runs(base_study: Truth, rng: np.random.Generator) -> Iterator[RunTruth]:
-    """Five to eight runs: slow to fast, one to a stop where the course is long enough, one heavy or light, reversed."""
-    stopping = np.sqrt(
-        1.6 * base_study.law["coulomb"]["F_c"] / base_study.mass * base_study.course
-    )  # stops on the course
-    low = float(np.clip(rng.uniform(0.6, 0.95) * stopping, 1.5, 4.0))
+    """Draw five to eight runs: slow to fast, to a stop if the course is long enough, another mass, reversed."""
+    friction = base_study.law["coulomb"]["F_c"]
+    stopping_speed = np.sqrt(1.6 * friction / base_study.mass * base_study.course)  # stops within the course
+    low = float(np.clip(rng.uniform(0.6, 0.95) * stopping_speed, 1.5, 4.0))
     high = float(rng.uniform(max(low + 1.0, 4.5), 6.0 if base_study.film else 8.0))
     speeds = np.linspace(low, high, int(rng.integers(3, 5)))
     plan = [(float(v), 1.0) for v in speeds] + [(float(np.mean(speeds)), float(rng.choice([0.5, 2.0])))]
-    back = rng.choice(speeds, int(rng.integers(1, min(4, 8 - len(plan)))), replace=False)
-    plan += [(-float(v), 1.0) for v in back]
+    reversed_speeds = rng.choice(speeds, int(rng.integers(1, min(4, 8 - len(plan)))), replace=False)
+    plan += [(-float(v), 1.0) for v in reversed_speeds]
     for i, (v, ratio) in enumerate(plan):
         level = float(1 + base_study.scatter * rng.standard_normal())
         phase = float(rng.uniform(-np.pi, np.pi))
@@ -175,17 +214,17 @@ def _draw_runs(base_study: Truth, rng: np.random.Generator) -> Iterator[RunTruth
 
 
 def _count_frames(base_study: Truth, run: RunTruth) -> int:
-    """Frames until the run leaves the course or has come to its stop."""
-    slide = base_study.slide(run, hidden=False)
-    gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > base_study.course)
-    stops = np.flatnonzero(np.abs(slide.v) < 1e-9)
+    """Number of frames until the run leaves the course, or a few after its stop."""
+    trajectory = base_study.trajectory(run, hidden=False)
+    outside = np.flatnonzero(np.abs(trajectory.x - trajectory.x[0]) > base_study.course)
+    stops = np.flatnonzero(np.abs(trajectory.v) < 1e-9)
     stops = stops[stops > base_study.push * base_study.fps]
-    ends = [len(slide.t), *(int(q[0]) + n for q, n in ((gone, 0), (stops, FRAMES_AFTER_STOP)) if len(q))]
+    ends = [len(trajectory.t), *(int(q[0]) + n for q, n in ((outside, 0), (stops, FRAMES_AFTER_STOP)) if len(q))]
     return min(ends)
 
 
 def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
-    """The study with its causes in; None where one cannot be seen, alone or beside the other."""
+    """Put the effects into the study; return None if one is not visible, alone or with the other one free."""
     truth, detector = base_study, IdealDetector(base_study)
     hidden = []
     for name in names:
@@ -197,7 +236,7 @@ def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Gene
         truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
     sizes, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
     if len(names) == 2:
-        traces = [_trace_left(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
+        traces = [_trace_beyond_other(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
         limits = [np.sqrt(detector.limit(effect_named(name))) for name in names]
         sizes = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
         if min(sizes) < SIZE_RANGE[0]:
@@ -206,8 +245,8 @@ def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Gene
     return replace(truth, hidden=names, size=sizes, rise=rises)
 
 
-def _trace_left(detector: IdealDetector, trace: Array, other: str, placed: PlacedEffect) -> Array:
-    """What is left of a cause's trace where the numbers of the other one are free beside it."""
+def _trace_beyond_other(detector: IdealDetector, trace: Array, other: str, placed: PlacedEffect) -> Array:
+    """Part of the trace of one effect that free parameters of the other one cannot explain."""
     truth, trace_alone = placed
     effect = effect_named(other)
     values = [run.values for run in truth.runs]

@@ -1,4 +1,4 @@
-"""Second paper: the Stribeck model with and without the sine filter, identified by the SGA (Figs. 4-7, Tables 1, 2)."""
+"""Second paper: identify the Stribeck model with and without the sine filter by SGA (Figs. 4-7, Tables 1 and 2)."""
 
 from __future__ import annotations
 
@@ -7,30 +7,46 @@ from typing import Any
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.reproduce import figures, laws, printed, recordings, series
-from frictrack.reproduce.beam import Identified, identified, ours
-from frictrack.reproduce.laws import Law
-from frictrack.reproduce.parts import FAILS, FULL, HOLDS, OPEN, Claim, Effort, Part, Progress, Table, silent
-from frictrack.reproduce.recordings import STRUCK, Recording
+from frictrack.reproduce import figures, laws, papers_method, printed, recordings
+from frictrack.reproduce.identification import Identification, fit_with_frictrack, identify
+from frictrack.reproduce.laws import PaperLaw
+from frictrack.reproduce.recordings import STRUCK, SyntheticRecording
+from frictrack.reproduce.sections import FAILS, FULL, HOLDS, OPEN, Claim, Effort, Progress, ResultTable, Section, silent
 
-UNIT = "millisecond"  # per sample, Table 2's 2.86 would be 1.8 kHz; per second, no sine turns once in the slide
+TIME_UNIT = "millisecond"  # per sample, 2.86 of Table 2 would be 1.8 kHz; per second, no sine completes a cycle
 EFFECTS = {"F_c": "coulomb.F_c", "F_s": "stribeck.F_s", "F_v": "viscous.F_v", "v_s": "stribeck.v_s"}
 
 
-def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Part:
-    """Figs. 4-7, Tables 1 and 2 of the second paper."""
+def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+    """Reproduce Figs. 4-7 and Tables 1 and 2 of the second paper.
+
+    Parameters
+    ----------
+    effort
+        Seeds and evaluations.
+    seed
+        Seed of the recording.
+    progress
+        Called with steps done, all steps and a text.
+
+    Returns
+    -------
+    Section
+        Tables, figures and claims.
+
+    """
     rng = np.random.default_rng([seed, 2])
-    truth = laws.read(printed.WITH_FILTER, UNIT)
-    recording = recordings.of(printed.WITH_FILTER, UNIT, STRUCK, rng)
-    data = _sensed(recording, rng)
-    done: dict[str, Identified] = {}
+    truth = laws.read_printed(printed.WITH_FILTER, TIME_UNIT)
+    recording = recordings.record_printed(printed.WITH_FILTER, TIME_UNIT, STRUCK, rng)
+    data = _sensor_series(recording, rng)
+    results: dict[str, Identification] = {}
     for i, name in enumerate(("tustin", "atm1:2")):
         progress(i, 3, "second paper, " + ("with" if i else "without") + " the sine filter")
-        done[name] = identified(laws.named(name), data, effort, rng, method="sga")
+        results[name] = identify(laws.law_by_name(name), data, effort, rng, method="sga")
     progress(2, 3, "second paper, the round numbers")
-    boxed = _boxed(laws.tustin(), data, effort)
-    own = {name: ours(name, recording.run) for name in done}
-    return Part(
+    rounded = _search_rounded_bounds(laws.tustin(), data, effort)
+    own = {name: fit_with_frictrack(name, recording.run) for name in results}
+    return Section(
         "sine_filter",
         "Second paper: identification with and without the sine filter (Figs. 4-7, Tables 1 and 2)",
         (
@@ -39,12 +55,12 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
             'Table 2, which is captioned "without sine filter" but is the result with it; F_v is printed in N·m/s for '
             "N·s/m, phases in rad/s for rad; frequencies are read as rad per millisecond (455 and 112 Hz). Cooling, "
             "acceptance and the order of steps of the SGA are not specified by the paper.",
-            f"Acceleration comes from the sensor ({recordings.SENSOR:g} m/s² of noise, chosen here), speed from the "
-            f"camera: in the film "
+            f"Acceleration comes from the sensor ({recordings.SENSOR_NOISE:g} m/s² of noise, chosen here), "
+            f"speed from the camera: in the film "
             f"the printed sines are {_micrometres(truth)[0]:.1f} and {_micrometres(truth)[1]:.1f} µm, far below the 10 "
             f"µm of noise.",
         ),
-        (_table_static(done, boxed, own, truth), _table_sines(done["atm1:2"], own["atm1:2"], truth)),
+        (_table_static(results, rounded, own, truth), _table_sines(results["atm1:2"], own["atm1:2"], truth)),
         {
             "second_fig04_05_motion": (
                 "True velocity and acceleration after the blow.",
@@ -57,69 +73,71 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
                 figures.traces(
                     "Second paper, Figs. 6, 7  Without and with the sine filter",
                     {
-                        "without": (data, [("SGA", _of(done["tustin"]))]),
-                        "with": (data, [("SGA", _of(done["atm1:2"]))]),
+                        "without": (data, [("SGA", _chosen_acceleration(results["tustin"]))]),
+                        "with": (data, [("SGA", _chosen_acceleration(results["atm1:2"]))]),
                     },
                 ),
             ),
         },
-        _claims(done, boxed, own, truth),
+        _claims(results, rounded, own, truth),
     )
 
 
-def _sensed(recording: Recording, rng: np.random.Generator) -> series.Series:
-    """Speed from the camera, acceleration from the sensor: nothing need be left out at the ends."""
+def _sensor_series(recording: SyntheticRecording, rng: np.random.Generator) -> papers_method.AccelerationSeries:
+    """Velocity from the camera and acceleration from the sensor; no frames are left out at the ends."""
     motion = recording.run.motion
-    a = recording.truth.a + recordings.SENSOR * rng.standard_normal(len(motion.t))
-    return series.Series(motion.t, motion.v, a, STRUCK.mass)
+    a = recording.truth.a + recordings.SENSOR_NOISE * rng.standard_normal(len(motion.t))
+    return papers_method.AccelerationSeries(motion.t, motion.v, a, STRUCK.mass)
 
 
 def _micrometres(truth: Array) -> Array:
-    """Amplitudes of the displacement that the printed sines make, F/(m omega^2)."""
+    """Displacement amplitudes of the printed sines, F/(m omega^2), um."""
     out: Array = 1e6 * truth[4::3] / STRUCK.mass / (2 * np.pi * truth[5::3]) ** 2
     return out
 
 
-def _of(mine: Identified) -> Array:
-    return mine.acceleration(mine.chosen)
+def _chosen_acceleration(result: Identification) -> Array:
+    return result.acceleration(result.chosen)
 
 
-def _boxed(law: Law, data: series.Series, effort: Effort) -> Array:
-    """SGA without the sine filter in a box that ends at the round numbers of Table 1, seeds (n, 4)."""
-    bounds = series.box(law)
+def _search_rounded_bounds(law: PaperLaw, data: papers_method.AccelerationSeries, effort: Effort) -> Array:
+    """Parameters by SGA without the sine filter within bounds at the round numbers of Table 1, (seeds, 4)."""
+    bounds = papers_method.search_bounds(law)
     bounds[0, 1], bounds[2, 1] = printed.WITHOUT_FILTER.values[0], printed.WITHOUT_FILTER.values[2]
-    how: dict[str, Any] = {"budget": effort.budget, "bounds": bounds}
-    return np.array([series.search(law, data, "sga", seed=i, **how).x for i in range(effort.identified)])
+    options: dict[str, Any] = {"budget": effort.budget, "bounds": bounds}
+    return np.array(
+        [papers_method.search_parameters(law, data, "sga", seed=i, **options).x for i in range(effort.identified)]
+    )
 
 
-def _spread(mine: Identified, i: int) -> str:
-    seeds = np.array(mine.found)[:, i]
+def _range_over_seeds(result: Identification, i: int) -> str:
+    seeds = np.array(result.found)[:, i]
     return f"{seeds.min():.3g} to {seeds.max():.3g}"
 
 
-def _text(own: Any, address: str) -> str:
+def _format_estimate(own: Any, address: str) -> str:
     if own is None:
         return "no fit"
     found = own.parameters[address]
     return "not determined" if found.value is None else f"{found.value:.3f} ± {found.std:.3f}"
 
 
-def _table_static(done: dict[str, Identified], boxed: Array, own: dict[str, Any], truth: Array) -> Table:
+def _table_static(results: dict[str, Identification], rounded: Array, own: dict[str, Any], truth: Array) -> ResultTable:
     rows: list[list[Any]] = []
     for i, name in enumerate(laws.tustin().names):
-        without, full = done["tustin"], done["atm1:2"]
+        without, full = results["tustin"], results["atm1:2"]
         rows.append(
             [
                 name,
                 printed.WITHOUT_FILTER.values[i],
                 float(without.chosen[i]),
-                _spread(without, i),
-                float(np.median(boxed[:, i])),
-                _text(own["tustin"], EFFECTS[name]),
+                _range_over_seeds(without, i),
+                float(np.median(rounded[:, i])),
+                _format_estimate(own["tustin"], EFFECTS[name]),
                 truth[i],
                 float(full.chosen[i]),
-                _spread(full, i),
-                _text(own["atm1:2"], EFFECTS[name]),
+                _range_over_seeds(full, i),
+                _format_estimate(own["atm1:2"], EFFECTS[name]),
             ]
         )
     heads = (
@@ -134,19 +152,25 @@ def _table_static(done: dict[str, Identified], boxed: Array, own: dict[str, Any]
         "over seeds, with",
         "ours, with",
     )
-    return Table(
+    return ResultTable(
         "second_tables_1_2", "Tables 1 and 2: friction without and with the sine filter", heads, rows, "N, N s/m, m/s."
     )
 
 
-def _table_sines(mine: Identified, own: Any, truth: Array) -> Table:
+def _table_sines(result: Identification, own: Any, truth: Array) -> ResultTable:
     rows: list[list[Any]] = []
     for i in range(4, len(truth)):
         rows.append(
-            [mine.law.names[i], printed.WITH_FILTER.values[i], truth[i], float(mine.chosen[i]), _spread(mine, i)]
+            [
+                result.law.names[i],
+                printed.WITH_FILTER.values[i],
+                truth[i],
+                float(result.chosen[i]),
+                _range_over_seeds(result, i),
+            ]
         )
     note = "N, Hz, rad; printed frequencies in rad per millisecond. The two sines may change places."
-    return Table(
+    return ResultTable(
         "second_table_2_sines",
         "Table 2: the sines",
         ("parameter", "printed", "rendered", "SGA", "over seeds"),
@@ -155,14 +179,14 @@ def _table_sines(mine: Identified, own: Any, truth: Array) -> Table:
     )
 
 
-def _claims(done: dict[str, Identified], boxed: Array, own: dict[str, Any], truth: Array) -> tuple[Claim, ...]:
-    without, full = done["tustin"], done["atm1:2"]
-    floor = series.error(full.law, truth, full.data)
+def _claims(results: dict[str, Identification], rounded: Array, own: dict[str, Any], truth: Array) -> tuple[Claim, ...]:
+    without, full = results["tustin"], results["atm1:2"]
+    floor = papers_method.squared_error(full.law, truth, full.data)
     gain = without.lowest / full.lowest
-    far = {name: np.abs(np.array(mine.found)[:, :4] / truth[:4] - 1) for name, mine in done.items()}
+    far = {name: np.abs(np.array(result.found)[:, :4] / truth[:4] - 1) for name, result in results.items()}
     median = {name: float(np.median(x.mean(axis=1))) for name, x in far.items()}
-    at_edge = np.abs(boxed[:, [0, 2]] / np.array(printed.WITHOUT_FILTER.values)[[0, 2]] - 1) < 1e-3
-    lost = [n for n in EFFECTS if own["atm1:2"] is None or own["atm1:2"].parameters[EFFECTS[n]].value is None]
+    at_edge = np.abs(rounded[:, [0, 2]] / np.array(printed.WITHOUT_FILTER.values)[[0, 2]] - 1) < 1e-3
+    undetermined = [n for n in EFFECTS if own["atm1:2"] is None or own["atm1:2"].parameters[EFFECTS[n]].value is None]
     better = median["atm1:2"] < median["tustin"]
     return (
         Claim(
@@ -183,8 +207,8 @@ def _claims(done: dict[str, Identified], boxed: Array, own: dict[str, Any], trut
             HOLDS if better and median["atm1:2"] < 0.1 else OPEN if better else FAILS,
             "Table 2's sines are 1.6 and 0.27 N beside some 30 N of friction. "
             + (
-                f"The recording does not hold {', '.join(lost)}: our fit says so, a search prints a number."
-                if lost
+                f"The recording does not hold {', '.join(undetermined)}: our fit says so, a search prints a number."
+                if undetermined
                 else ""
             ),
         ),
@@ -193,7 +217,7 @@ def _claims(done: dict[str, Identified], boxed: Array, own: dict[str, Any], trut
             "F_c = 10.0000 and F_v = 5.0000 are what friction is without the filter",
             "10.0000, 5.0000",
             f"in a box that ends there, F_c ends at the bound in {int(at_edge[:, 0].sum())} and F_v in "
-            f"{int(at_edge[:, 1].sum())} of {len(boxed)} "
+            f"{int(at_edge[:, 1].sum())} of {len(rounded)} "
             "runs",
             OPEN,
             "Round to four places, they look like bounds of the search; the paper specifies no box, and does not say "

@@ -1,4 +1,4 @@
-"""A drawn truth becomes a study that says nothing of it: tables or films, and a study file."""
+"""Write a study of known truth: tables or films, and a study file that does not reveal the truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from frictrack.blind.render_run import render_run
+from frictrack.blind.film_rendering import render_run
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.records import Array
 from frictrack.simulate import Trajectory
@@ -17,7 +17,16 @@ from frictrack.simulate.rendering import Oscillation
 
 
 def write_study(truth: Truth, folder: Path) -> None:
-    """Tables (t_s, x_m, and what was measured beside) or films of a study, and its study file."""
+    """Write the study file, and a table or a film of each run.
+
+    Parameters
+    ----------
+    truth
+        Truth of the study; its seed also seeds the noise.
+    folder
+        Folder to write; created if it does not exist.
+
+    """
     rng = np.random.default_rng([truth.seed, 7])
     folder.mkdir(parents=True, exist_ok=True)
     for run in truth.runs:
@@ -29,25 +38,42 @@ def write_study(truth: Truth, folder: Path) -> None:
 
 
 def run_table(truth: Truth, run: RunTruth, rng: np.random.Generator) -> pd.DataFrame:
-    """What a tracker of white noise would have given of one run."""
-    slide = truth.slide(run)
-    noise = truth.noise * rng.standard_normal(len(slide.t))
-    return pd.DataFrame({"t_s": slide.t, "x_m": slide.x + slide.shift + noise} | _other_signals(truth, run, slide, rng))
+    """Simulate the measured table of one run: the true motion with white noise.
+
+    Parameters
+    ----------
+    truth, run
+        Truth of the study, and of the run.
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    DataFrame
+        t_s and x_m; where the study measures them sigma_m, y_m and drive_N.
+
+    """
+    trajectory = truth.trajectory(run)
+    noise = truth.noise * rng.standard_normal(len(trajectory.t))
+    return pd.DataFrame(
+        {"t_s": trajectory.t, "x_m": trajectory.x + trajectory.shift + noise}
+        | _other_signals(truth, run, trajectory, rng)
+    )
 
 
-def _other_signals(truth: Truth, run: RunTruth, slide: Trajectory, rng: np.random.Generator) -> dict[str, Array]:
-    """Stated noise, vertical motion and drive, where the study has them."""
-    out = {"sigma_m": np.full(len(slide.t), truth.noise)} if truth.stated else {}
+def _other_signals(truth: Truth, run: RunTruth, trajectory: Trajectory, rng: np.random.Generator) -> dict[str, Array]:
+    """Columns of stated noise, vertical motion and drive, where the study has them."""
+    out = {"sigma_m": np.full(len(trajectory.t), truth.noise)} if truth.stated else {}
     if truth.lift is not None:
-        across = truth.noise * rng.standard_normal(len(slide.t))
-        out["y_m"] = Oscillation(*truth.lift, run.phase)(slide.t) + across
+        noise_y = truth.noise * rng.standard_normal(len(trajectory.t))
+        out["y_m"] = Oscillation(*truth.lift, run.phase)(trajectory.t) + noise_y
     if truth.push:
-        out["drive_N"] = truth.drive(run)(slide.t)
+        out["drive_N"] = truth.drive(run)(trajectory.t)
     return out
 
 
 def study_lines(truth: Truth, name: str) -> Iterator[str]:
-    """The study file: masses, base law, camera and runs."""
+    """Lines of the study file: masses, base law, camera and runs."""
     yield from (
         "[study]",
         f'name = "{name}"',
