@@ -62,7 +62,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from frictrack.blind.draw_truth import candidates, draw_truth
+from frictrack.blind.truth_sampling import candidates, draw_truth
 from frictrack.effects import LIBRARY
 from frictrack.flow import Session, open_study, plan
 from frictrack.workbench.model_tab import ModelTab
