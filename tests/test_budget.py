@@ -18,8 +18,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.stored_results import run_results
 from frictrack.friction import friction
-from frictrack.motion import covariance, differentiate, low_pass
-from frictrack.motion.filter import Smoother
+from frictrack.motion import Smoother, covariance, differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.report import budgets
 from frictrack.results import RecordingInfo, RunResults

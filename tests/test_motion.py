@@ -4,14 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frictrack.motion.structure import Structure, StructureSearch
-from frictrack.motion.system import LineParameters, SmootherData, cutoff_of, factor_smoother, penalty
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
-from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, noise_level
-from frictrack.motion.filter import METHOD_NAMES, MISSING_SIGMA
+from frictrack.motion import (
+    METHOD_NAMES,
+    MISSING_SIGMA,
+    KnownAcceleration,
+    covariance,
+    differentiate,
+    low_pass,
+    noise_level,
+)
+from frictrack.motion.smoother import (
+    LineParameters,
+    SmootherData,
+    Structure,
+    StructureSearch,
+    cutoff_of,
+    factor_smoother,
+    penalty,
+)
 from frictrack.records import Displacement
 
 FPS = 4000.0
@@ -89,7 +103,7 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
         passed = expected @ np.diag(w) @ expected
         near = [passed[s : s + 4, s : s + 4] for s in start]
         noise = np.einsum("kij,ijl,kil->ki", stencils, near, stencils)
-        assert made.passed(start, stencils) == pytest.approx(noise, rel=2e-3, abs=1e-9)
+        assert made.noise_variances(start, stencils) == pytest.approx(noise, rel=2e-3, abs=1e-9)
 
 
 def test_likelihood_is_that_of_the_dense_covariance(rng):
@@ -265,7 +279,7 @@ def test_stiff_smoother_is_the_cubic_of_least_squares():
     q = np.linalg.qr(np.vander(np.linspace(-1, 1, n), 4))[0]
     start = np.arange(n - 1)
     stiff = Structure.low_pass(0.3, 1 / FPS).factor_smoother(SmootherData(np.zeros(n), np.ones(n)))
-    found = stiff.passed(start, np.tile([1.0, 0.0], (n - 1, 1)))
+    found = stiff.noise_variances(start, np.tile([1.0, 0.0], (n - 1, 1)))
     assert found == pytest.approx(np.sum(q**2, axis=1)[:-1], rel=0.03)
 
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frictrack.motion.structure import Event, Structure
-from frictrack.motion.structure_average import ChangeGroup, StructureChange
 from scipy.integrate import solve_ivp
 
-from frictrack.motion import differentiate, low_pass
-from frictrack.motion.filter import Smoother
+from frictrack.motion import Smoother, differentiate, low_pass
+from frictrack.motion.smoother import ChangeGroup, Event, Structure, StructureChange
 from frictrack.records import Displacement
 
 FPS, MASS = 4000.0, 0.35

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from frictrack.motion.system import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from frictrack.motion import CorrelatedNoise, differentiate, low_pass, trade
-from frictrack.motion.filter import Smoother
+from frictrack.motion import CorrelatedNoise, Smoother, differentiate, low_pass, trade
+from frictrack.motion.smoother import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from frictrack.records import Displacement
 
 FPS, MASS, NOISE = 4000.0, 0.35, 2e-5
@@ -64,12 +63,12 @@ def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
         normal[n:, n:] += 1e3 * obeyed.T @ obeyed
     inverse = every @ np.linalg.inv(normal) @ every.T
     assert made.signal(made.unknowns()) == pytest.approx(inverse @ known @ made.data.y, abs=1e-7)
-    assert made.data.whitened(made.data.y) == pytest.approx(known @ made.data.y, rel=1e-6, abs=1e-6)
+    assert made.data.apply_inverse_covariance(made.data.y) == pytest.approx(known @ made.data.y, rel=1e-6, abs=1e-6)
     assert made.covariance(np.arange(n)) == pytest.approx(inverse, rel=1e-6, abs=1e-8)
     start, ones = np.arange(n - 1), np.tile([1.0, 0.0], (1, n - 1, 1))
     assert made.variances(start, ones)[0] == pytest.approx(np.diag(inverse)[:-1], rel=1e-6)
     passed = np.diag(inverse @ known @ inverse)[:-1]
-    assert made.passed(start, ones)[0] == pytest.approx(passed, rel=2e-3)
+    assert made.noise_variances(start, ones)[0] == pytest.approx(passed, rel=2e-3)
     stiffer = factor_smoother(made.data, 9 * lam, LineParameters(omega, mu))
     both = variances_of([made, stiffer], start, ones)
     assert both == pytest.approx(np.array([f.variances(start, ones) for f in (made, stiffer)]), rel=1e-9)

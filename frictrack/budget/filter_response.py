@@ -7,12 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion.derivative import Derivatives
-from frictrack.motion.methods import FilterMethod
-from frictrack.motion.posterior_deviations import line_frequency_errors
-from frictrack.motion.stencil import STENCIL_FRAMES, stencils
-from frictrack.motion.structure import Structure
-from frictrack.motion.system import FactoredSmoother
+from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencils
+from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
 from frictrack.records import Array, Filtered, Motion
 
 CHUNK_COLUMNS = 256  # columns at once
@@ -43,7 +39,7 @@ class FilterResponse:
     @property
     def has_accelerometer(self) -> bool:
         """Whether an accelerometer was used in the smoother."""
-        return self._derived.worth is not None
+        return self._derived.sensor_weights is not None
 
     def of(self, displacement: Array) -> Array:
         """Acceleration that a displacement error appears to be.
@@ -59,7 +55,7 @@ class FilterResponse:
             Apparent accelerations, m/s^2.
 
         """
-        return np.asarray(self._derived.feigned(displacement)[2])
+        return np.asarray(self._derived.apparent_motion(displacement)[2])
 
     def transmitted_noise(self, weights: Array) -> AccelerationError:
         """Frame noise that the low-pass transmits.
@@ -77,11 +73,11 @@ class FilterResponse:
         if self._method is not None:
             return self._transmitted_by_method(self._method, weights)
         start, table = self._stencils
-        rows = np.sqrt(self._derived.factor.passed(start, table)[0])[self._grid.frames]
+        rows = np.sqrt(self._derived.factor.noise_variances(start, table)[0])[self._grid.frames]
         smoothed = self._derived.factor.posterior_covariance_times(self._position_weights(weights))
-        variance = float(np.sum(self._derived.factor.data.whitened(smoothed) * smoothed))
-        if self._derived.worth is not None:
-            variance += float(np.sum(self._derived.worth * np.diff(smoothed, 2) ** 2))
+        variance = float(np.sum(self._derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
+        if self._derived.sensor_weights is not None:
+            variance += float(np.sum(self._derived.sensor_weights * np.diff(smoothed, 2) ** 2))
         return AccelerationError(self._noise * rows, self._noise * float(np.sqrt(variance)))
 
     def lost_signal(self, weights: Array, transmitted_noise: AccelerationError) -> AccelerationError:
@@ -181,7 +177,7 @@ class FilterResponse:
     def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:
         """Transmitted noise of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
-        for made, sigma in self._derived.columns(method):
+        for made, sigma in self._derived.unit_responses(method):
             second = made[2, self._grid.frames] * sigma
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))

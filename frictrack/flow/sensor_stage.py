@@ -12,8 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.summaries import ImpactEnergy, SensorSummary
 from frictrack.flow.table_stage import read_run_table, with_even_clock
 from frictrack.friction import release_time
-from frictrack.motion import differentiate, low_pass
-from frictrack.motion.known_acceleration import KnownAcceleration
+from frictrack.motion import KnownAcceleration, differentiate, low_pass
 from frictrack.records import Array, Displacement, Motion, Run
 from frictrack.results import Sensors
 from frictrack.sensors import (

@@ -1,20 +1,35 @@
-"""Displacement -> low-pass -> displacement, velocity and acceleration with their standard deviations."""
+"""Compute position, velocity and acceleration with their standard deviations from a displacement.
 
-from frictrack.motion.correlated import CorrelatedNoise, correlated_noise
+`low_pass` smooths the displacement, `differentiate` derives it; `noise` and `smoother` hold their methods.
+"""
+
 from frictrack.motion.cutoff_trade import trade
-from frictrack.motion.derivative import covariance, derivatives, differentiate
-from frictrack.motion.filter import low_pass
+from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate
+from frictrack.motion.filter import METHOD_NAMES, MISSING_SIGMA, Smoother, frame_weights, low_pass
+from frictrack.motion.filter_methods import FilterMethod
+from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
-from frictrack.motion.noise import noise_level
+from frictrack.motion.noise import CorrelatedNoise, correlated_noise, noise_level
+from frictrack.motion.stencil import STENCIL_FRAMES, stencils
 
 __all__ = [
+    "METHOD_NAMES",
+    "MISSING_SIGMA",
+    "STENCIL_FRAMES",
     "CorrelatedNoise",
+    "Derivatives",
+    "FilterMethod",
+    "FrameGrid",
     "KnownAcceleration",
+    "Smoother",
     "correlated_noise",
     "covariance",
     "derivatives",
     "differentiate",
+    "frame_grid",
+    "frame_weights",
     "low_pass",
     "noise_level",
+    "stencils",
     "trade",
 ]

@@ -11,10 +11,15 @@ import numpy as np
 
 from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, low_pass
 from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother import (
+    TREND_ORDER,
+    NoiseColour,
+    SmootherData,
+    Structure,
+    undetectable_amplitude,
+    weighted_cubic,
+)
 from frictrack.motion.stencil import stencil_derivatives
-from frictrack.motion.structure import Structure, undetectable_amplitude
-from frictrack.motion.system import TREND_ORDER, NoiseColour, SmootherData
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 N_CUTOFFS = 32
@@ -35,11 +40,11 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Cut
     w = grid.to_frames(frame_weights(displacement.sigma_x, known))
     best = low_pass(displacement) if filtered.asked else filtered
     y, signal = grid.to_frames(np.where(known, displacement.x, 0.0)), grid.to_frames(best.x)
-    heard = best.sigma_x < MISSING_SIGMA
-    noise = float(np.mean(best.sigma_x[heard] ** -2.0) ** -0.5)
+    measured_frames = best.sigma_x < MISSING_SIGMA
+    noise = float(np.mean(best.sigma_x[measured_frames] ** -2.0) ** -0.5)
     frequency = np.geomspace(MIN_CYCLES / (grid.n * grid.interval), MAX_CUTOFF / grid.interval, N_CUTOFFS)
-    calm = _calm(best, grid)
-    rows = np.array([_residual_and_lost(f, grid, w, (y, signal, calm)) for f in frequency])
+    outside_events = _outside_events(best, grid)
+    rows = np.array([_residual_and_lost(f, grid, w, (y, signal, outside_events)) for f in frequency])
     colour = Smoother.read(best.smoother).colour
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
     total = np.hypot(passed, rows[:, 1])
@@ -52,12 +57,12 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Cut
         hidden=undetectable_amplitude(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
         chosen=filtered.cutoff,
         least=float(frequency[np.argmin(total)]),
-        structural=float(np.sqrt(np.mean(motion.sigma_a[calm[grid.frames]] ** 2))),
+        structural=float(np.sqrt(np.mean(motion.sigma_a[outside_events[grid.frames]] ** 2))),
         warnings=tuple(_warnings(best, filtered.cutoff, grid.interval)),
     )
 
 
-def _calm(best: Filtered, grid: FrameGrid) -> Mask:
+def _outside_events(best: Filtered, grid: FrameGrid) -> Mask:
     """Frames (n,) away from events: what a push loses would hide all else."""
     out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
     for first, last in best.events:
@@ -70,8 +75,8 @@ def _residual_and_lost(f: float, grid: FrameGrid, w: Array, series: tuple[Array,
     factor = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(np.zeros(grid.n), w))
     measured, signal = (s - weighted_cubic(s, w) for s in series[:2])
     residual = np.sqrt(np.average((measured - factor.smooth(measured)) ** 2, weights=w))
-    taken = stencil_derivatives(signal - factor.smooth(signal), grid.interval)[2]
-    return float(residual), float(np.sqrt(np.mean(taken[series[2]] ** 2)))
+    lost = stencil_derivatives(signal - factor.smooth(signal), grid.interval)[2]
+    return float(residual), float(np.sqrt(np.mean(lost[series[2]] ** 2)))
 
 
 def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:
@@ -85,20 +90,22 @@ def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tupl
 
 def _warnings(best: Filtered, cutoff: float, interval: float) -> list[str]:
     """In words what lies above a cut-off."""
-    said = []
+    warnings = []
     for f in best.lines:
-        left = 1.0 / (1.0 + (np.sin(np.pi * f * interval) / np.sin(np.pi * cutoff * interval)) ** (2 * TREND_ORDER))
-        if left < MIN_PASSED_AMPLITUDE:
-            said.append(
+        passed_share = 1.0 / (
+            1.0 + (np.sin(np.pi * f * interval) / np.sin(np.pi * cutoff * interval)) ** (2 * TREND_ORDER)
+        )
+        if passed_share < MIN_PASSED_AMPLITUDE:
+            warnings.append(
                 f"a vibration at {f:.4g} Hz lies above the cut-off of {cutoff:.3g} Hz: a plain low-pass leaves "
-                f"{100 * left:.0f} % of its amplitude"
+                f"{100 * passed_share:.0f} % of its amplitude"
             )
     for first, last in best.events:
-        lasts = (last - first + 1) * interval
-        if lasts < 0.5 / cutoff:
+        duration = (last - first + 1) * interval
+        if duration < 0.5 / cutoff:
             at = 1e3 * 0.5 * (best.t[first] + best.t[last])
-            said.append(
-                f"what happens at {at:.1f} ms is over in {1e3 * lasts:.2g} ms, shorter than half a period of the "
+            warnings.append(
+                f"what happens at {at:.1f} ms is over in {1e3 * duration:.2g} ms, shorter than half a period of the "
                 f"cut-off of {cutoff:.3g} Hz ({500 / cutoff:.2g} ms): a plain low-pass smears it"
             )
-    return said
+    return warnings

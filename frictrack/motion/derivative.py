@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, sensor_weights
+from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
 from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.methods import FilterMethod, interpolate_missing
-from frictrack.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
-from frictrack.motion.record_windows import MAX_WHOLE_FRAMES
+from frictrack.motion.smoother import (
+    MAX_WHOLE_FRAMES,
+    FactoredSmoother,
+    SmootherData,
+    Structure,
+    added_variance,
+    deviations,
+    line_frequency_errors,
+    mean_shift,
+    weighted_cubic,
+)
 from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
-from frictrack.motion.structure import Structure
-from frictrack.motion.structure_average import added_variance, mean_shift
-from frictrack.motion.system import FactoredSmoother, SmootherData
 from frictrack.records import Array, Filtered, Mask, Motion
 
 COLUMNS_AT_ONCE = 256  # columns at once
@@ -38,8 +44,8 @@ def differentiate(filtered: Filtered) -> Motion:
     of_x = Derivatives.of_x(filtered)
     values, sigma = of_x.values(), of_x.deviations()
     sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
-    shaken = of_x.shaken(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
-    sigma = np.hypot(sigma, shaken)
+    shake_errors = of_x.shake_errors(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
+    sigma = np.hypot(sigma, shake_errors)
     a_y = sigma_a_y = np.full(len(filtered), np.nan)
     if np.isfinite(filtered.cutoff_y):
         of_y = Derivatives.of_y(filtered)
@@ -59,7 +65,7 @@ def differentiate(filtered: Filtered) -> Motion:
         cutoff=filtered.cutoff,
         events=filtered.events,
         lines=filtered.lines,
-        shake_a=float(np.sqrt(np.mean(shaken[2] ** 2))),
+        shake_a=float(np.sqrt(np.mean(shake_errors[2] ** 2))),
     )
 
 
@@ -90,18 +96,18 @@ class Derivatives:
     w: Array  # weights on the grid
     noise: float  # m, of a frame of weight 1
     smoother: Smoother
-    worth: Array | None = None  # weights of the second differences that a sensor knew
+    sensor_weights: Array | None = None  # weights of the second differences that a sensor knew
     measured: Array | None = None  # the unfiltered series on the grid, where a method derives from that
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
         """X."""
-        made = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
-        if filtered.sigma_sensor is None or made.smoother.method:
-            return made
-        sigma = made.grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
-        worth = sensor_weights(sigma, made.grid.interval**2, made.noise)
-        return replace(made, worth=worth)
+        result = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
+        if filtered.sigma_sensor is None or result.smoother.method:
+            return result
+        sigma = result.grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
+        weights = sensor_weights(sigma, result.grid.interval**2, result.noise)
+        return replace(result, sensor_weights=weights)
 
     @classmethod
     def of_y(cls, filtered: Filtered) -> Derivatives:
@@ -109,8 +115,8 @@ class Derivatives:
         return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
 
     @classmethod
-    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derivatives:
-        x, sigma, smoother, measured = columns
+    def _of(cls, filtered: Filtered, unit_responses: tuple[Array, Array, str, Array | None]) -> Derivatives:
+        x, sigma, smoother, measured = unit_responses
         grid = frame_grid(filtered.t)
         known = sigma < MISSING_SIGMA
         noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
@@ -121,25 +127,27 @@ class Derivatives:
     def values(self) -> Array:
         """Derivatives of order 0, 1, 2 of the rows (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
-            return self._by(self.smoother.method, interpolate_missing(self.measured, self.w > 0))[:, self.grid.frames]
-        return stencil_derivatives(self._whole(), self.grid.interval)[:, self.grid.frames]
+            return self._apply_method(self.smoother.method, interpolate_missing(self.measured, self.w > 0))[
+                :, self.grid.frames
+            ]
+        return stencil_derivatives(self._on_grid(), self.grid.interval)[:, self.grid.frames]
 
-    def _by(self, method: FilterMethod, y: Array) -> Array:
+    def _apply_method(self, method: FilterMethod, y: Array) -> Array:
         """Derivatives (3, N, ...) of columns (N, ...) by a method."""
         return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
 
     def deviations(self) -> Array:
         """Standard deviations of the same (3, n)."""
         if self.smoother.method is None:
-            best, more = self._averaged()
+            best, more = self._average_structure()
             spread = np.hypot(self.noise * deviations(self.factor, best, self.noise, self.grid.interval), more)
         else:
-            spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
+            spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost_signal(self.smoother.method) ** 2)
         return spread[:, self.grid.frames]
 
-    def _averaged(self) -> tuple[Array, Array]:
+    def _average_structure(self) -> tuple[Array, Array]:
         """Rows (N,) of the best structure alone, and the standard deviations (3, N) that the others add."""
-        whole, groups = self._whole(), self.smoother.alternatives
+        whole, groups = self._on_grid(), self.smoother.alternatives
         if not groups or self.measured is None or self.smoother.structure is None:
             return whole, np.zeros((3, len(whole)))
         cubic = weighted_cubic(self.measured, self.w)
@@ -149,27 +157,29 @@ class Derivatives:
         more = added_variance(data, self.smoother.structure, groups, self.grid.interval)
         return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
-    def shaken(self, frequency: float, size: float) -> Array:
+    def shake_errors(self, frequency: float, size: float) -> Array:
         """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
         angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
-        feigned = self.feigned(size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames])
-        return np.asarray(np.sqrt(np.sum(feigned**2, axis=2)))
+        apparent_motion = self.apparent_motion(
+            size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
+        )
+        return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
 
-    def feigned(self, ghosts: Array) -> Array:
+    def apparent_motion(self, ghosts: Array) -> Array:
         """What displacements (n, k), m, that are none would feign in x, v and a (3, n, k)."""
         whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
         if self.smoother.method is not None:
-            return self._by(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
+            return self._apply_method(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
         smooth = self.factor.smooth(whole)
-        made = np.stack([stencil_derivative(smooth, k) / self.grid.interval**k for k in range(3)])
-        return np.asarray(made[:, self.grid.frames])
+        result = np.stack([stencil_derivative(smooth, k) / self.grid.interval**k for k in range(3)])
+        return np.asarray(result[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
         """Covariance (m, m) of the derivative of an order among rows (m,)."""
         if self.smoother.method is not None:
-            passed = [b[order, self.grid.frames[rows]] * s for b, s in self.columns(self.smoother.method)]
-            every = np.concatenate(passed, axis=1)
-            return every @ every.T
+            passed = [b[order, self.grid.frames[rows]] * s for b, s in self.unit_responses(self.smoother.method)]
+            factors = np.concatenate(passed, axis=1)
+            return factors @ factors.T
         start, table = stencils(self.grid.n, self.grid.interval)
         frames = self.grid.frames[rows]
         nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
@@ -177,8 +187,8 @@ class Derivatives:
         pick = np.zeros((len(rows), len(use)))
         np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
         found = pick @ self.factor.covariance(use)[use] @ pick.T
-        for turned in line_frequency_errors(self.factor, self._whole(), self.grid.interval):
-            found += np.outer(turned[order, frames], turned[order, frames])
+        for error in line_frequency_errors(self.factor, self._on_grid(), self.grid.interval):
+            found += np.outer(error[order, frames], error[order, frames])
         scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
         out: Array = found * np.outer(scale, scale)
         return out
@@ -192,10 +202,10 @@ class Derivatives:
     def factor_smoother(self, structure: Structure) -> FactoredSmoother:
         """Another structure with the same weights."""
         return structure.factor_smoother(
-            SmootherData(np.zeros(self.grid.n), self.w, None, self.worth, self.smoother.colour)
+            SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
         )
 
-    def _whole(self) -> Array:
+    def _on_grid(self) -> Array:
         """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""
         if self.grid.n == len(self.x):
             return self.x
@@ -206,24 +216,26 @@ class Derivatives:
             np.where(w > 0, y - cubic, 0.0)
         )
 
-    def columns(self, method: FilterMethod) -> Iterator[tuple[Array, Array]]:
+    def unit_responses(self, method: FilterMethod) -> Iterator[tuple[Array, Array]]:
         """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""
         frames = np.flatnonzero(self.w > 0)
         for part in np.array_split(frames, -(-len(frames) // COLUMNS_AT_ONCE)):
             unit = np.zeros((self.grid.n, len(part)))
             unit[part, np.arange(len(part))] = 1.0
-            yield self._by(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
+            yield self._apply_method(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
 
     def _passed_noise(self, method: FilterMethod) -> Array:
         """Variance of the derivatives (3, N) by the noise that passes."""
-        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.columns(method)], axis=0)
+        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.unit_responses(method)], axis=0)
         return out
 
-    def _lost(self, method: FilterMethod) -> Array:
+    def _lost_signal(self, method: FilterMethod) -> Array:
         """Signal that was taken from the derivatives (3, N), as filtering once more shows it, over a period round."""
-        whole = self._whole()
+        whole = self._on_grid()
         assert self.measured is not None
-        taken = self._by(method, interpolate_missing(self.measured, self.w > 0)) - self._by(method, whole)
+        taken = self._apply_method(method, interpolate_missing(self.measured, self.w > 0)) - self._apply_method(
+            method, whole
+        )
         reach = min(max(int(1 / method.cutoff), 1) | 1, (self.grid.n - 1) | 1)
         padded = np.pad(taken**2, ((0, 0), (reach // 2, reach // 2)), mode="reflect")
         return np.sqrt(np.stack([np.convolve(row, np.full(reach, 1 / reach), "valid") for row in padded]))
@@ -244,11 +256,11 @@ def _guard_frames(sigma_a: Array, period: float) -> int:
     The deviations of a long record differ along it: each end is judged against its own eighth.
     """
     n = len(sigma_a)
-    own = n if n <= MAX_WHOLE_FRAMES else n // 8
-    ragged = max(_uncertain_frames(sigma_a, own), _uncertain_frames(sigma_a[::-1], own))
+    window = n if n <= MAX_WHOLE_FRAMES else n // 8
+    ragged = max(_uncertain_frames(sigma_a, window), _uncertain_frames(sigma_a[::-1], window))
     return int(min(max(np.ceil(period / 2.0), ragged), n // 8))
 
 
-def _uncertain_frames(sigma_a: Array, own: int) -> int:
-    """Frames at the beginning whose deviation exceeds twice the usual one of the first `own`."""
-    return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:own]))[0])
+def _uncertain_frames(sigma_a: Array, window: int) -> int:
+    """Frames at the beginning whose deviation exceeds twice the usual one of the first `window`."""
+    return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:window]))[0])

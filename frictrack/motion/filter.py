@@ -11,16 +11,27 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.correlated import CorrelatedNoise, suspected_noise
+from frictrack.motion.filter_methods import METHODS, FilterMethod, interpolate_missing
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
-from frictrack.motion.methods import METHODS, FilterMethod, interpolate_missing
-from frictrack.motion.posterior_deviations import weighted_cubic
-from frictrack.motion.record_windows import MAX_WHOLE_FRAMES, find_structure, window_data
+from frictrack.motion.noise import CorrelatedNoise, suspected_noise
+from frictrack.motion.smoother import (
+    MAX_WHOLE_FRAMES,
+    TREND_ORDER,
+    ChangeGroup,
+    Event,
+    NoiseColour,
+    SmootherData,
+    Structure,
+    StructureSearch,
+    alternatives,
+    cutoff_of,
+    find_structure,
+    mean_shift,
+    weighted_cubic,
+    window_data,
+)
 from frictrack.motion.stencil import stencil_derivatives
-from frictrack.motion.structure import Event, Structure, StructureSearch
-from frictrack.motion.structure_average import ChangeGroup, alternatives, mean_shift
-from frictrack.motion.system import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING_SIGMA = float("inf")  # m, standard deviation of a frame that was not measured
@@ -102,10 +113,10 @@ def low_pass(
     _check_cutoff(cutoff, grid)
     _check_method(method, cutoff)
     rounded = bool(displacement.resolution)
-    along = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
-    along.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
-    x = along.low_passed(cutoff, method, acceleration)
-    y = _LowPassed.nothing(len(known))
+    coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
+    coordinate.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
+    x = coordinate.low_passed(cutoff, method, acceleration)
+    y = _LowPassed.unmeasured(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
         y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(cutoff, method, None)
@@ -124,31 +135,31 @@ def low_pass(
         smoother=x.smoother,
         smoother_y=y.smoother,
         reason=x.reason,
-        events=tuple(_rows(e, grid) for e in x.events),
+        events=tuple(_event_rows(e, grid) for e in x.events),
         shake=displacement.shake,
         lines=x.lines,
     )
 
 
-def _quiet_stretch(motion: Array, known: Mask, cutoff: float) -> slice:
+def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
     """The longest stretch of a motion (3, n) in which nothing violent happens; half a period of the cut-off apart."""
     v, a = np.abs(motion[1:])
     moving = known & (v > MIN_SPEED_SHARE * np.max(v[known]))
-    violent = known & (a > VIOLENT_RATIO * np.median(a[moving]))
-    if not violent.any():
+    is_violent = known & (a > VIOLENT_RATIO * np.median(a[moving]))
+    if not is_violent.any():
         return slice(0, len(v))
     reach = int(np.ceil(0.5 / cutoff)) + 1
-    edges = np.flatnonzero(np.convolve(violent, np.ones(2 * reach + 1), mode="same") > 0)
+    edges = np.flatnonzero(np.convolve(is_violent, np.ones(2 * reach + 1), mode="same") > 0)
     bounds = np.concatenate([[-1], edges, [len(v)]])
     k = int(np.argmax(np.diff(bounds)))
     return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
 
 
-def _rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
+def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
     """First and last row of an event: those in the middle of its differences."""
     first, last = np.searchsorted(grid.frames, [e.first + TREND_ORDER // 2, e.last + TREND_ORDER // 2])
-    most = len(grid.frames) - 1
-    return min(int(first), most), min(int(last), most)
+    last_row = len(grid.frames) - 1
+    return min(int(first), last_row), min(int(last), last_row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +176,7 @@ class _LowPassed:
     measured: Array | None = None
 
     @classmethod
-    def nothing(cls, n: int) -> _LowPassed:
+    def unmeasured(cls, n: int) -> _LowPassed:
         """Of a coordinate that was not measured."""
         return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
 
@@ -183,67 +194,67 @@ class _Coordinate:
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _LowPassed:
         """By a method, at a cut-off where one is asked for."""
         interval = self.grid.interval
-        growth = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
-        plain = growth.stiff
-        level = float(np.sqrt(plain.factor_smoother(growth.data).restricted_likelihood()[1]))
-        best = cutoff_of(float(np.exp(plain.stiffness[0])), interval)
+        search = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
+        stiff = search.stiff
+        level = float(np.sqrt(stiff.factor_smoother(search.data).restricted_likelihood()[1]))
+        best = cutoff_of(float(np.exp(stiff.stiffness[0])), interval)
         if method in METHODS:
-            return self._by(METHODS[method].fit(interpolate_missing(self.y, self.w > 0), level), level)
+            return self._apply_method(METHODS[method].fit(interpolate_missing(self.y, self.w > 0), level), level)
         if acceleration is not None:
-            growth = StructureSearch(self._sensed(acceleration, level))
+            search = StructureSearch(self._with_sensor(acceleration, level))
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), describe_given_cutoff(cutoff, best)
         else:
-            structure, growth.data = self._parted(growth.data, method)
-            reason = describe_structure(structure, len(self.y), interval, growth.data.colour)
-        factor = structure.factor_smoother(growth.data)
+            structure, search.data = self._select_structure(search.data, method)
+            reason = describe_structure(structure, len(self.y), interval, search.data.colour)
+        factor = structure.factor_smoother(search.data)
         _, variance, unknowns = factor.restricted_likelihood()
         signal = factor.signal(unknowns)
         groups: tuple[ChangeGroup, ...] = ()
         if cutoff is None and method == STRUCTURAL and acceleration is None:
-            groups = alternatives(growth.data, structure)
-            signal = signal + mean_shift(growth.data, structure, groups)
+            groups = alternatives(search.data, structure)
+            signal = signal + mean_shift(search.data, structure, groups)
         if cutoff is None:
             level = float(np.sqrt(variance))
             best = self._slide_cutoff(signal, best)
         return replace(
-            self._passed(signal, level, cutoff or best),
-            smoother=str(Smoother(structure, None, groups, growth.data.colour)),
+            self._result(signal, level, cutoff or best),
+            smoother=str(Smoother(structure, None, groups, search.data.colour)),
             measured=self._measured() if groups else None,
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
 
-    def _parted(self, data: SmootherData, method: str) -> tuple[Structure, SmootherData]:
+    def _select_structure(self, data: SmootherData, method: str) -> tuple[Structure, SmootherData]:
         """The structure of the highest likelihood, the noise white or correlated."""
-        colour = self._suspicion(data)
+        colour = self._suspected_colour(data)
         if colour is None:
-            return _likeliest_structure(data, method), data
-        part = self._sample(data)
+            return _select_by_likelihood(data, method), data
+        part = self._longest_window(data)
         suspected = replace(part, colour=colour)
-        colour = _likeliest_colour(suspected, StructureSearch(suspected).stiff)
-        kinds = [replace(part, colour=c) for c in (None, colour)]
-        made = min(
-            ((_likeliest_structure(kind, method), kind) for kind in kinds),
+        colour = _fit_colour(suspected, StructureSearch(suspected).stiff)
+        candidates = [replace(part, colour=c) for c in (None, colour)]
+        best_pair = min(
+            ((_select_by_likelihood(kind, method), kind) for kind in candidates),
             key=lambda m: StructureSearch(m[1]).penalised_loss(m[0]),
         )
-        made = made[0], replace(part, colour=_likeliest_colour(made[1], made[0]))
+        best_pair = best_pair[0], replace(part, colour=_fit_colour(best_pair[1], best_pair[0]))
         if len(part.w) == len(data.w):
-            return made
-        data = replace(data, colour=made[1].colour)
-        return _likeliest_structure(data, method), data
+            return best_pair
+        data = replace(data, colour=best_pair[1].colour)
+        return _select_by_likelihood(data, method), data
 
-    def _suspicion(self, data: SmootherData) -> NoiseColour | None:
+    def _suspected_colour(self, data: SmootherData) -> NoiseColour | None:
         """Correlated noise that the spectrum of the longest stretch without a missing frame suggests."""
-        if data.colour or data.worth is not None or self.rounded:
+        if data.colour or data.second_difference_weights is not None or self.rounded:
             return None
-        return _noise_colour(suspected_noise(self.y[_longest(self.w)]))
+        return _noise_colour(suspected_noise(self.y[_longest_measured_span(self.w)]))
 
-    def _sample(self, data: SmootherData) -> SmootherData:
+    def _longest_window(self, data: SmootherData) -> SmootherData:
         """The data, or as much of them as is taken as a whole, in their longest stretch without a missing frame."""
-        stretch = _longest(self.w)
-        first = max(min((stretch.start + stretch.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
+        span = _longest_measured_span(self.w)
+        first = max(min((span.start + span.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
         return (
             window_data(data, first, min(first + MAX_WHOLE_FRAMES, len(self.w))) or data
             if len(self.w) > MAX_WHOLE_FRAMES
@@ -252,21 +263,21 @@ class _Coordinate:
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
-        quiet = _quiet_stretch(
+        span = _longest_quiet_span(
             stencil_derivatives(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval
         )
-        if np.sum(self.w[quiet] > 0) < max(MIN_FRAMES_FOR_CUTOFF, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
+        if np.sum(self.w[span] > 0) < max(MIN_FRAMES_FOR_CUTOFF, 0.1 * len(self.w)) or span == slice(0, len(self.w)):
             return best
-        w = self.w[quiet]
-        y, _ = _without_cubic((self.y + self.trend)[quiet], w)
+        w = self.w[span]
+        y, _ = _without_cubic((self.y + self.trend)[span], w)
         return cutoff_of(
             float(np.exp(StructureSearch(SmootherData(y, w, colour=self.colour)).stiff.stiffness[0])),
             self.grid.interval,
         )
 
-    def _by(self, method: FilterMethod, level: float) -> _LowPassed:
+    def _apply_method(self, method: FilterMethod, level: float) -> _LowPassed:
         cutoff = method.cutoff / self.grid.interval
-        passed = self._passed(method.derived(interpolate_missing(self.y, self.w > 0), 0), level, cutoff)
+        passed = self._result(method.derived(interpolate_missing(self.y, self.w > 0), 0), level, cutoff)
         measured = self._measured()
         reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
         return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
@@ -275,21 +286,23 @@ class _Coordinate:
         """The unfiltered rows."""
         return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
-    def _passed(self, smooth: Array, level: float, cutoff: float) -> _LowPassed:
+    def _result(self, smooth: Array, level: float, cutoff: float) -> _LowPassed:
         frames = self.grid.frames
         sigma = np.full(len(frames), MISSING_SIGMA)
         sigma[self.known] = level / np.sqrt(self.w[frames][self.known])
         return _LowPassed((smooth + self.trend)[frames], sigma, cutoff)
 
-    def _sensed(self, acceleration: KnownAcceleration, level: float) -> SmootherData:
+    def _with_sensor(self, acceleration: KnownAcceleration, level: float) -> SmootherData:
         """With what a sensor knew, as second differences of what is left beside the cubic."""
         square = self.grid.interval**2
-        bent = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
+        second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.to_frames(_sensor_sigma(acceleration, len(self.known)), MISSING_SIGMA)[1:-1]
-        return SmootherData(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
+        return SmootherData(
+            self.y, self.w, np.nan_to_num(second_differences), sensor_weights(sigma, square, level), self.colour
+        )
 
 
-def _likeliest_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
+def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
     """The noise of the highest likelihood beside a structure, begun at that of the data."""
     if data.colour is None:
         return None
@@ -308,14 +321,14 @@ def _likeliest_colour(data: SmootherData, structure: Structure) -> NoiseColour |
     return colour(found.x)
 
 
-def _longest(w: Array) -> slice:
+def _longest_measured_span(w: Array) -> slice:
     """The longest stretch of frames that were all measured."""
     gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
     k = int(np.argmax(np.diff(gaps)))
     return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
 
 
-def _likeliest_structure(data: SmootherData, method: str) -> Structure:
+def _select_by_likelihood(data: SmootherData, method: str) -> Structure:
     """The structure of the highest likelihood of data from which a cubic was taken out."""
     return (
         StructureSearch(data).stiff if method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF else find_structure(data)

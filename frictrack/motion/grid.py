@@ -1,4 +1,4 @@
-"""The regular grid of frames under a record whose rows may leave frames out."""
+"""Find the regular grid of frames of a record with missing frames."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
-MAX_UNEVENNESS = 0.01  # of the frame interval; time stamps may be off by this much
-MAX_FRAMES_PER_ROW = 100  # a record with more missing frames has a wrong time stamp
+MAX_UNEVENNESS = 0.01  # error of a time stamp over the frame interval
+MAX_FRAMES_PER_ROW = 100  # with more missing frames a time stamp must be wrong
 
 
 @dataclass(frozen=True)
 class FrameGrid:
-    """Frame number of every row (n,), from 0, and the frame interval in s."""
+    """Frame number of each row (n,), from 0, and the frame interval (s)."""
 
     frames: NDArray[np.int64]
     interval: float
@@ -27,17 +27,35 @@ class FrameGrid:
         return int(self.frames[-1]) + 1
 
     def to_frames(self, column: Array, empty: float = 0.0) -> Array:
-        """Put a column of rows on the grid, `empty` where no row is."""
+        """Put a column of rows (n,) on the grid; missing frames get `empty`."""
         out = np.full(self.n, empty)
         out[self.frames] = column
         return out
 
 
 def frame_grid(t: Array) -> FrameGrid:
-    """Find the frame number of every time stamp (n,), in s.
+    """Find the frame number of each time stamp.
 
-    Raises FrictrackError when an interval is no whole multiple (within 1 %) of the usual one, or is so long
-    that the time stamp must be wrong.
+    Parameters
+    ----------
+    t
+        Time stamps, s, (n,), increasing.
+
+    Returns
+    -------
+    FrameGrid
+        Frame numbers and frame interval.
+
+    Raises
+    ------
+    FrictrackError
+        If an interval is not a multiple (within 1 %) of the usual one, or so long that a time stamp must be wrong.
+
+    Examples
+    --------
+    >>> frame_grid(np.array([0.0, 0.1, 0.2, 0.4])).frames.tolist()
+    [0, 1, 2, 4]
+
     """
     gaps = np.diff(t) / np.median(np.diff(t))
     steps = np.rint(gaps)

@@ -1,4 +1,4 @@
-"""An acceleration that is known beside the camera: what a sensor says, once it is on the camera's clock and scale."""
+"""An acceleration measured by a sensor, after conversion to the clock and scale of the camera."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ from frictrack.records import Array
 
 @dataclass(frozen=True, eq=False)
 class KnownAcceleration:
-    """Acceleration `a` (n,) in m/s^2 at the frames, NaN where unknown, and its white noise `sigma` there.
+    """Acceleration at the frames, as a mean over one frame interval.
 
-    A value is the mean over one frame interval; the noise of neighbouring frames is taken as independent.
+    Attributes
+    ----------
+    a
+        Acceleration, m/s^2, (n,); NaN where unknown.
+    sigma
+        Standard deviation of its white noise, m/s^2, one number or (n,).
+
     """
 
     a: Array
     sigma: float | Array
 
     def rows(self, part: slice) -> KnownAcceleration:
-        """The same at some of the frames."""
+        """The same for a part of the frames."""
         sigma = self.sigma if np.ndim(self.sigma) == 0 else np.asarray(self.sigma)[part]
         return KnownAcceleration(self.a[part], sigma)

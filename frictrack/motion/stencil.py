@@ -1,4 +1,4 @@
-"""Central differences: five points inside, six at the ends, exact for polynomials of fourth order throughout."""
+"""Compute derivatives by finite differences: five points inside, six at the ends, exact up to fourth order."""
 
 from __future__ import annotations
 
@@ -9,26 +9,46 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 
-STENCIL_FRAMES = 6  # frames a stencil may take
-STENCIL_REACH = 2  # frames that it looks to either side
+STENCIL_FRAMES = 6  # at most in a stencil
+STENCIL_REACH = 2  # frames on either side of a central stencil
 
 
 def stencils(n: int, interval: float) -> tuple[NDArray[np.int64], Array]:
-    """First frame (n,) and weights (3, n, STENCIL_FRAMES) of the stencils of order 0, 1, 2 of all frames."""
+    """Stencils of the derivatives of order 0, 1 and 2 in all frames.
+
+    Parameters
+    ----------
+    n
+        Number of frames, at least 6.
+    interval
+        Frame interval, s.
+
+    Returns
+    -------
+    tuple of arrays
+        First frame of each stencil, (n,), and weights, (3, n, 6).
+
+    Examples
+    --------
+    >>> start, weights = stencils(8, 1.0)
+    >>> int(start[4]), (12 * weights[2, 4, :5]).round(9).tolist()
+    (2, [-1.0, 16.0, -30.0, 16.0, -1.0])
+
+    """
     frame = np.arange(n)
     start = np.clip(frame - STENCIL_REACH, 0, n - STENCIL_FRAMES)
     return start, _table()[:, frame - start] / interval ** np.arange(3.0)[:, None, None]
 
 
 def stencil_derivatives(y: Array, interval: float) -> Array:
-    """Derivatives of order 0, 1, 2 (3, n) of a series (n,)."""
+    """Derivatives of order 0, 1 and 2, (3, n), of a series (n,) with a frame interval (s)."""
     start, table = stencils(len(y), interval)
     out: Array = np.sum(table * y[start[:, None] + np.arange(STENCIL_FRAMES)], axis=-1)
     return out
 
 
 def stencil_derivative(y: Array, order: int) -> Array:
-    """Derivative of an order of columns (n, ...), per frame."""
+    """Derivative of one order of columns (n, ...), per frame."""
     start, table = stencils(len(y), 1.0)
     out: Array = np.einsum("nk,nk...->n...", table[order], y[start[:, None] + np.arange(STENCIL_FRAMES)])
     return out
@@ -36,12 +56,12 @@ def stencil_derivative(y: Array, order: int) -> Array:
 
 @lru_cache(maxsize=1)
 def _table() -> Array:
-    """Weights (3, STENCIL_FRAMES, STENCIL_FRAMES) of the derivatives at every node."""
+    """Weights (3, STENCIL_FRAMES, STENCIL_FRAMES) of the derivatives at each node."""
     return np.array([[_stencil(p, order) for p in range(STENCIL_FRAMES)] for order in range(3)])
 
 
 def _stencil(place: int, order: int) -> Array:
-    """Weights (STENCIL_FRAMES,) of the derivative at node `place`; five nodes where these lie symmetric about it."""
+    """Weights (STENCIL_FRAMES,) of the derivative at node `place`; five nodes where they are symmetric about it."""
     m = STENCIL_FRAMES - 1 if place == STENCIL_REACH else STENCIL_FRAMES
     powers = np.vander(np.arange(m) - float(place), increasing=True).T
     wanted = np.array([1.0, 1.0, 2.0])[order] * (np.arange(m) == order)

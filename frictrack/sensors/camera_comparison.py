@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.motion.known_acceleration import KnownAcceleration
+from frictrack.motion import KnownAcceleration
 from frictrack.records import GRAVITY, Array
 from frictrack.sensors.alignment import (
     ALPHA_WHITENESS,

@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from frictrack.fit.segments.pieces import MIN_FRAMES, Piece
-from frictrack.motion.filter import frame_weights
-from frictrack.motion.grid import frame_grid
-from frictrack.motion.stencil import STENCIL_FRAMES, stencils
-from frictrack.motion.structure import Structure
-from frictrack.motion.system import FactoredSmoother, SmootherData
+from frictrack.motion import STENCIL_FRAMES, frame_grid, frame_weights, stencils
+from frictrack.motion.smoother import FactoredSmoother, SmootherData, Structure
 from frictrack.records import Array, Mask, Run
 
 
@@ -64,7 +61,7 @@ def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
     )
     start, table = stencils(grid.n, grid.interval)
     noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
-    spread = noise * np.sqrt(smoother.passed(start, table[2:]))[0]
+    spread = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
     columns = (start[kept, None] + np.arange(STENCIL_FRAMES)).ravel()
     second = csr_array(
         (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), STENCIL_FRAMES), columns)), shape=(len(kept), grid.n)

@@ -1,8 +1,8 @@
-"""White noise of a displacement series from its fifth differences, whatever the slow signal under it.
+"""Estimate the white noise of a displacement series from its fifth differences, which contain little slow signal.
 
 For white noise of variance s^2 the differences of order k have the variance C(2k, k) s^2 and the autocorrelations
-(-1)^j C(2k, k + j) / C(2k, k); a signal of frequency f enters them with (2 sin(pi f / fs))^k only. Third differences
-would do with shorter stretches and know the noise a little better, but still see jerks and the ripple of a tracker.
+(-1)^j C(2k, k + j) / C(2k, k); a signal of frequency f enters them with (2 sin(pi f / fs))^k. Third differences need
+shorter stretches and give a slightly more precise estimate, but contain jerks and the ripple of a tracker.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from frictrack.records import Array, Mask
 
 DIFFERENCE_ORDER = 5
-FALLBACK_ORDER = 3  # where missing frames leave less than half of what third differences would have
-OUTLIER_SIGMAS = 6.0  # robust deviations beyond which a difference belongs to an impact, not to the noise
-MIN_HALF_WAVE_FRAMES = 4  # frames in half a wave of what changes slowly
-MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
+FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
+OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
+MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
+MEDIAN_TO_SIGMA = 1.4826022  # standard deviation of a Gaussian over its median absolute value
 
 
 def difference_variance(order: int) -> float:
-    """Variance of the differences of unit white noise."""
+    """Variance of the differences of unit white noise, C(2k, k)."""
     return float(comb(2 * order, order))
 
 
 def correlation_cost(order: int) -> float:
-    """What their correlations cost in degrees of freedom: the sum of the squared correlations at all lags."""
+    """Sum of the squared autocorrelations of the differences: frames per degree of freedom."""
     return comb(4 * order, 2 * order) / comb(2 * order, order) ** 2
 
 
@@ -34,22 +34,42 @@ CORRELATION_COST = correlation_cost(DIFFERENCE_ORDER)  # 2.91
 
 
 def slow_spectrum(n: int) -> Array:
-    """Sizes of the first cosines (orthonormal, the constant left out) of what n frames are off by slowly, rms one.
+    """Amplitudes of a slow error of unit rms in the first cosines of n frames (orthonormal, without the constant).
 
-    It is as large in every octave from a few frames to the whole piece: it has no time of its own.
+    The error has equal power in each octave from a few frames to the whole piece.
     """
     k = np.arange(1, max(n // MIN_HALF_WAVE_FRAMES, 2))
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
 def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[Array, Array]:
-    """Standard deviation of the white noise in x, and the relative standard deviation of that estimate.
+    """Estimate the standard deviation of the white noise of a series.
 
-    `x` (n,) or (n, B) at evenly spaced frames, in any unit; `valid` (n,). Both results are of shape (B,), or
-    scalars. With `relative` (n,) deviations of the frames, it is that of a frame in which they are one. From m fifth
-    differences, var(s^2) / s^4 = 2 * 2.91 / m, hence half of its root for s.
-    Differences over a missing frame, and those that an impact makes stand out, are left out. NaN where fewer than four
-    neighbouring frames are valid.
+    Differences over a missing frame, and outliers by an impact, are left out. From m fifth differences,
+    var(s^2) / s^4 = 2 * 2.91 / m, and half of its root for s.
+
+    Parameters
+    ----------
+    x
+        Values at evenly spaced frames in any unit, (n,) or (n, B).
+    valid
+        Frames that were measured, (n,).
+    relative
+        Relative standard deviations of the frames, (n,); the result then is that of a frame where they are 1.
+
+    Returns
+    -------
+    tuple of arrays
+        Standard deviation, and its relative standard deviation, both (B,) or scalars. NaN if fewer than four
+        neighbouring frames are valid.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal(5000)
+    >>> sigma, _ = noise_level(np.linspace(0.0, 50.0, 5000) ** 2 + noise, np.ones(5000, dtype=bool))
+    >>> 0.95 < float(sigma) < 1.05
+    True
+
     """
     order = difference_order(
         *(int(np.sum(_complete_differences(valid, k))) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
@@ -66,24 +86,24 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[A
 
 
 def difference_order(many: int, few: int) -> int:
-    """Order of the differences where so many of order `DIFFERENCE_ORDER` and `FALLBACK_ORDER` have all their frames."""
+    """Order of differences to use, from the numbers of complete ones of `DIFFERENCE_ORDER` and `FALLBACK_ORDER`."""
     return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
 
 
 def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
-    """Differences (n - order, ...) and which of them have all their frames."""
+    """Differences (n - order, ...), and a mask of those without a missing frame."""
     filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
     return np.diff(filled, order, axis=0), _complete_differences(valid, order)
 
 
 def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
-    """Standard deviation of the differences (n - order,) of independent noise of these relative deviations."""
+    """Standard deviation of the differences (n - order,) of independent noise with relative standard deviations."""
     size = np.ones(len(valid)) if relative is None else np.where(valid, relative, 1.0)
     weights = np.array([float(comb(order, k)) for k in range(order + 1)])
     return np.sqrt(np.convolve(size**2, weights**2, mode="valid"))
 
 
 def _complete_differences(valid: Mask, order: int) -> Mask:
-    """Which differences have all their frames."""
+    """Mask of the differences without a missing frame."""
     count = max(len(valid) - order, 0)
     return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))

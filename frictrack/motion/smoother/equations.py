@@ -1,16 +1,16 @@
-"""The equations of a structural smoother: a trend, lines, and noise (Harvey 1989, Forecasting, ch. 4).
+"""The equations of a structural smoother: a trend, lines and noise (Harvey 1989, Forecasting, ch. 4).
 
     minimise    sum_i w_i (y_i - x_i - sum_k z_ki)^2  +  sum_j lambda_j (D x)_j^2  +  sum_k mu_k sum_j (D_k z_k)_j^2
 
-D is the fourth difference, D_k = 1 - 2 cos(omega_k) B + B^2 the difference that a sine of frequency omega_k obeys. What
-a difference leaves at zero passes free: cubics, and sines of any amplitude and phase. Without lines and with one lambda
-this is the smoother of Whittaker (1923) and Henderson (1924), away from the ends the zero-phase Butterworth filter of
-order 4, |H(f)| = 1 / (1 + lambda (2 sin(pi f / fs))^8); unlike that filter it needs no padding, has no end transient
-and takes a missing frame as a weight of zero. It is also the posterior mean of a signal whose differences are white
-noise, the one that Kalman's filter and Rauch, Tung and Striebel's smoother find by recursion: hence a likelihood
-(restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance. Noise that is correlated from frame to
-frame is one more component c, which no frame tells from x but its own difference, c_j - rho c_(j-1), and which is no
-part of the signal (Harvey 1989, ch. 3).
+D is the fourth difference; D_k = 1 - 2 cos(omega_k) B + B^2 is the difference that a sine of frequency omega_k obeys.
+What a difference maps to zero is not penalised: cubics, and sines of any amplitude and phase. Without lines and with
+one lambda this is the smoother of Whittaker (1923) and Henderson (1924). Away from the ends it equals the zero-phase
+Butterworth filter of order 4, |H(f)| = 1 / (1 + lambda (2 sin(pi f / fs))^8). Unlike that filter it needs no padding,
+has no end transient and treats a missing frame as a weight of zero. It is also the posterior mean of a signal whose
+differences are white noise, which Kalman's filter and the smoother of Rauch, Tung & Striebel (1965) find by recursion.
+Hence it has a likelihood (restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance. Noise that is
+correlated from frame to frame is one more component c with the difference c_j - rho c_(j-1), not part of the signal
+(Harvey 1989, ch. 3).
 """
 
 from __future__ import annotations
@@ -21,155 +21,67 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 from scipy.linalg.lapack import dgbtrf, dgbtrs
-from scipy.signal import lfilter
 
-from frictrack.motion import selected_inverse
+from frictrack.motion.smoother import selected_inverse
+from frictrack.motion.smoother.smoother_data import (
+    NO_LINES,
+    TREND_ORDER,
+    LineParameters,
+    SmootherData,
+    weighted_columns,
+)
 from frictrack.records import Array
 
-FOURTH_DIFFERENCE, SECOND_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])  # differences
-TREND_ORDER = 4  # of the trend's difference, and free numbers of the trend
+FOURTH_DIFFERENCE, SECOND_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])
 BLOCK_FRAMES = 8  # frames per block of the covariance
-LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that parts noise from lost signal
+LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that separates noise from lost signal
 MISSING_WEIGHT = 1e-10  # of a missing frame in the covariance: keeps that of an extrapolation finite
 Index = NDArray[np.int64]
 
 
-def penalty(cutoff: float, interval: float) -> float:
-    """Lambda for which |H(cutoff)| = 1/2; `cutoff` in Hz, frame `interval` in s."""
-    return float((2.0 * np.sin(np.pi * cutoff * interval)) ** (-2 * TREND_ORDER))
-
-
-def cutoff_of(lam: float, interval: float) -> float:
-    """Cut-off in Hz of a lambda; half the frame rate at most."""
-    half = 0.5 * float(lam) ** (-0.5 / TREND_ORDER)
-    return float(np.arcsin(min(half, 1.0)) / np.pi / interval)
-
-
-@dataclass(frozen=True, eq=False)
-class LineParameters:
-    """Frequencies (K,) in radians per frame and penalties mu (K,)."""
-
-    omega: Array
-    mu: Array
-
-
-NO_LINES = LineParameters(np.empty(0), np.empty(0))
-
-
-@dataclass(frozen=True)
-class NoiseColour:
-    """Noise of which a `share` of the variance has a `correlation` from frame to frame; the rest is white."""
-
-    correlation: float
-    share: float
-
-    def spectrum(self, omega: Array) -> Array:
-        """Density at frequencies in radians per frame, one on average."""
-        turned = np.abs(1.0 - self.correlation * np.exp(-1j * omega)) ** 2
-        return np.asarray(1.0 - self.share + self.share * (1.0 - self.correlation**2) / turned)
-
-    @property
-    def shocks(self) -> float:
-        """Variance of c_j - rho c_(j-1) over that of the noise."""
-        return self.share * (1.0 - self.correlation**2)
-
-    def surprise(self, seen: int, n: int) -> float:
-        """What it adds to twice the negative log-likelihood of n frames, so many of them measured."""
-        return float((n - 1) * np.log(self.shocks) + np.log(self.share) + seen * np.log(1.0 - self.share))
-
-    def drawn(self, white: Array, driving: Array) -> Array:
-        """A series of such noise from two white ones (n, ...) of unit variance."""
-        driven = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
-        return np.asarray(np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], driven, axis=0))
-
-
-@dataclass(frozen=True, eq=False)
-class SmootherData:
-    """Positions y (n,) with weights w (n,), 0 where none was measured, and accelerations where a sensor knew them.
-
-    `bent` (n - 2,) are second differences of the position, `worth` (n - 2,) their weights, 0 where there is none.
-    The noise is white where it has no `colour`.
-    """
-
-    y: Array
-    w: Array
-    bent: Array | None = None
-    worth: Array | None = None
-    colour: NoiseColour | None = None
-
-    @property
-    def precision(self) -> Array:
-        """Weights (n,) of the white part of the noise."""
-        return self.w / (1.0 - self.colour.share) if self.colour else self.w
-
-    def probes(self, rng: np.random.Generator, many: int) -> Array:
-        """Series (n, many) of the covariance of the noise, from random signs."""
-        white = rng.choice([-1.0, 1.0], (len(self.w), many))
-        return self.colour.drawn(white, rng.choice([-1.0, 1.0], white.shape)) if self.colour else white
-
-    def whitened(self, y: Array) -> Array:
-        """The inverse covariance of the noise (n, n) times columns y (n, ...), for unit noise."""
-        weighed = _weighted(self.precision, y)
-        if not self.colour:
-            return weighed
-        n, rho, shock = len(self.w), self.colour.correlation, 1.0 / self.colour.shocks
-        banded = np.zeros((3, n))
-        banded[0, 1:] = banded[2, :-1] = -rho * shock
-        banded[1] = self.precision + shock * (1.0 + rho**2 * (np.arange(n) < n - 1))
-        banded[1, 0] += 1.0 / self.colour.share - shock
-        flat = solve_banded((1, 1), banded, weighed.reshape(n, -1)).reshape(weighed.shape)
-        return weighed - _weighted(self.precision, flat)
-
-    @property
-    def count(self) -> int:
-        """Numbers that were measured."""
-        return int(np.sum(self.w > 0)) + (0 if self.worth is None else int(np.sum(self.worth > 0)))
-
-
 class EquationLayout:
-    """The places of all unknowns in the banded equations of n frames and K lines.
+    """Positions of all unknowns in the banded equations of n frames and K lines.
 
-    They are the augmented equations [A, P'; P, -1] [u; s] = [W y; p] with the weighted differences P and what they
-    should be, p: their condition is the square root of that of A + P'P, which a low cut-off would spoil. The unknowns
-    of a frame stand together.
+    The equations are the augmented ones, [A, P'; P, -1] [u; s] = [W y; p], with the weighted differences P and their
+    expected values p. Their condition number is the square root of that of A + P'P, which is large for a low cut-off.
+    The unknowns of one frame are adjacent.
     """
 
-    def __init__(self, n: int, lines: int, sensed: bool, coloured: bool) -> None:
+    def __init__(self, n: int, lines: int, has_sensor: bool, has_colour: bool) -> None:
         self.n, self.k = n, lines
-        # Components and order of every difference.
+        # Components and order of each difference.
         self.terms: list[tuple[tuple[int, ...], int]] = [((0,), TREND_ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
-        if coloured:
+        if has_colour:
             self.terms.append(((lines + 1,), 1))
-        if sensed:
+        if has_sensor:
             self.terms.append((tuple(range(lines + 1)), 2))
-        every = 1 + lines + coloured  # components of the positions
-        keys = [np.arange(n) + 0.01 * k for k in range(every)]
+        n_components = 1 + lines + has_colour  # components of the positions
+        keys = [np.arange(n) + 0.01 * k for k in range(n_components)]
         keys += [np.arange(n - d) + d / 2 + 0.3 + 0.01 * k for k, (_, d) in enumerate(self.terms)]
         order = np.argsort(np.concatenate(keys), kind="stable")
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
         found = np.split(place, np.cumsum([len(k) for k in keys])[:-1])
-        self.components, self.multiplier = found[:every], found[every:]
-        self.frame = self.components[: 1 + lines]  # those of the signal
-        self.size, self.group = len(order), every + len(self.terms)
+        self.components, self.multiplier = found[:n_components], found[n_components:]
+        self.frame = self.components[: 1 + lines]  # components of the signal
+        self.size, self.group = len(order), n_components + len(self.terms)
         steps = [
             int(np.abs(m - self.components[k][i : len(m) + i]).max())
             for (components, d), m in zip(self.terms, self.multiplier, strict=True)
             for k in components
             for i in range(d + 1)
         ]
-        self.band = max([*steps, every - 1])
+        self.band = max([*steps, n_components - 1])
 
     @property
     def block(self) -> int:
-        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
+        """Unknowns per block; the last block must not be short, or trend and line would be degenerate in it."""
         sizes = range(BLOCK_FRAMES * self.group, 2 * BLOCK_FRAMES * self.group)
         return next(b for b in sizes if self.size % b == 0 or self.size % b >= b // 2)
 
     def equations(self, data: SmootherData, w: Array, lam: Array, lines: LineParameters) -> Array:
-        """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in; w of the white noise."""
+        """Equations in LAPACK band storage (3 band + 1, size) for weights w (n,); the top rows are for fill-in."""
         b, colour = self.band, data.colour
         out = np.zeros((3 * b + 1, self.size))
         for row in self.components:
@@ -188,25 +100,38 @@ class EquationLayout:
 
 
 def _differences(data: SmootherData, lam: Array, lines: LineParameters) -> Iterator[tuple[Array | float, Array]]:
-    """Strength of every difference, and its coefficients."""
+    """Yield the strength of each difference and its coefficients."""
     yield np.sqrt(lam), FOURTH_DIFFERENCE
     for omega, mu in zip(lines.omega, lines.mu, strict=True):
         yield np.sqrt(mu), np.array([1.0, -2.0 * np.cos(omega), 1.0])
     if data.colour:
         yield data.colour.shocks**-0.5, np.array([-data.colour.correlation, 1.0])
-    if data.worth is not None:
-        yield np.sqrt(data.worth), SECOND_DIFFERENCE
+    if data.second_difference_weights is not None:
+        yield np.sqrt(data.second_difference_weights), SECOND_DIFFERENCE
 
 
 @lru_cache(maxsize=64)
-def equation_layout(n: int, lines: int, sensed: bool, coloured: bool) -> EquationLayout:
-    """The places for n frames, made once."""
-    return EquationLayout(n, lines, sensed, coloured)
+def equation_layout(n: int, lines: int, has_sensor: bool, has_colour: bool) -> EquationLayout:
+    """Layout for n frames, cached."""
+    return EquationLayout(n, lines, has_sensor, has_colour)
 
 
 @dataclass(frozen=True, eq=False)
 class FactoredSmoother:
-    """The equations of data, penalties lambda (n - 4,) and lines, factored when they are first solved."""
+    """Equations of a smoother, factored at the first solution.
+
+    Attributes
+    ----------
+    layout
+        Positions of the unknowns.
+    data
+        Measurements of n frames.
+    lam
+        Penalties of the trend, (n - 4,).
+    lines
+        Frequencies and penalties of the lines.
+
+    """
 
     layout: EquationLayout
     data: SmootherData
@@ -215,65 +140,78 @@ class FactoredSmoother:
 
     @cached_property
     def _lu(self) -> tuple[Array, Array]:
-        """In LAPACK band storage, and its pivots."""
+        """Factors in LAPACK band storage, and pivots."""
         s = self.layout
         equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
         lu, pivots, _ = dgbtrf(equations, s.band, s.band, overwrite_ab=1)
         return lu, pivots
 
-    def _solve(self, frames: Array, components: list[Index], sensed: Array | None = None) -> Array:
-        """All unknowns (size, ...) for a right-hand side (n, ...) of components, and of the sensor (n - 2, ...)."""
+    def _solve(self, frames: Array, components: list[Index], sensor: Array | None = None) -> Array:
+        """Solve for all unknowns (size, ...): right-hand side (n, ...) of components, (n - 2, ...) of the sensor."""
         s = self.layout
         full = np.zeros((s.size, *frames.shape[1:]))
         for row in components:
             full[row] = frames
-        if sensed is not None:
-            full[s.multiplier[-1]] = sensed
+        if sensor is not None:
+            full[s.multiplier[-1]] = sensor
         out: Array = dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
         return out
 
     def signal(self, unknowns: Array) -> Array:
-        """Trend and lines together (n, ...)."""
+        """Sum of trend and lines, (n, ...)."""
         out: Array = np.sum([unknowns[row] for row in self.layout.frame], axis=0)
         return out
 
     def unknowns(self) -> Array:
-        """The solution for the data (size,)."""
+        """Solution for the data, (size,)."""
         d = self.data
-        sensed = None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent
-        return self._solve(d.precision * d.y, self.layout.components, sensed)
+        if d.second_difference_weights is None or d.second_differences is None:
+            return self._solve(d.precision * d.y, self.layout.components)
+        sensor = np.sqrt(d.second_difference_weights) * d.second_differences
+        return self._solve(d.precision * d.y, self.layout.components, sensor)
 
     def residual(self, unknowns: Array) -> Array:
-        """What of the data (n,) is neither signal nor correlated noise; 0 where there are none."""
+        """Data minus signal and correlated noise, (n,); 0 in missing frames."""
         explained = np.sum([unknowns[row] for row in self.layout.components], axis=0)
         return np.where(self.data.w > 0, self.data.y - explained, 0.0)
 
     def shocks(self) -> Array:
-        """Weighted differences of the trend (n - 4,): what shakes it."""
+        """Weighted fourth differences of the trend, (n - 4,): its innovations."""
         return np.asarray(self.unknowns()[self.layout.multiplier[0]])
 
     def smooth(self, y: Array) -> Array:
-        """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
+        """Smooth columns y (n, ...) with the weights of the data, without the sensor."""
         return self.signal(self.unknowns_of(y))
 
     def unknowns_of(self, y: Array) -> Array:
-        """The solution for other positions y (n, ...), no sensor being looked at (size, ...)."""
-        return self._solve(_weighted(self.data.precision, y), self.layout.components)
+        """Solution (size, ...) for other positions y (n, ...), without the sensor."""
+        return self._solve(weighted_columns(self.data.precision, y), self.layout.components)
 
     def posterior_covariance_times(self, frames: Array) -> Array:
-        """Signal (n, ...) for a right-hand side (n, ...): the covariance for unit noise times it."""
+        """Posterior covariance of the signal for unit noise times columns (n, ...)."""
         return self.signal(self._solve(frames, self.layout.frame))
 
     def covariance(self, rows: Index) -> Array:
-        """Covariance (n, m) of the signal in all frames with that in the frames `rows` (m,), for unit noise."""
+        """Posterior covariance (n, m) of the signal in all frames with that in frames `rows`, for unit noise."""
         unit = np.zeros((self.layout.n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self.posterior_covariance_times(unit)
 
     def restricted_likelihood(self) -> tuple[float, float, Array]:
-        """Twice the negative restricted log-likelihood, the noise variance that goes with it, all unknowns (size,).
+        """Compute the restricted likelihood (REML) of the data.
 
-        A line counts with its two amplitudes alike, each as if expected to be about the noise, whatever the unit.
+        Each of the two amplitudes of a line has a prior of the size of the noise, so the result does not depend on the
+        unit.
+
+        Returns
+        -------
+        tuple
+            Twice the negative log-likelihood, the noise variance at its maximum, and all unknowns (size,).
+
+        References
+        ----------
+        Wahba 1985, Ann. Stat. 13, 1378-1402.
+
         """
         s, d, lines = self.layout, self.data, self.lines
         unknowns = self.unknowns()
@@ -287,57 +225,80 @@ class FactoredSmoother:
         logdet = float(np.sum(np.log(np.abs(self._lu[0][2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
-        noise = d.colour.surprise(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
+        noise = d.colour.log_likelihood_cost(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
         return (d.count - TREND_ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
 
     def variances(self, start: Index, stencils: Array) -> Array:
-        """Variance of linear combinations of neighbouring frames of the signal, for unit noise.
+        """Posterior variance of linear combinations of neighbouring frames of the signal, for unit noise.
 
-        Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most
-        BLOCK_FRAMES of them; the result has the shape of stencils without its last axis.
+        Parameters
+        ----------
+        start
+            First frame of each combination, (n,).
+        stencils
+            Weights, (..., n, m) with m at most `BLOCK_FRAMES`.
+
+        Returns
+        -------
+        Array
+            Variances, (..., n).
+
         """
         return variances_of([self], start, stencils)[0]
 
-    def passed(self, start: Index, stencils: Array) -> Array:
-        """The part of those variances that is noise let through, not signal taken away."""
+    def noise_variances(self, start: Index, stencils: Array) -> Array:
+        """The part of those variances that is noise let through, not signal removed; arguments as in `variances`."""
         return self.posterior_and_noise_variance(start, stencils)[1]
 
     def posterior_and_noise_variance(self, start: Index, stencils: Array) -> tuple[Array, Array]:
-        """Those variances, and the part of them that is noise let through.
+        """Posterior variances, and the part of them that is noise let through; arguments as in `variances`.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
         """
-        beside = (self._stiffer(np.exp(d)) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP))
-        both, up, down = variances_of([self, *beside], start, stencils)
+        neighbours = (self._stiffer(np.exp(d)) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP))
+        posterior, up, down = variances_of([self, *neighbours], start, stencils)
         rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
-        return both, np.asarray(np.maximum(both + (up - down) / (2.0 * LOG_PENALTY_STEP), rounding))
+        return posterior, np.asarray(np.maximum(posterior + (up - down) / (2.0 * LOG_PENALTY_STEP), rounding))
 
-    def _stiffer(self, times: float) -> FactoredSmoother:
-        return factor_smoother(self.data, self.lam * times, LineParameters(self.lines.omega, self.lines.mu * times))
+    def _stiffer(self, factor: float) -> FactoredSmoother:
+        return factor_smoother(self.data, self.lam * factor, LineParameters(self.lines.omega, self.lines.mu * factor))
 
     def equations(self) -> Array:
-        """In bands (2 band + 1, size), with some weight for every frame."""
+        """Equations in bands (2 band + 1, size), with a small weight for missing frames."""
         w = np.maximum(self.data.precision, MISSING_WEIGHT)
         return self.layout.equations(self.data, w, self.lam, self.lines)[self.layout.band :]
 
 
 def variances_of(factors: Sequence[FactoredSmoother], start: Index, stencils: Array) -> Array:
-    """Variances (F, ...) as by `Factor.variances`, of several smoothers of the same frames at once."""
+    """Variances (F, ...) as by `FactoredSmoother.variances`, of F smoothers of the same frames at once."""
     s = factors[0].layout
     m = stencils.shape[-1]
     place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
     weights = np.concatenate([stencils.reshape(-1, *stencils.shape[-2:])] * len(s.frame), axis=-1)
     found = selected_inverse.selected_variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
-    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
+    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is that accurate
     return np.asarray(np.maximum(found.reshape(len(factors), *stencils.shape[:-1]), rounding))
 
 
-def _weighted(w: Array, y: Array) -> Array:
-    """Weights (n,) times columns (n, ...)."""
-    return np.asarray(w.reshape(-1, *[1] * (y.ndim - 1)) * y)
-
-
 def factor_smoother(data: SmootherData, lam: Array, lines: LineParameters = NO_LINES) -> FactoredSmoother:
-    """The smoother of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
-    made = equation_layout(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
-    return FactoredSmoother(made, data, lam, lines)
+    """Set up a smoother.
+
+    Parameters
+    ----------
+    data
+        Measurements of n frames.
+    lam
+        Penalties of the trend, (n - 4,).
+    lines
+        Frequencies and penalties of the lines.
+
+    Returns
+    -------
+    FactoredSmoother
+        The equations, factored at the first solution.
+
+    """
+    layout = equation_layout(
+        len(data.w), len(lines.omega), data.second_difference_weights is not None, data.colour is not None
+    )
+    return FactoredSmoother(layout, data, lam, lines)

@@ -1,8 +1,8 @@
-"""Build the structure of a long record up in windows: the work grows with its length, not with the square.
+"""Find the structure of a long record in windows, so that the work grows linearly with its length.
 
-Every window is parted into a trend, lines and events as a short record is. Together they make one structure: the
-stiffness runs through the windows, events stay where they are, and a line that windows agree on is one line of the
-whole record, its frequency and its wandering settled anew by the likelihood of all frames.
+Each window gets a trend, lines and events as a short record does. They are joined to one structure: the stiffness is
+interpolated, events stay where they are, and a line found in several windows becomes one line of the whole record, with
+frequency and penalty refined by the likelihood of all frames.
 """
 
 from __future__ import annotations
@@ -12,23 +12,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.motion.posterior_deviations import weighted_cubic
-from frictrack.motion.structure import MAX_LINES, STIFF_LINE, Event, Structure, StructureSearch
-from frictrack.motion.system import TREND_ORDER, SmootherData
+from frictrack.motion.smoother.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
+from frictrack.motion.smoother.structure import Event, Structure
+from frictrack.motion.smoother.structure_search import MAX_LINES, STIFF_LINE, StructureSearch
 from frictrack.records import Array, Mask
 
-MAX_WHOLE_FRAMES = 4000  # a longer record is treated in windows
+MAX_WHOLE_FRAMES = 4000  # longer records are treated in windows
 WINDOW_FRAMES, OVERLAP_FRAMES = 2500, 200  # frames of a window, and on either side of it
 MAX_WINDOW_WORK = 1_500_000  # frames in all likelihoods of one window
 MIN_MEASURED_FRAMES = 100  # from which a window's structure can be found
 KNOTS_PER_WINDOW = 5  # of the stiffness
-FREQUENCY_STEPS = (-0.25, -0.125, -0.0625, 0.0625, 0.125, 0.25)  # cycles over the record, tried round a frequency
+FREQUENCY_STEPS = (-0.25, -0.125, -0.0625, 0.0625, 0.125, 0.25)  # cycles per record, tried about a frequency
 LINE_STIFFNESSES = (10.0, 14.0, 18.0, 24.0, STIFF_LINE)  # log mu of a line
 
 
 @dataclass(frozen=True)
 class RecordWindow:
-    """Frames first to stop (exclusive) of a record, of which those from core to core_stop are its own."""
+    """Frames first to stop (exclusive) of a record; those from core to core_stop belong to no other window."""
 
     first: int
     stop: int
@@ -38,16 +39,28 @@ class RecordWindow:
 
 
 def find_structure(data: SmootherData) -> Structure:
-    """The structure of the highest likelihood of data (n,) from which a cubic was taken out."""
+    """Find the structure of the highest likelihood.
+
+    Parameters
+    ----------
+    data
+        Measurements of n frames, from which a cubic was subtracted.
+
+    Returns
+    -------
+    Structure
+        Trend, lines and events.
+
+    """
     if len(data.w) <= MAX_WHOLE_FRAMES:
         return StructureSearch(data).search()
     windows = list(_windows(data))
-    made = Structure(_stiffness(windows, len(data.w)), (), tuple(_events(windows, len(data.w))))
-    return _add_lines(made, data, windows)
+    structure = Structure(_stiffness(windows, len(data.w)), (), tuple(_events(windows, len(data.w))))
+    return _add_lines(structure, data, windows)
 
 
 def _windows(data: SmootherData) -> Iterator[RecordWindow]:
-    """Windows of about equal length, each with its structure."""
+    """Yield windows of about equal length with their structures."""
     n = len(data.w)
     cores = np.linspace(0, n, round(n / WINDOW_FRAMES) + 1).astype(int)
     last: Structure | None = None
@@ -55,39 +68,39 @@ def _windows(data: SmootherData) -> Iterator[RecordWindow]:
         first, stop = max(core - OVERLAP_FRAMES, 0), min(core_stop + OVERLAP_FRAMES, n)
         part = window_data(data, first, stop)
         if part is not None:
-            growth = StructureSearch(part)
-            growth.remaining_work = MAX_WINDOW_WORK
-            last = growth.search()
+            search = StructureSearch(part)
+            search.remaining_work = MAX_WINDOW_WORK
+            last = search.search()
         yield RecordWindow(first, stop, core, core_stop, last or StructureSearch(data).stiff)
 
 
 def window_data(data: SmootherData, first: int, stop: int) -> SmootherData | None:
-    """Some frames of the data without their own cubic; None where too few of them were measured."""
+    """Frames first to stop of the data, without their own cubic; None if too few of them were measured."""
     y, w = data.y[first:stop], data.w[first:stop]
     if np.sum(w > 0) < MIN_MEASURED_FRAMES:
         return None
     cubic = weighted_cubic(y, w)
     rest = np.where(w > 0, y - cubic, 0.0)
-    if data.bent is None or data.worth is None:
+    if data.second_differences is None or data.second_difference_weights is None:
         return SmootherData(rest, w, colour=data.colour)
-    bent = data.bent[first : stop - 2] - np.diff(cubic, 2)
-    return SmootherData(rest, w, bent, data.worth[first : stop - 2], data.colour)
+    bent = data.second_differences[first : stop - 2] - np.diff(cubic, 2)
+    return SmootherData(rest, w, bent, data.second_difference_weights[first : stop - 2], data.colour)
 
 
 def _stiffness(windows: Sequence[RecordWindow], n: int) -> tuple[float, ...]:
-    """Log lambda at equally spaced knots over the record, as the windows have it there."""
+    """Log lambda at equally spaced knots over the record, interpolated from the windows."""
     places, values = [], []
     for window in windows:
-        calm = replace(window.structure, events=()).log_lambda(window.stop - window.first)
-        own = slice(window.core - window.first, min(window.core_stop - window.first, len(calm)))
-        places.append(np.arange(len(calm))[own] + window.first)
-        values.append(calm[own])
-    at = np.linspace(0, n - TREND_ORDER - 1, KNOTS_PER_WINDOW * len(windows) + 1)
-    return tuple(np.interp(at, np.concatenate(places), np.concatenate(values)).tolist())
+        without_events = replace(window.structure, events=()).log_lambda(window.stop - window.first)
+        core_rows = slice(window.core - window.first, min(window.core_stop - window.first, len(without_events)))
+        places.append(np.arange(len(without_events))[core_rows] + window.first)
+        values.append(without_events[core_rows])
+    frequencies = np.linspace(0, n - TREND_ORDER - 1, KNOTS_PER_WINDOW * len(windows) + 1)
+    return tuple(np.interp(frequencies, np.concatenate(places), np.concatenate(values)).tolist())
 
 
 def _events(windows: Sequence[RecordWindow], n: int) -> Iterator[Event]:
-    """The events of all windows at their places in the record."""
+    """Yield the events of all windows at their places in the record."""
     for window in windows:
         for e in window.structure.events:
             first, last = e.first + window.first, min(e.last + window.first, n - TREND_ORDER - 1)
@@ -95,53 +108,54 @@ def _events(windows: Sequence[RecordWindow], n: int) -> Iterator[Event]:
                 yield Event(first, last, e.boost)
 
 
-def _add_lines(made: Structure, data: SmootherData, windows: Sequence[RecordWindow]) -> Structure:
-    """The structure with the lines that windows show, the most frequent ones first, settled for the whole record."""
-    growth = StructureSearch(data)
-    near = np.zeros(0)
+def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[RecordWindow]) -> Structure:
+    """Add the lines found in windows, the most frequent ones first, and refine them on the whole record."""
+    search = StructureSearch(data)
+    used = np.zeros(0)
     cell = 2 * np.pi / WINDOW_FRAMES
     for omega in _frequencies(windows, cell)[:MAX_LINES]:
-        if np.any(np.abs(near - omega) < cell):
+        if np.any(np.abs(used - omega) < cell):
             continue
-        near = np.append(near, omega)
-        made = _refine_last_line(
-            replace(made, lines=(*made.lines, (_peak(growth, made, omega, cell), LINE_STIFFNESSES[1]))), growth
+        used = np.append(used, omega)
+        structure = _refine_last_line(
+            replace(structure, lines=(*structure.lines, (_peak(search, structure, omega, cell), LINE_STIFFNESSES[1]))),
+            search,
         )
-    return made
+    return structure
 
 
 def _frequencies(windows: Sequence[RecordWindow], cell: float) -> list[float]:
-    """Frequencies of lines, radians per frame, by the number of windows that show them."""
+    """Frequencies of lines, radians per frame, ordered by the number of windows that contain them."""
     found = np.array([omega for window in windows for omega, _ in window.structure.lines])
     if not len(found):
         return []
-    alike: Mask = np.abs(found[:, None] - found) < cell
-    order = np.argsort(-np.sum(alike, axis=1), kind="stable")
+    same_line: Mask = np.abs(found[:, None] - found) < cell
+    order = np.argsort(-np.sum(same_line, axis=1), kind="stable")
     chosen: list[float] = []
     for i in order:
         if all(abs(found[i] - omega) >= cell for omega in chosen):
-            chosen.append(float(np.median(found[alike[i]])))
+            chosen.append(float(np.median(found[same_line[i]])))
     return chosen
 
 
-def _peak(growth: StructureSearch, made: Structure, omega: float, cell: float) -> float:
-    """Frequency near one at which the residual of the whole record has most, radians per frame."""
-    factor = made.factor_smoother(growth.data)
-    left = factor.residual(factor.unknowns())
-    at = 2 * np.pi * np.arange(8 * growth.n + 1) / (16 * growth.n)
-    power: Array = np.abs(np.fft.rfft(left, 16 * growth.n)) ** 2
-    inside = np.flatnonzero(np.abs(at - omega) < cell)
-    return float(at[inside[np.argmax(power[inside])]])
+def _peak(search: StructureSearch, structure: Structure, omega: float, cell: float) -> float:
+    """Frequency near `omega` where the residual of the whole record is largest, radians per frame."""
+    factor = structure.factor_smoother(search.data)
+    residual = factor.residual(factor.unknowns())
+    frequencies = 2 * np.pi * np.arange(8 * search.n + 1) / (16 * search.n)
+    power: Array = np.abs(np.fft.rfft(residual, 16 * search.n)) ** 2
+    inside = np.flatnonzero(np.abs(frequencies - omega) < cell)
+    return float(frequencies[inside[np.argmax(power[inside])]])
 
 
-def _refine_last_line(made: Structure, growth: StructureSearch) -> Structure:
-    """The last line's frequency and wandering at the highest likelihood of those tried."""
-    *others, (omega, _) = made.lines
+def _refine_last_line(structure: Structure, search: StructureSearch) -> Structure:
+    """Choose frequency and penalty of the last line by the highest likelihood."""
+    *others, (omega, _) = structure.lines
 
     def with_line(omega: float, log_mu: float) -> Structure:
-        return replace(made, lines=(*others, (omega, log_mu)))
+        return replace(structure, lines=(*others, (omega, log_mu)))
 
-    best = min((with_line(omega, log_mu) for log_mu in LINE_STIFFNESSES), key=growth.loss)
+    best = min((with_line(omega, log_mu) for log_mu in LINE_STIFFNESSES), key=search.loss)
     log_mu = best.lines[-1][1]
-    tried = [best, *(with_line(omega + 2 * np.pi * turn / growth.n, log_mu) for turn in FREQUENCY_STEPS)]
-    return min(tried, key=growth.loss)
+    tried = [best, *(with_line(omega + 2 * np.pi * turn / search.n, log_mu) for turn in FREQUENCY_STEPS)]
+    return min(tried, key=search.loss)

@@ -1,8 +1,10 @@
-"""Variances of combinations of neighbouring unknowns: the part of an inverse near its diagonal, exact, in O(n).
+"""Compute variances of combinations of neighbouring unknowns of banded equations, in O(n).
 
-Eliminating all unknowns to one side of a block alters only the corner of its equations that they couple to (Takahashi,
-Fagan & Chen 1973, PICA 8, find the same elements one by one). With the corners from both sides, the inverse of two
-neighbouring blocks is that part of the whole inverse. Several sets of equations of one size are treated at once.
+They need only the inverse near its diagonal.
+
+Eliminating all unknowns on one side of a block changes only the corner of its equations that they couple to (Takahashi,
+Fagan & Chen 1973, PICA 8, compute the same elements one by one). With the corners of both sides, the inverse of two
+neighbouring blocks equals that part of the full inverse. Several matrices of one size are treated at once.
 """
 
 from __future__ import annotations
@@ -14,11 +16,11 @@ from scipy.linalg.lapack import dgbsv
 from frictrack.records import Array
 
 Index = NDArray[np.int64]
-PAIRS_AT_ONCE = 256  # pairs of blocks that are solved at once
+PAIRS_AT_ONCE = 256  # pairs of blocks solved in one call
 
 
 class BlockEquations:
-    """Symmetric banded equations (F, 2 band + 1, size) in blocks of so many unknowns, the last one padded."""
+    """F symmetric banded matrices (F, 2 band + 1, size) in blocks of `block` unknowns; the last block is padded."""
 
     def __init__(self, equations: Array, block: int) -> None:
         self.block, self.band = block, equations.shape[1] // 2
@@ -43,7 +45,7 @@ class BlockEquations:
         return np.where(row <= column, values, 0.0)
 
     def _corners(self) -> tuple[Array, Array]:
-        """What all before a pair of blocks, and all after it, adds to its corners (F, pairs, band, band)."""
+        """Contributions of all blocks before and after each pair to its corners, two (F, pairs, band, band)."""
         b, pairs, f = self.band, self.many - 1, len(self.padded)
         before, after = np.zeros((2, f, pairs, b, b))
         known = np.zeros((2 * f, self.block, b))
@@ -59,7 +61,7 @@ class BlockEquations:
         return before, after
 
     def solutions(self, first: int, stop: int, right: Array) -> Array:
-        """Solutions (F, W, 2 block, columns) of W pairs, first to stop (exclusive), for right sides without the F."""
+        """Solutions (F, W, 2 block, columns) of W pairs first to stop (exclusive), for right-hand sides (W, ...)."""
         b, wide = self.band, 2 * self.block
         column = self.block * np.arange(first, stop)[:, None] + np.arange(wide)
         row = np.arange(wide) + np.arange(-b, b + 1)[:, None]
@@ -74,9 +76,28 @@ class BlockEquations:
 
 
 def selected_variances(equations: Array, block: int, place: Index, weights: Array) -> Array:
-    """Variances (F, Q, n) of combinations of unknowns at places (n, p) with weights (Q, n, p), one block apart at most.
+    """Compute variances of linear combinations of unknowns that lie at most one block apart.
 
-    For equations (F, 2 band + 1, size) in bands, and blocks of at least `band` unknowns.
+    Parameters
+    ----------
+    equations
+        F symmetric matrices in bands, (F, 2 band + 1, size).
+    block
+        Unknowns per block, at least `band`.
+    place
+        Unknowns of each combination, (n, p).
+    weights
+        Q sets of weights, (Q, n, p).
+
+    Returns
+    -------
+    Array
+        Variances, (F, Q, n).
+
+    References
+    ----------
+    Takahashi, Fagan & Chen 1973, 8th PICA Conference Proc.
+
     """
     blocks = BlockEquations(equations, block)
     window = np.minimum(place.min(axis=1) // block, blocks.many - 2)
@@ -96,14 +117,14 @@ def selected_variances(equations: Array, block: int, place: Index, weights: Arra
 
 def _solve_banded(band: int, equations: Array, right: Array) -> Array:
     """Solutions (N, columns) of equations (2 band + 1, N)."""
-    room = np.zeros((3 * band + 1, equations.shape[1]))
-    room[band:] = equations
-    solved = dgbsv(band, band, room, right)
+    bands = np.zeros((3 * band + 1, equations.shape[1]))
+    bands[band:] = equations
+    solved = dgbsv(band, band, bands, right)
     return np.asarray(solved[2])
 
 
 def _solve_symmetric(a: Array, right: Array) -> Array:
-    """Solutions of symmetric equations (..., n, n), which frames without weight may leave singular."""
+    """Solutions of symmetric equations (..., n, n); frames without weight may make them singular."""
     try:
         return np.asarray(np.linalg.solve(a, right))
     except np.linalg.LinAlgError:

@@ -1,0 +1,49 @@
+"""Smooth positions by a structural model: a trend of varying stiffness, lines, events, and coloured noise."""
+
+from frictrack.motion.smoother.equations import FactoredSmoother, factor_smoother, variances_of
+from frictrack.motion.smoother.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
+from frictrack.motion.smoother.record_windows import MAX_WHOLE_FRAMES, find_structure, window_data
+from frictrack.motion.smoother.smoother_data import (
+    TREND_ORDER,
+    LineParameters,
+    NoiseColour,
+    SmootherData,
+    cutoff_of,
+    penalty,
+)
+from frictrack.motion.smoother.structure import Event, Structure
+from frictrack.motion.smoother.structure_average import (
+    ChangeGroup,
+    StructureChange,
+    added_variance,
+    alternatives,
+    mean_shift,
+)
+from frictrack.motion.smoother.structure_search import StructureSearch, undetectable_amplitude
+
+__all__ = [
+    "MAX_WHOLE_FRAMES",
+    "TREND_ORDER",
+    "ChangeGroup",
+    "Event",
+    "FactoredSmoother",
+    "LineParameters",
+    "NoiseColour",
+    "SmootherData",
+    "Structure",
+    "StructureChange",
+    "StructureSearch",
+    "added_variance",
+    "alternatives",
+    "cutoff_of",
+    "deviations",
+    "factor_smoother",
+    "find_structure",
+    "line_frequency_errors",
+    "mean_shift",
+    "penalty",
+    "undetectable_amplitude",
+    "variances_of",
+    "weighted_cubic",
+    "window_data",
+]
