@@ -1,8 +1,8 @@
-"""Where to cut off: what a plain low-pass at each frequency would let through of the noise and take of the signal.
+"""Compare cut-offs of a plain low-pass: noise let through and signal removed at each frequency.
 
-Residual analysis (Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3): what a low-pass takes away
-falls with its cut-off until only noise is taken, and then follows the floor that white noise has. The signal that is
-lost is told from the structural smoother's series, the best that is known of the motion.
+Residual analysis (Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3): what a low-pass removes falls
+with its cut-off until only noise is removed, and then follows the level of white noise. The removed signal is computed
+from the series of the structural smoother, the best estimate of the motion.
 """
 
 from __future__ import annotations
@@ -23,17 +23,28 @@ from frictrack.motion.stencil import stencil_derivatives
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 N_CUTOFFS = 32
-MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # cycles over the record, and per frame
+MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # lowest cut-off in cycles per record, highest in cycles per frame
 EVENT_MARGIN_FRAMES = 8
-MIN_PASSED_AMPLITUDE = 0.9  # of its amplitude; a line of which less is left lies above the cut-off
-N_FREQUENCIES = 2048  # at which noise is summed
+MIN_PASSED_AMPLITUDE = 0.9  # share of the amplitude; a line of which less passes lies above the cut-off
+N_FREQUENCIES = 2048  # at which the noise spectrum is summed
 
 
 def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> CutoffTradeOff:
-    """Every cut-off that a plain low-pass of x might have, with what it lets through and what it takes.
+    """Compute for many cut-offs of a plain low-pass of x the noise let through and the signal removed.
 
-    The one that was used is marked: the one given, else that of the highest likelihood for a plain low-pass, which the
-    force domain uses. Warnings name vibrations and events that lie above it.
+    Parameters
+    ----------
+    displacement
+        Measured displacement.
+    filtered, motion
+        Its low-passed series and its derivatives.
+
+    Returns
+    -------
+    Trade
+        Residual, noise and lost signal at each frequency, and the chosen cut-off: the given one, or that of the highest
+        likelihood, which the force domain uses. Warnings name vibrations and events above it.
+
     """
     displacement = displacement.rows(displacement.span)
     grid, known = frame_grid(displacement.t), displacement.known
@@ -63,7 +74,7 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Cut
 
 
 def _outside_events(best: Filtered, grid: FrameGrid) -> Mask:
-    """Frames (n,) away from events: what a push loses would hide all else."""
+    """Frames (n,) away from events, where the lost signal of a push would dominate."""
     out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
     for first, last in best.events:
         out[max(grid.frames[first] - EVENT_MARGIN_FRAMES, 0) : grid.frames[last] + EVENT_MARGIN_FRAMES + 1] = False
@@ -71,7 +82,7 @@ def _outside_events(best: Filtered, grid: FrameGrid) -> Mask:
 
 
 def _residual_and_lost(f: float, grid: FrameGrid, w: Array, series: tuple[Array, Array, Mask]) -> tuple[float, float]:
-    """Residual of the measured series, m, and acceleration lost of the smoothed one, m/s^2, at one cut-off."""
+    """Rms residual of the measured series (m) and rms acceleration lost (m/s^2) at one cut-off (Hz)."""
     factor = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(np.zeros(grid.n), w))
     measured, signal = (s - weighted_cubic(s, w) for s in series[:2])
     residual = np.sqrt(np.average((measured - factor.smooth(measured)) ** 2, weights=w))
@@ -80,7 +91,7 @@ def _residual_and_lost(f: float, grid: FrameGrid, w: Array, series: tuple[Array,
 
 
 def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:
-    """Residual and acceleration that noise of unit size leaves, away from the ends."""
+    """Rms residual and rms acceleration by noise of unit size, away from the ends."""
     nu = (np.arange(N_FREQUENCIES) + 0.5) / (2 * N_FREQUENCIES)
     density = colour.spectrum(2 * np.pi * nu) if colour else np.ones(N_FREQUENCIES)
     h = 1.0 / (1.0 + (np.sin(np.pi * nu) / np.sin(np.pi * f * interval)) ** (2 * TREND_ORDER))
@@ -89,7 +100,7 @@ def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tupl
 
 
 def _warnings(best: Filtered, cutoff: float, interval: float) -> list[str]:
-    """In words what lies above a cut-off."""
+    """Describe vibrations and events above a cut-off."""
     warnings = []
     for f in best.lines:
         passed_share = 1.0 / (

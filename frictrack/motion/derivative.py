@@ -1,4 +1,4 @@
-"""The stage low-passed displacement -> velocity and acceleration, with standard deviations and covariances."""
+"""Compute velocity and acceleration of a low-passed displacement, with standard deviations and covariances."""
 
 from __future__ import annotations
 
@@ -27,25 +27,46 @@ from frictrack.motion.smoother import (
 from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
 from frictrack.records import Array, Filtered, Mask, Motion
 
-COLUMNS_AT_ONCE = 256  # columns at once
+COLUMNS_AT_ONCE = 256  # unit responses computed in one call
 QUANTITIES = ("x", "v", "a")
 
 
 def differentiate(filtered: Filtered) -> Motion:
-    """Velocity and acceleration of a low-passed displacement by central differences.
+    """Compute velocity and acceleration of a low-passed displacement by finite differences.
 
-    Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout. The
-    standard deviations are those of the stencils under the covariance of the smoother: the noise that it lets through,
-    and the signal that it takes away. Where the acceleration jumps between two frames it is known to lie between its
-    values on both sides only, and sigma_a says so; what may be left of a camera shake is counted in. `guard` is half a
-    period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in which sigma_a
-    exceeds twice its median, if these are more; never more than an eighth of the record.
+    Stencils have five points inside and six at the ends; they are exact for polynomials up to fourth order. Standard
+    deviations follow from the covariance of the smoother: noise let through and signal removed. Where the acceleration
+    jumps between two frames, sigma_a covers the values on both sides. The remainder of a camera shake is included.
+
+    Parameters
+    ----------
+    filtered
+        Displacement of n frames, smoothed by `low_pass`.
+
+    Returns
+    -------
+    Motion
+        x (m), v (m/s) and a (m/s^2) with standard deviations, each (n,). Its `guard` is the number of frames at an end
+        that are not reliable: half a period of the cut-off, which reduces an abrupt event to a fifth, or the end frames
+        with sigma_a above twice its median if these are more; at most an eighth of the record.
+
+    Examples
+    --------
+    >>> from frictrack.motion import low_pass
+    >>> from frictrack.records import Displacement
+    >>> t = np.arange(200) / 1000.0
+    >>> none, one = np.full(200, np.nan), np.ones(200)
+    >>> x = 2.0 * t - 5.0 * t**2 + 1e-6 * np.random.default_rng(0).standard_normal(200)
+    >>> motion = differentiate(low_pass(Displacement(t, x, none, none, 1e-6 * one, none, one == 1)))
+    >>> bool(abs(motion.a[100] + 10.0) < 0.1)
+    True
+
     """
     of_x = Derivatives.of_x(filtered)
     values, sigma = of_x.values(), of_x.deviations()
     sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
-    shake_errors = of_x.shake_errors(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
-    sigma = np.hypot(sigma, shake_errors)
+    shake = of_x.shake_errors(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
+    sigma = np.hypot(sigma, shake)
     a_y = sigma_a_y = np.full(len(filtered), np.nan)
     if np.isfinite(filtered.cutoff_y):
         of_y = Derivatives.of_y(filtered)
@@ -65,20 +86,39 @@ def differentiate(filtered: Filtered) -> Motion:
         cutoff=filtered.cutoff,
         events=filtered.events,
         lines=filtered.lines,
-        shake_a=float(np.sqrt(np.mean(shake_errors[2] ** 2))),
+        shake_a=float(np.sqrt(np.mean(shake[2] ** 2))),
     )
 
 
 def derivatives(filtered: Filtered) -> Array:
-    """The same x, v and a (3, n) without their standard deviations, which take most of the time."""
+    """Compute x (m), v (m/s) and a (m/s^2), (3, n), without the standard deviations, which take most of the time."""
     return Derivatives.of_x(filtered).values()
 
 
 def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = None) -> Array:
-    """Covariance (m, m) of x, v or a among some rows (m,), all by default: smoothing colours the noise.
+    """Compute the covariance of x, v or a among frames; smoothing correlates their errors.
 
-    In m^2, m^2/s^2 or m^2/s^4. What a mean or a slope of the friction force is worth follows from it, not from the
-    standard deviations frame by frame. Raises FrictrackError for another quantity.
+    The standard deviation of a mean or a slope of the friction force follows from it.
+
+    Parameters
+    ----------
+    filtered
+        Displacement smoothed by `low_pass`.
+    of
+        "x", "v" or "a".
+    rows
+        Rows of the record, (m,); by default all.
+
+    Returns
+    -------
+    Array
+        Covariance, (m, m), in m^2, m^2/s^2 or m^2/s^4.
+
+    Raises
+    ------
+    FrictrackError
+        For another quantity.
+
     """
     if of not in QUANTITIES:
         raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
@@ -88,20 +128,41 @@ def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = Non
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of one low-passed coordinate, and what they are worth."""
+    """Derivatives of one low-passed coordinate and their standard deviations.
+
+    Attributes
+    ----------
+    grid
+        Frame numbers of the n rows, on N frames.
+    x
+        Low-passed rows, m, (n,).
+    known
+        Rows that were measured, (n,).
+    w
+        Weights on the grid, (N,).
+    noise
+        Standard deviation of a frame of weight 1, m.
+    smoother
+        What low-passed the coordinate.
+    sensor_weights
+        Weights of the second differences that a sensor measured, (N - 2,).
+    measured
+        Unfiltered series on the grid, (N,), where the method derives from it.
+
+    """
 
     grid: FrameGrid
-    x: Array  # low-passed rows
+    x: Array
     known: Mask
-    w: Array  # weights on the grid
-    noise: float  # m, of a frame of weight 1
+    w: Array
+    noise: float
     smoother: Smoother
-    sensor_weights: Array | None = None  # weights of the second differences that a sensor knew
-    measured: Array | None = None  # the unfiltered series on the grid, where a method derives from that
+    sensor_weights: Array | None = None
+    measured: Array | None = None
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
-        """X."""
+        """Derivatives of x."""
         result = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
         if filtered.sigma_sensor is None or result.smoother.method:
             return result
@@ -111,7 +172,7 @@ class Derivatives:
 
     @classmethod
     def of_y(cls, filtered: Filtered) -> Derivatives:
-        """Y."""
+        """Derivatives of y."""
         return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
 
     @classmethod
@@ -125,7 +186,7 @@ class Derivatives:
         return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
 
     def values(self) -> Array:
-        """Derivatives of order 0, 1, 2 of the rows (3, n)."""
+        """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
             return self._apply_method(self.smoother.method, interpolate_missing(self.measured, self.w > 0))[
                 :, self.grid.frames
@@ -133,11 +194,11 @@ class Derivatives:
         return stencil_derivatives(self._on_grid(), self.grid.interval)[:, self.grid.frames]
 
     def _apply_method(self, method: FilterMethod, y: Array) -> Array:
-        """Derivatives (3, N, ...) of columns (N, ...) by a method."""
+        """Derivatives (3, N, ...) of columns (N, ...) by a filter method."""
         return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
 
     def deviations(self) -> Array:
-        """Standard deviations of the same (3, n)."""
+        """Standard deviations of `values`, (3, n)."""
         if self.smoother.method is None:
             best, more = self._average_structure()
             spread = np.hypot(self.noise * deviations(self.factor, best, self.noise, self.grid.interval), more)
@@ -146,7 +207,7 @@ class Derivatives:
         return spread[:, self.grid.frames]
 
     def _average_structure(self) -> tuple[Array, Array]:
-        """Rows (N,) of the best structure alone, and the standard deviations (3, N) that the others add."""
+        """Rows (N,) of the best structure alone, and standard deviations (3, N) added by the alternatives."""
         whole, groups = self._on_grid(), self.smoother.alternatives
         if not groups or self.measured is None or self.smoother.structure is None:
             return whole, np.zeros((3, len(whole)))
@@ -158,7 +219,7 @@ class Derivatives:
         return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
-        """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
+        """Rms errors of x, v and a, (3, n), by a sinusoidal displacement of a frequency (Hz), an rms (m), any phase."""
         angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
         apparent_motion = self.apparent_motion(
             size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
@@ -166,7 +227,7 @@ class Derivatives:
         return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
 
     def apparent_motion(self, ghosts: Array) -> Array:
-        """What displacements (n, k), m, that are none would feign in x, v and a (3, n, k)."""
+        """Response of x, v and a, (3, n, k), to apparent displacements (n, k), m."""
         whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
         if self.smoother.method is not None:
             return self._apply_method(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
@@ -175,7 +236,7 @@ class Derivatives:
         return np.asarray(result[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
-        """Covariance (m, m) of the derivative of an order among rows (m,)."""
+        """Covariance (m, m) of the derivative of one order among rows (m,)."""
         if self.smoother.method is not None:
             passed = [b[order, self.grid.frames[rows]] * s for b, s in self.unit_responses(self.smoother.method)]
             factors = np.concatenate(passed, axis=1)
@@ -195,21 +256,21 @@ class Derivatives:
 
     @cached_property
     def factor(self) -> FactoredSmoother:
-        """The structural smoother."""
+        """Equations of the structural smoother."""
         assert self.smoother.structure is not None
         return self.factor_smoother(self.smoother.structure)
 
     def factor_smoother(self, structure: Structure) -> FactoredSmoother:
-        """Another structure with the same weights."""
+        """Equations of another structure with the same weights."""
         return structure.factor_smoother(
             SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
         )
 
     def _on_grid(self) -> Array:
-        """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""
+        """Low-passed rows on the grid (N,); missing frames are interpolated as smoothly as possible."""
         if self.grid.n == len(self.x):
             return self.x
-        w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so much that the rows, smooth as they are, stay in place
+        w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so large that the rows, which are smooth, do not move
         y = self.grid.to_frames(self.x)
         cubic = weighted_cubic(y, w)
         return cubic + Structure((0.0,)).factor_smoother(SmootherData(y - cubic, w)).smooth(
@@ -217,7 +278,7 @@ class Derivatives:
         )
 
     def unit_responses(self, method: FilterMethod) -> Iterator[tuple[Array, Array]]:
-        """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""
+        """Yield responses (3, N, k) to unit displacements of k known frames, and their standard deviations (k,)."""
         frames = np.flatnonzero(self.w > 0)
         for part in np.array_split(frames, -(-len(frames) // COLUMNS_AT_ONCE)):
             unit = np.zeros((self.grid.n, len(part)))
@@ -225,12 +286,12 @@ class Derivatives:
             yield self._apply_method(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
 
     def _passed_noise(self, method: FilterMethod) -> Array:
-        """Variance of the derivatives (3, N) by the noise that passes."""
+        """Variance of the derivatives, (3, N), by noise let through."""
         out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.unit_responses(method)], axis=0)
         return out
 
     def _lost_signal(self, method: FilterMethod) -> Array:
-        """Signal that was taken from the derivatives (3, N), as filtering once more shows it, over a period round."""
+        """Signal removed from the derivatives, (3, N): rms over one period of what filtering once more removes."""
         whole = self._on_grid()
         assert self.measured is not None
         taken = self._apply_method(method, interpolate_missing(self.measured, self.w > 0)) - self._apply_method(
@@ -242,7 +303,7 @@ class Derivatives:
 
 
 def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
-    """Standard deviation (n,) of an acceleration that jumps somewhere between its neighbours, 0 outside events."""
+    """Standard deviation (n,) of an acceleration that jumps between its neighbours; 0 outside events."""
     change = np.abs(np.roll(a, -STENCIL_REACH) - np.roll(a, STENCIL_REACH)) / np.sqrt(12.0)
     inside = np.zeros(len(a), dtype=bool)
     for first, last in events:

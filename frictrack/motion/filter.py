@@ -1,4 +1,4 @@
-"""The stage displacement -> low-passed displacement."""
+"""Low-pass a displacement: choose the smoother from the data, and bridge missing frames."""
 
 from __future__ import annotations
 
@@ -34,27 +34,40 @@ from frictrack.motion.smoother import (
 from frictrack.motion.stencil import stencil_derivatives
 from frictrack.records import Array, Displacement, Filtered, Mask
 
-MISSING_SIGMA = float("inf")  # m, standard deviation of a frame that was not measured
-MIN_CUTOFF_RATIO = 0.7  # of the likeliest cut-off: below it more signal is lost than the deviations say
-VIOLENT_RATIO = 10.0  # times the usual acceleration of the moving mass: a push or an impact
-MIN_SPEED_SHARE = 0.05  # of the highest speed
+MISSING_SIGMA = float("inf")  # m, of a frame that was not measured
+MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it more signal is lost than sigma covers
+VIOLENT_RATIO = 10.0  # acceleration of a push or an impact over the median of the moving mass
+MIN_SPEED_SHARE = 0.05  # of the highest speed, from which the mass counts as moving
 MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
-MAX_CORRELATED = 0.999  # share of the noise, and its correlation
-MAX_COLOUR_TRIALS = 40  # of correlation and share
-MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
-MIN_TRAVEL_M = 1e-15  # what moves by less does not move
+MAX_CORRELATED = 0.999  # largest share and correlation of coloured noise
+MAX_COLOUR_TRIALS = 40  # evaluations to fit correlation and share
+MIN_FRAMES = 8  # valid frames from which noise can be estimated
+MIN_TRAVEL_M = 1e-15  # of a moving target
 STRUCTURAL, KALMAN = "structural", "kalman"
 METHOD_NAMES = (STRUCTURAL, KALMAN, *METHODS)
 
 
 @dataclass(frozen=True, eq=False)
 class Smoother:
-    """What low-passed a coordinate: a structure, or another method; written as JSON."""
+    """What low-passed a coordinate; `str` writes it as JSON.
+
+    Attributes
+    ----------
+    structure
+        Structure of the structural smoother.
+    method
+        Another filter method.
+    alternatives
+        Changes of the structure over which the signal was averaged.
+    colour
+        Colour of the noise.
+
+    """
 
     structure: Structure | None = None
     method: FilterMethod | None = None
     alternatives: tuple[ChangeGroup, ...] = ()
-    colour: NoiseColour | None = None  # of the noise
+    colour: NoiseColour | None = None
 
     def __str__(self) -> str:
         if self.method:
@@ -70,7 +83,7 @@ class Smoother:
 
     @classmethod
     def read(cls, text: str) -> Smoother:
-        """The smoother that was written."""
+        """Read a smoother from its JSON."""
         settings = json.loads(text)
         name = settings.pop("method")
         if name != STRUCTURAL:
@@ -90,19 +103,52 @@ def low_pass(
     acceleration: KnownAcceleration | None = None,
     noise: CorrelatedNoise | None = None,
 ) -> Filtered:
-    """Low-pass a displacement and bridge its missing frames, from the first to the last frame that was measured.
+    """Low-pass a displacement from the first to the last measured frame, missing frames included.
 
-    By default x and y are each parted into a trend, lines and events of the highest restricted likelihood, and the
-    noise level is estimated along with them; the standard deviations that come with the displacement count
-    relative to each other. `cutoff` (Hz) asks for a plain low-pass instead, where a sine keeps half of its amplitude.
-    Other methods: "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth" (residual
-    analysis), "savitzky-golay" (cross-validation), "gaussian-process" (noise known, maximum likelihood).
-    An `acceleration` that a sensor knew is taken into x, by default and with "kalman". So is correlated `noise` of
-    neighbouring frames that runs of the same instrument have shown; where it is not given, each coordinate is looked at
-    by itself. A `cutoff` and the other methods take noise for white.
+    By default x and y are each decomposed into a trend, lines (vibrations) and events by the highest restricted
+    likelihood, and the noise level is estimated with them. Standard deviations of the displacement count relative to
+    each other only.
 
-    Raises FrictrackError for too few valid frames, a position that never changes, uneven time stamps, an unknown
-    method, and a cut-off that is not between 0 and half the frame rate.
+    Parameters
+    ----------
+    displacement
+        Positions with standard deviations, n frames.
+    cutoff
+        Use a plain low-pass that keeps half of the amplitude at this frequency, Hz.
+    method
+        "structural" (default), "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth"
+        (residual analysis), "savitzky-golay" (generalised cross-validation) or "gaussian-process" (maximum likelihood).
+    acceleration
+        Acceleration by a sensor, used for x with "structural" and "kalman".
+    noise
+        Correlated noise that runs of the same instrument have shown, used with "structural" and "kalman"; by default
+        each coordinate is tested by itself. With a `cutoff` and other methods noise counts as white.
+
+    Returns
+    -------
+    Filtered
+        Smoothed positions, estimated noise, cut-off, and the smoother.
+
+    Raises
+    ------
+    FrictrackError
+        For too few valid frames, a position that never changes, uneven time stamps, an unknown method, or a cut-off
+        outside 0 to half the frame rate.
+
+    References
+    ----------
+    Harvey 1989, Forecasting, structural time series models and the Kalman filter; Winter 2009, Biomechanics and Motor
+    Control of Human Movement, ch. 3 (residual analysis); Craven & Wahba 1979, Numer. Math. 31 (cross-validation).
+
+    Examples
+    --------
+    >>> t = np.arange(200) / 1000.0
+    >>> none, one = np.full(200, np.nan), np.ones(200)
+    >>> x = 2.0 * t - 5.0 * t**2 + 1e-6 * np.random.default_rng(0).standard_normal(200)
+    >>> filtered = low_pass(Displacement(t, x, none, none, 1e-6 * one, none, one == 1))
+    >>> bool(np.max(np.abs(filtered.x - 2.0 * t + 5.0 * t**2)) < 2e-6)
+    True
+
     """
     known = displacement.known
     _check_position(displacement.x[known], len(known))
@@ -142,7 +188,7 @@ def low_pass(
 
 
 def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
-    """The longest stretch of a motion (3, n) in which nothing violent happens; half a period of the cut-off apart."""
+    """Longest span of a motion (3, n) at least half a period of the cut-off away from pushes and impacts."""
     v, a = np.abs(motion[1:])
     moving = known & (v > MIN_SPEED_SHARE * np.max(v[known]))
     is_violent = known & (a > VIOLENT_RATIO * np.median(a[moving]))
@@ -156,7 +202,7 @@ def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
 
 
 def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
-    """First and last row of an event: those in the middle of its differences."""
+    """First and last row of an event, from the centres of its differences."""
     first, last = np.searchsorted(grid.frames, [e.first + TREND_ORDER // 2, e.last + TREND_ORDER // 2])
     last_row = len(grid.frames) - 1
     return min(int(first), last_row), min(int(last), last_row)
@@ -164,7 +210,7 @@ def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class _LowPassed:
-    """One coordinate, low-passed: rows, noise of each row, cut-off, and how."""
+    """One low-passed coordinate: rows (n,), their noise (n,), cut-off (Hz) and how it was chosen."""
 
     x: Array
     sigma: Array
@@ -177,22 +223,22 @@ class _LowPassed:
 
     @classmethod
     def unmeasured(cls, n: int) -> _LowPassed:
-        """Of a coordinate that was not measured."""
+        """Result for a coordinate that was not measured."""
         return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
 
 
 class _Coordinate:
-    """One coordinate on its grid."""
+    """One coordinate on its grid of frames, without its cubic."""
 
     def __init__(self, y: Array, sigma: Array, known: Mask, grid: FrameGrid, *, rounded: bool = False) -> None:
         self.grid, self.known = grid, known
         self.w = grid.to_frames(frame_weights(sigma, known))
         self.y, self.trend = _without_cubic(grid.to_frames(np.where(known, y, 0.0)), self.w)
         self.colour: NoiseColour | None = None
-        self.rounded = rounded  # whose noise is that of the rounding
+        self.rounded = rounded  # whether rounding dominates the noise
 
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _LowPassed:
-        """By a method, at a cut-off where one is asked for."""
+        """Low-pass by a method, or at a given cut-off (Hz)."""
         interval = self.grid.interval
         search = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
         stiff = search.stiff
@@ -227,7 +273,7 @@ class _Coordinate:
         )
 
     def _select_structure(self, data: SmootherData, method: str) -> tuple[Structure, SmootherData]:
-        """The structure of the highest likelihood, the noise white or correlated."""
+        """Structure of the highest likelihood with white or coloured noise, and the data with that noise."""
         colour = self._suspected_colour(data)
         if colour is None:
             return _select_by_likelihood(data, method), data
@@ -246,13 +292,13 @@ class _Coordinate:
         return _select_by_likelihood(data, method), data
 
     def _suspected_colour(self, data: SmootherData) -> NoiseColour | None:
-        """Correlated noise that the spectrum of the longest stretch without a missing frame suggests."""
+        """Coloured noise that the spectrum of the longest span without a missing frame suggests."""
         if data.colour or data.second_difference_weights is not None or self.rounded:
             return None
         return _noise_colour(suspected_noise(self.y[_longest_measured_span(self.w)]))
 
     def _longest_window(self, data: SmootherData) -> SmootherData:
-        """The data, or as much of them as is taken as a whole, in their longest stretch without a missing frame."""
+        """The data, or of a long record a window in the longest span without a missing frame."""
         span = _longest_measured_span(self.w)
         first = max(min((span.start + span.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
         return (
@@ -262,7 +308,7 @@ class _Coordinate:
         )
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
-        """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
+        """Cut-off (Hz) of a plain low-pass of the slide alone; a push would raise that of the whole record."""
         span = _longest_quiet_span(
             stencil_derivatives(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval
         )
@@ -283,7 +329,7 @@ class _Coordinate:
         return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
 
     def _measured(self) -> Array:
-        """The unfiltered rows."""
+        """Unfiltered rows (n,)."""
         return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
     def _result(self, smooth: Array, level: float, cutoff: float) -> _LowPassed:
@@ -293,7 +339,7 @@ class _Coordinate:
         return _LowPassed((smooth + self.trend)[frames], sigma, cutoff)
 
     def _with_sensor(self, acceleration: KnownAcceleration, level: float) -> SmootherData:
-        """With what a sensor knew, as second differences of what is left beside the cubic."""
+        """Data with the sensor's acceleration as second differences, without those of the cubic."""
         square = self.grid.interval**2
         second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.to_frames(_sensor_sigma(acceleration, len(self.known)), MISSING_SIGMA)[1:-1]
@@ -303,7 +349,7 @@ class _Coordinate:
 
 
 def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
-    """The noise of the highest likelihood beside a structure, begun at that of the data."""
+    """Colour of the highest likelihood with a given structure, starting at that of the data."""
     if data.colour is None:
         return None
 
@@ -322,41 +368,64 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
 
 
 def _longest_measured_span(w: Array) -> slice:
-    """The longest stretch of frames that were all measured."""
+    """Longest span of measured frames."""
     gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
     k = int(np.argmax(np.diff(gaps)))
     return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
 
 
 def _select_by_likelihood(data: SmootherData, method: str) -> Structure:
-    """The structure of the highest likelihood of data from which a cubic was taken out."""
+    """Structure of the highest likelihood; a trend of one stiffness for "kalman" and short records."""
     return (
         StructureSearch(data).stiff if method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF else find_structure(data)
     )
 
 
 def _noise_colour(noise: CorrelatedNoise | None) -> NoiseColour | None:
-    """Noise as the smoother has it; some of it is white, however little."""
+    """Noise in the form of the smoother, which needs a white part, however small."""
     return NoiseColour(noise.correlation, min(noise.share, MAX_CORRELATED)) if noise else None
 
 
 def _without_cubic(y: Array, w: Array) -> tuple[Array, Array]:
-    """What is left of a series (n,) beside its cubic, 0 where w is; and the cubic."""
+    """Series (n,) without its cubic, 0 in missing frames, and the cubic (n,)."""
     cubic = weighted_cubic(y, w)
     return np.where(w > 0, y - cubic, 0.0), cubic
 
 
 def sensor_weights(sigma: Array, square: float, level: float) -> Array:
-    """Weights of second differences whose accelerations have deviations sigma (inf: unknown), over that of a frame."""
+    """Weights of second differences of accelerations with standard deviations sigma (inf where unknown).
+
+    They are relative to a frame with the standard deviation `level` (m); `square` is the squared frame interval (s^2).
+    """
     return np.asarray((level / (sigma * square)) ** 2)
 
 
 def _sensor_sigma(acceleration: KnownAcceleration, n: int) -> Array:
+    """Standard deviations of the sensor (n,), inf where it has no value."""
     return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING_SIGMA)
 
 
 def frame_weights(sigma: Array, known: Mask) -> Array:
-    """Weights (n,) of mean 1 over the known frames, 0 elsewhere; frames of unknown sigma get the usual one."""
+    """Weights of frames from their standard deviations.
+
+    Parameters
+    ----------
+    sigma
+        Standard deviations, m, (n,); NaN or 0 where not stated, which counts as the median.
+    known
+        Measured frames, (n,).
+
+    Returns
+    -------
+    Array
+        Weights with mean 1 over the known frames, 0 elsewhere, (n,).
+
+    Examples
+    --------
+    >>> frame_weights(np.array([1.0, 1.0, 9.0]), np.array([True, True, False])).tolist()
+    [1.0, 1.0, 0.0]
+
+    """
     stated = known & np.isfinite(sigma) & (sigma > 0)
     usual = float(np.median(sigma[stated])) if np.any(stated) else 1.0
     w = np.where(known, np.where(stated, sigma, usual), np.inf) ** -2.0
@@ -364,7 +433,7 @@ def frame_weights(sigma: Array, known: Mask) -> Array:
 
 
 def describe_structure(structure: Structure, n: int, interval: float, colour: NoiseColour | None = None) -> str:
-    """In words what a record was parted into."""
+    """Describe the components of a record in words."""
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
     span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
@@ -382,7 +451,7 @@ def describe_structure(structure: Structure, n: int, interval: float, colour: No
 
 
 def describe_given_cutoff(used: float, best: float) -> str:
-    """In words why a cut-off that was asked for may be too low."""
+    """Describe a given cut-off; say if it is too low."""
     reason = f"cut-off {used:.3g} Hz as given"
     if used < MIN_CUTOFF_RATIO * best:
         reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
@@ -390,6 +459,7 @@ def describe_given_cutoff(used: float, best: float) -> str:
 
 
 def _check_position(x: Array, n: int) -> None:
+    """Raise FrictrackError for too few valid frames, or a target that does not move."""
     if len(x) < MIN_FRAMES:
         raise FrictrackError(
             f"displacement: expected at least {MIN_FRAMES} valid frames but got {len(x)} of {n}; "
@@ -403,6 +473,7 @@ def _check_position(x: Array, n: int) -> None:
 
 
 def _check_cutoff(cutoff: float | None, grid: FrameGrid) -> None:
+    """Raise FrictrackError for a cut-off outside 0 to half the frame rate."""
     nyquist = 0.5 / grid.interval
     if cutoff is not None and not 0.0 < cutoff < nyquist:
         raise FrictrackError(
@@ -412,6 +483,7 @@ def _check_cutoff(cutoff: float | None, grid: FrameGrid) -> None:
 
 
 def _check_method(method: str, cutoff: float | None) -> None:
+    """Raise FrictrackError for an unknown method, or a cut-off with a method that chooses its own."""
     if method not in METHOD_NAMES:
         raise FrictrackError(f'method: expected one of {", ".join(METHOD_NAMES)} but got "{method}"')
     if cutoff is not None and method != STRUCTURAL:

@@ -1,7 +1,7 @@
-"""The other filters, for comparison: each a linear map of the frames whose numbers are settled from the data.
+"""Other filters for comparison: Butterworth, Savitzky-Golay and Gaussian process, with parameters from the data.
 
-They know no gaps (missing frames are bridged by a straight line) and no prior, so that what they lose of the signal is
-estimated by filtering the filtered series once more (twicing; Tukey 1977, Exploratory Data Analysis, ch. 16).
+Each is a linear map of the frames. Missing frames are bridged by straight lines. The signal that a filter removes is
+estimated by filtering once more (twicing; Tukey 1977, Exploratory Data Analysis, ch. 16).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from frictrack.errors import FrictrackError
 from frictrack.motion.stencil import stencil_derivative
 from frictrack.records import Array, Mask
 
-CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried by Butterworth, over the frame rate
+CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried for Butterworth, cycles per frame
 BUTTERWORTH_ORDER = 4
-MAX_RESIDUAL_SIGMAS = 2.0  # standard deviations that the residual's mean square may lie above the noise
-WINDOW_FRAMES = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried by Savitzky and Golay, frames
+MAX_RESIDUAL_SIGMAS = 2.0  # standard deviations by which the residual's mean square may exceed the noise
+WINDOW_FRAMES = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried for Savitzky-Golay
 DEGREES = (3, 4, 5)
-MAX_FRAMES = 3000  # of a Gaussian process, whose cost grows with the cube of them
-MAX_LOG_PARAMETER = 20.0  # log of a length or a size
-HALF_AMPLITUDE_CUTOFF = 0.1874  # cut-off at which exp(-(2 pi f l)^2 / 2) is one half, times the length l
+MAX_FRAMES = 3000  # of a Gaussian process, whose cost grows with their cube
+MAX_LOG_PARAMETER = 20.0  # log of a length or an amplitude
+HALF_AMPLITUDE_CUTOFF = 0.1874  # f l at which exp(-(2 pi f l)^2 / 2) is one half
 
 
 class FilterMethod(Protocol):
@@ -37,26 +37,33 @@ class FilterMethod(Protocol):
 
     @property
     def cutoff(self) -> float:
-        """Cycles per frame of which half of the amplitude passes."""
+        """Frequency at which half of the amplitude passes, cycles per frame."""
 
     def derived(self, y: Array, order: int) -> Array:
-        """Derivative of an order, 0 to 2, of the columns (n, ...) after filtering, per frame."""
+        """Derivative of order 0 to 2 of the filtered columns (n, ...), per frame."""
 
 
 @dataclass(frozen=True)
 class Butterworth:
-    """Forward and backward Butterworth filter; a cubic is left out, or its ends would ring."""
+    """Butterworth filter forward and backward, without a cubic, which would ring at the ends.
 
-    low: float  # cycles per frame of which half of the amplitude passes, both ways together
+    Attributes
+    ----------
+    low
+        Frequency at which both passes together keep half of the amplitude, cycles per frame.
+
+    """
+
+    low: float
     name: ClassVar[str] = "butterworth"
 
     @property
     def cutoff(self) -> float:
-        """Cycles per frame of which half of the amplitude passes."""
+        """Frequency at which half of the amplitude passes, cycles per frame."""
         return self.low
 
     def derived(self, y: Array, order: int) -> Array:
-        """Derivative of an order of the filtered columns (n, ...), by central differences."""
+        """Derivative of the filtered columns (n, ...) by central differences, per frame."""
         return stencil_derivative(self._smooth(y), order)
 
     def _smooth(self, y: Array) -> Array:
@@ -67,7 +74,7 @@ class Butterworth:
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> Butterworth:
-        """Residual analysis (Winter 2009): the lowest cut-off that takes away no more than the noise `noise`."""
+        """Choose the lowest cut-off that removes no more than the noise (residual analysis; Winter 2009, ch. 3)."""
         for low in CUTOFFS:
             made = cls(float(low))
             rest = y - made._smooth(y)
@@ -78,7 +85,7 @@ class Butterworth:
 
 @dataclass(frozen=True)
 class SavitzkyGolay:
-    """A polynomial through the frames of a window, whole windows at the ends."""
+    """Polynomial of a degree through a window of frames (Savitzky & Golay 1964), full windows at the ends."""
 
     window: int
     degree: int
@@ -86,53 +93,64 @@ class SavitzkyGolay:
 
     @property
     def cutoff(self) -> float:
-        """Cycles per frame of which half of the amplitude passes."""
+        """Frequency at which half of the amplitude passes, cycles per frame."""
         response = np.abs(np.fft.rfft(savgol_coeffs(self.window, self.degree), 8192))
         return float(np.argmax(response < 0.5) / 8192)
 
     def derived(self, y: Array, order: int) -> Array:
-        """Derivative of an order of the polynomials through the columns (n, ...)."""
+        """Derivative of the polynomials through the columns (n, ...), per frame."""
         return np.asarray(savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> SavitzkyGolay:
-        """Window and degree of the least generalised cross-validation (Craven & Wahba 1979)."""
+        """Choose window and degree by generalised cross-validation (Craven & Wahba 1979, Numer. Math. 31)."""
         del noise
         tried = [cls(int(w), d) for d in DEGREES for w in WINDOW_FRAMES if d + 1 < w <= len(y)]
         return min(tried, key=lambda m: m._cross_validation_score(y))
 
     def _cross_validation_score(self, y: Array) -> float:
+        """Generalised cross-validation score."""
         middle = float(savgol_coeffs(self.window, self.degree)[self.window // 2])
         return float(np.mean((y - self.derived(y, 0)) ** 2)) / (1.0 - middle) ** 2
 
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """A squared-exponential covariance beside a cubic, the noise known (Rasmussen & Williams 2006, ch. 2)."""
+    """Gaussian process with squared-exponential covariance plus a cubic (Rasmussen & Williams 2006, ch. 2).
 
-    length: float  # frames
-    size: float  # standard deviation over that of the noise
+    Attributes
+    ----------
+    length
+        Length of the covariance, frames.
+    size
+        Standard deviation over that of the noise, which is known.
+
+    """
+
+    length: float
+    size: float
     name: ClassVar[str] = "gaussian-process"
 
     @property
     def cutoff(self) -> float:
-        """Cycles per frame of which half of the prior's amplitude is left."""
+        """Frequency at which half of the amplitude of the prior remains, cycles per frame."""
         return HALF_AMPLITUDE_CUTOFF / self.length
 
     def derived(self, y: Array, order: int) -> Array:
-        """Derivative of an order of the posterior mean of the columns (n, ...), by central differences."""
+        """Derivative of the posterior mean of the columns (n, ...) by central differences, per frame."""
         trend = _cubic(y)
         covariance = self._covariance(len(y))
         known = cho_factor(covariance + np.eye(len(y)), overwrite_a=True)
         return stencil_derivative(trend + covariance @ cho_solve(known, y - trend), order)
 
     def _covariance(self, n: int) -> Array:
+        """Covariance of n frames."""
         apart = (np.arange(n)[:, None] - np.arange(n)) / self.length
         return np.asarray(self.size**2 * np.exp(-0.5 * apart**2))
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> GaussianProcess:
-        """Length and size of the highest marginal likelihood, sought on every k-th frame first."""
+        """Choose length and size by marginal likelihood, on every k-th frame."""
         if len(y) > MAX_FRAMES:
             raise FrictrackError(
                 f"low_pass: expected at most {MAX_FRAMES} frames for a Gaussian process but got {len(y)}; "
@@ -162,7 +180,7 @@ METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, Ga
 
 
 def interpolate_missing(y: Array, known: Mask) -> Array:
-    """Columns (n, ...) with straight lines over the frames that are not known."""
+    """Columns (n, ...) with missing frames interpolated linearly."""
     if known.all():
         return y
     n = np.arange(len(y))

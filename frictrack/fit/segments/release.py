@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.calibration import significant_motion
-from frictrack.friction import CERTAIN, MOVING, is_moving, release_time
+from frictrack.friction import MIN_MOTION_SIGMAS, MIN_MOVING_SIGMAS, is_moving, release_time
 from frictrack.records import GRAVITY, Array, Run
 
 MIN_KNOWN_SHARE = 0.5  # share of frames in which a series must be known to count
@@ -79,11 +79,11 @@ def _frames_at_rest(run: Run) -> int:
     """
     if run.friction_N is not None:
         return 0
-    motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
+    motion, certain = run.motion, np.abs(run.motion.v) > MIN_MOTION_SIGMAS * run.motion.sigma_v
     resting = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
     rows = resting if len(resting) else np.array([0])
     v, sigma = motion.v[rows], motion.sigma_v[rows]
-    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
+    at_most = abs(float(np.mean(v))) + MIN_MOVING_SIGMAS * float(np.sqrt(np.mean(sigma**2) / len(rows)))
     return (
         int(rows[-1]) + 1
         if at_most < MAX_REST_SPEED_SHARE * float(np.max(np.abs(motion.v[certain]), initial=0.0))
