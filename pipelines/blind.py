@@ -1,4 +1,4 @@
-"""A small blind benchmark: studies whose truth is sealed, diagnosed, opened and counted.
+"""Run a small blind benchmark: write studies of sealed truth, diagnose them, open the truth and count.
 
     python pipelines/blind.py FOLDER [--n 20] [--seed 0] [--film] [--workers N]
 

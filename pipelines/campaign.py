@@ -1,4 +1,4 @@
-"""A campaign of studies -> one table, and how the Coulomb friction drifts over it.
+"""Collect a campaign of studies in one table and plot the drift of Coulomb friction over it.
 
     python pipelines/campaign.py PATH... [--workers N | --scheduler ADDRESS]
 

@@ -1,4 +1,4 @@
-"""A folder of recordings with one mass, scale and frame rate -> study file, results, report.
+"""Analyse a folder of recordings with one mass, scale and frame rate: study file, results, report.
 
     python pipelines/folder.py FOLDER --mass 0.35kg --scale 0.5mm/px --fps 4000
 

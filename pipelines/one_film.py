@@ -1,4 +1,4 @@
-"""Films of one mass -> a friction law, what it lacks, and the error before and after.
+"""Identify a friction law from films of one mass, find the missing effect, and print errors before and after.
 
     python pipelines/one_film.py [--mass 0.35kg --scale 0.5mm/px --fps 4000 FILM ...]
 

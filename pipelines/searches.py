@@ -1,4 +1,4 @@
-"""One study, every search: what each finds, how far it stays above the best, and how long it takes.
+"""Compare all searches on one study: result, distance from the best, and time.
 
 python pipelines/searches.py STUDY [--model tustin] [--domain force] [--seed 0]
 """

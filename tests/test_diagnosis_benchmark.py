@@ -53,7 +53,7 @@ def test_the_force_of_a_chain_is_that_of_the_motion():
     x = (1e-3 * np.sin(2 * np.pi * 20 * t))[:, None]
     made_of = force.chained(x, 4000.0, 0.5)
     inside = slice(100, -100)
-    true = 0.5 * (2 * np.pi * 20) ** 2 * x[force.TRIM : -force.TRIM]
+    true = 0.5 * (2 * np.pi * 20) ** 2 * x[force.TRIM_FRAMES : -force.TRIM_FRAMES]
     assert made_of[inside] == pytest.approx(true[inside], rel=0.01, abs=0.02)
 
 

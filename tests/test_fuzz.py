@@ -46,7 +46,7 @@ PIECES = (
     *(b"\xef\xbb\xbf", b"\xff\xfe", b"\xc3", b"\xe2\x80\xae"),  # byte order marks, half a letter, right to left
     *(b"\xff" * 4, b"\xff" * 8, b"\x7f\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0" * 8, b"\0\0\0\1"),
 )
-LONGEST = 10.0  # s
+MAX_ERROR_LENGTH = 10.0  # s
 
 
 @st.composite
@@ -95,7 +95,7 @@ def look(name: str, examples: int, last: Path) -> None:
         start = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             excused(target, data, Path(folder))
-        assert time.perf_counter() - start < LONGEST
+        assert time.perf_counter() - start < MAX_ERROR_LENGTH
 
     stands()
 

@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
 from reality.faults import KINDS, Fault, draw_fault, noted
 from reality.judge import OUT_OF_TIME, Outcome, OutOfTime, cpu_limit, judge, judged, read_outcome
-from reality.spoil import Recorded, copied, lines_spoilt, spoilt
-from reality.studies import Case, Sloped, draw_case, planned, sloped, write_case
+from reality.spoil import Recorded, copied, lines_with_fault, with_fault
+from reality.studies import Case, InclinedCase, draw_case, inclined_case, planned, write_case
 from reality.tally import table, tally
 
 N, FPS, NOISE = 400, 4000.0, 1e-5
@@ -49,7 +49,7 @@ def spoil(kind: str, size: float = 1.0, variant: str = "", seed: int = 0) -> tup
     rng = np.random.default_rng(seed)
     x = CLEAN + NOISE * rng.standard_normal(N)
     good = Recorded(pd.DataFrame({"t_s": T, "x_m": x, "sigma_m": NOISE}), CLEAN, NOISE)
-    return *spoilt(good, "r1", Fault(kind, variant, size, ("r1",)), rng), good
+    return *with_fault(good, "r1", Fault(kind, variant, size, ("r1",)), rng), good
 
 
 # --- spoiling
@@ -119,10 +119,10 @@ def test_a_clock_is_wrong_by_its_share_and_the_study_file_follows_where_it_shoul
     factor = data["t_s"].iloc[-1] / T[-1]
     assert abs(factor - 1) == pytest.approx(0.12)
     lines = ["fps = 4000", "[[run]]", 'name = "r1"', "[[run]]", 'name = "r2"']
-    wrong = lines_spoilt(lines, fault)
+    wrong = lines_with_fault(lines, fault)
     assert wrong[3] == f"fps = {4000 / factor:.8g}"
     assert [line for line in wrong if line != wrong[3]] == lines
-    assert lines_spoilt(lines, replace(fault, variant="stamps")) == lines
+    assert lines_with_fault(lines, replace(fault, variant="stamps")) == lines
 
 
 def test_units_scale_all_columns_of_their_kind():
@@ -140,12 +140,12 @@ STUDY = ["[study]", "mass = 0.35", "[[run]]", 'name = "r1"', "[[run]]", 'name = 
     [(("r1",), False, [0.35, 350.0, 0.7]), (("r2",), False, [0.35, 700.0]), (("r1", "r2"), True, [350.0, 700.0])],
 )
 def test_a_mass_is_mistyped_in_one_run_or_in_all(runs: tuple[str, ...], in_all: bool, masses: list[float]):
-    wrong = lines_spoilt(STUDY, Fault("mass", "1000", 1.0, runs, in_all))
+    wrong = lines_with_fault(STUDY, Fault("mass", "1000", 1.0, runs, in_all))
     assert [float(line.split("=")[1]) for line in wrong if line.startswith("mass")] == masses
 
 
 def test_a_scale_is_typed_in_the_wrong_unit():
-    assert lines_spoilt(['scale = "0.5 mm/px"'], Fault("unit", "scale")) == ['scale = "0.5 m/px"']
+    assert lines_with_fault(['scale = "0.5 mm/px"'], Fault("unit", "scale")) == ['scale = "0.5 m/px"']
 
 
 @pytest.mark.parametrize("variant", KINDS["copy"].variants)
@@ -159,8 +159,8 @@ def test_a_copy_is_the_same_measurement(variant: str):
 
 def test_a_study_on_a_slope_follows_gravity():
     flat = replace(TRUTH, law={"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.0}}, scatter=0.0)
-    on = sloped(flat, 20.0, np.random.default_rng(3))
-    assert isinstance(on, Sloped)
+    on = inclined_case(flat, 20.0, np.random.default_rng(3))
+    assert isinstance(on, InclinedCase)
     assert abs(np.degrees(on.incline)) == pytest.approx(20.0)
     run = on.runs[0]
     trajectory = on.trajectory(run)

@@ -1,4 +1,4 @@
-"""How a diagnosis fares on measurements made by others.
+"""Diagnose measurements made by others, and print the verdicts.
 
     python pipelines/benchmarks/diagnosis_real.py --emps FOLDER --tribometer FILE [--seconds 24.8]
 

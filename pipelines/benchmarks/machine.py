@@ -1,4 +1,4 @@
-"""Where and with what a benchmark was measured."""
+"""Describe the machine and the versions with which a benchmark was measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole loop on rendered film: six studies, one hidden effect each (or none), through tracking to the verdict.
+"""Test the whole chain on rendered films: six studies with one hidden effect or none, from tracking to verdict.
 
     python pipelines/benchmarks/rendered.py [--seed 0] [--only texture] [--keep FOLDER]
 
@@ -25,7 +25,7 @@ HIDDEN = {
     "none": "",
 }
 
-FOUR = """
+FOUR_RUNS = """
 name = "{name}"
 mass = 0.35
 scatter = 0.03
@@ -60,7 +60,7 @@ v = 3.8
 frames = 240
 mass = 0.70
 """
-BACK = """[[run]]
+REVERSED_RUN = """[[run]]
 name = "back_fast"
 v = -6.0
 frames = 150
@@ -73,7 +73,9 @@ frames = 240
 
 def study(hidden: str, folder: Path, seed: int) -> str:
     """Film one study, run the loop on it, and say what came out, in one line."""
-    film_scene(read_scene((FOUR + BACK).format(name=f"rendered: {hidden}", law=HIDDEN[hidden])), folder, seed=seed)
+    film_scene(
+        read_scene((FOUR_RUNS + REVERSED_RUN).format(name=f"rendered: {hidden}", law=HIDDEN[hidden])), folder, seed=seed
+    )
     start = time.perf_counter()
     session = Session(open_study(folder / "study.toml"))
     found = session.diagnose(seed)

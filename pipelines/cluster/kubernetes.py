@@ -1,4 +1,4 @@
-"""A batch on Kubernetes: the Dask operator starts workers, frictrack gives them the studies.
+"""Run a batch on Kubernetes: the Dask operator starts workers, frictrack distributes the studies.
 
     pip install "frictrack[cluster]" dask-kubernetes s3fs
     helm install --repo https://helm.dask.org -n dask-operator --create-namespace --generate-name \\

@@ -1,4 +1,4 @@
-"""A batch on a Slurm cluster: dask-jobqueue asks Slurm for workers, frictrack gives them the studies.
+"""Run a batch on a Slurm cluster: dask-jobqueue requests workers, frictrack distributes the studies.
 
     pip install "frictrack[cluster]" dask-jobqueue
     python pipelines/cluster/slurm.py PATH... --queue normal --jobs 20

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of every reader, the study file and the store.
+"""Fuzz every reader, the study file and the store, guided by coverage.
 
     python pipelines/fuzz [TARGET ...] [--seconds 60] [--found FOLDER] [--replay FILE]
 
@@ -19,17 +19,17 @@ import warnings
 from pathlib import Path
 
 TIMEOUT = 10  # s for one input
-FOUND = Path(tempfile.gettempdir()) / "frictrack_fuzz"
-ROOM = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files that live for a millisecond
-END = re.compile(r"number_of_executed_units:\s*(\d+)")
-COVERED = re.compile(r"cov: (\d+)")
+FINDINGS_FOLDER = Path(tempfile.gettempdir()) / "frictrack_fuzz"
+FAST_FOLDER = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files that live for a millisecond
+RUNS_PATTERN = re.compile(r"number_of_executed_units:\s*(\d+)")
+COVERAGE_PATTERN = re.compile(r"cov: (\d+)")
 
 
 def once(name: str, data: bytes) -> str:
     """Give one input to a target; what the library says of it."""
     from targets import TARGETS, excused  # noqa: PLC0415 - after the instrumentation
 
-    with tempfile.TemporaryDirectory(dir=ROOM) as folder:
+    with tempfile.TemporaryDirectory(dir=FAST_FOLDER) as folder:
         return excused(TARGETS[name], data, Path(folder))
 
 
@@ -67,7 +67,7 @@ def fuzz(name: str, folder: Path, seconds: int) -> bool:
     command = [sys.executable, __file__, name, "--seconds", str(seconds), "--found", str(folder), "--work"]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (folder / name / "output.txt").write_text(done.stderr)
-    units, covered = END.findall(done.stderr), COVERED.findall(done.stderr)
+    units, covered = RUNS_PATTERN.findall(done.stderr), COVERAGE_PATTERN.findall(done.stderr)
     new = [p for p in (folder / name).iterdir() if p not in before and re.match("crash|timeout|oom|leak|slow", p.name)]
     stood = done.returncode == 0
     print(f"{name:10} {units[-1] if units else '?':>9} inputs {covered[-1] if covered else '?':>6} branches "
@@ -84,7 +84,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("targets", nargs="*", metavar="TARGET")
     parser.add_argument("--seconds", type=int, default=60, help="per target")
-    parser.add_argument("--found", type=Path, default=FOUND, help="folder of what is found, and of the corpus")
+    parser.add_argument(
+        "--found", type=Path, default=FINDINGS_FOLDER, help="folder of what is found, and of the corpus"
+    )
     parser.add_argument("--replay", type=Path, help="one input instead")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     asked = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Small valid files of every kind that is read: the seeds of the fuzzing."""
+"""Write small valid files of every kind that is read: the seeds of the fuzzing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is fuzzed: a row per reader, with valid inputs to begin from and the function that is given the bytes.
+"""Define what is fuzzed: per reader valid inputs to start from and the function that reads the bytes.
 
 A function may return or raise one `FrictrackError` of one line; anything else is a finding.
 """
@@ -33,7 +33,7 @@ from frictrack.units import is_coherent, parse_quantity
 from frictrack.version import __version__
 
 MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
-LONGEST = 12_000  # characters of an error
+MAX_ERROR_LENGTH = 12_000  # characters of an error
 Use = Callable[[bytes, Path], None]
 
 
@@ -53,7 +53,7 @@ def excused(target: Target, data: bytes, folder: Path) -> str:
         target.use(data, folder)
     except FrictrackError as error:
         said = str(error)
-        if not said.isprintable() or not 0 < len(said) <= LONGEST:
+        if not said.isprintable() or not 0 < len(said) <= MAX_ERROR_LENGTH:
             raise AssertionError(f"expected one line of an error but got {said[:2000]!r}") from error
         return said
     return ""
@@ -231,7 +231,7 @@ def _edit(file: h5py.File, what: int, where: int, which: int, value: int) -> Non
     place = file[names[where % len(names)]] if names else file
     group = place if isinstance(place, h5py.Group) else place.parent
     known = sorted({*place.attrs, *(group if what % 2 else ()), "schema", "new"})
-    name, odd = known[which % len(known)], ODD[value % len(ODD)]
+    name, odd = known[which % len(known)], ODD_TABLES[value % len(ODD_TABLES)]
     if what % 3 == 0 and names:
         del file[place.name]
     elif what % 3 == 1:
@@ -271,7 +271,7 @@ def log(data: bytes, folder: Path) -> None:
     assert all(isinstance(change.text, str) for change in history.changes)
 
 
-ODD = (
+ODD_TABLES = (
     *(
         0,
         -1,

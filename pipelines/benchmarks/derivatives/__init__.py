@@ -1,4 +1,4 @@
-"""Differentiation benchmark: `python pipelines/benchmarks/derivatives --help`; `from derivatives import signal`."""
+"""Benchmark of differentiation: `python pipelines/benchmarks/derivatives --help`; `from derivatives import signal`."""
 
 from .signals import SIGNALS, Signal, signal
 

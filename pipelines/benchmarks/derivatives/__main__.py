@@ -1,4 +1,4 @@
-"""How well displacement is differentiated twice: frictrack and other methods on signals of known truth, side by side.
+"""Compare frictrack and other methods that differentiate displacement twice, on signals of known truth.
 
     python pipelines/benchmarks/derivatives [--signals vib,coll] [--noises 2,10,50] [--seeds 8] [--methods WORD,WORD]
                                             [--json FILE] [--peers-python PATH | --no-peers]

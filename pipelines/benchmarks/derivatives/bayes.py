@@ -1,4 +1,4 @@
-"""Plain references that state deviations: a Kalman smoother of white n-th derivative, a Gaussian process."""
+"""Reference methods that state standard deviations: a Kalman smoother and a Gaussian process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from .estimate import Array, Estimate, Method, lowest
 
-VAGUE = 1e10 * 100.0 ** np.arange(4)  # variances of the first state, in units of noise and record
+START_VARIANCES = 1e10 * 100.0 ** np.arange(4)  # variances of the first state, in units of noise and record
 RATIOS = 1e-4, 1e22  # process noise over measurement noise, in units of the record, searched
 LENGTHS, SIZES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (1e2, 1e4, 1e6, 1e8, 1e10)  # of the records, of the noise
 
@@ -33,7 +33,7 @@ class Chain:
 
         The first frames, which a vague start fits whatever they are, do not count.
         """
-        mean, spread = np.zeros(self.order), np.diag(VAGUE[: self.order])
+        mean, spread = np.zeros(self.order), np.diag(START_VARIANCES[: self.order])
         squares, logs, kept = 0.0, 0.0, []
         for k, value in enumerate(y):
             if k:

@@ -1,4 +1,4 @@
-"""What no method can beat, or hardly: the Wiener filter that knows the spectrum, and the model that knows the law."""
+"""Compute bounds: the Wiener filter that knows the spectrum, and the Cramer-Rao bound of a known law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What laboratories use: each by its usual automatic choice, and with the choice of an oracle that knows the truth.
+"""Methods that laboratories use, each with its usual automatic choice and with the best choice for the known truth.
 
 The oracle takes the setting of the least RMS error of acceleration on the very record, ends included.
 """

@@ -1,4 +1,4 @@
-"""What every method returns, and what a method is."""
+"""The types that every method shares: what it takes and what it returns."""
 
 from __future__ import annotations
 

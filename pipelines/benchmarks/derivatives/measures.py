@@ -1,4 +1,4 @@
-"""From estimates and truth to the figures of the table."""
+"""Compute the figures of the table from estimates and truth."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from .estimate import Estimate
 from .signals import Array, Signal
 
-ENDS = 0.05  # of the record, at either end
-NEAR = 2e-3  # s, about a jump
+END_SHARE = 0.05  # of the record, at either end
+NEAR_JUMP_S = 2e-3  # s, about a jump
 ORDERS = "xva"
 
 
@@ -35,11 +35,11 @@ def summary(truth: Signal, squares: Array) -> dict[str, Any]:
 def parts(truth: Signal) -> dict[str, Any]:
     """Masks of the middle, of both ends, and of what is near an event or not."""
     n = len(truth.t)
-    edge, frame = round(ENDS * n), np.arange(n)
+    edge, frame = round(END_SHARE * n), np.arange(n)
     first, last = frame < edge, frame >= n - edge
     near = np.zeros(n, dtype=bool)
     if truth.events:
-        near = np.min(np.abs(truth.t[:, None] - np.array(truth.events)), axis=1) <= NEAR
+        near = np.min(np.abs(truth.t[:, None] - np.array(truth.events)), axis=1) <= NEAR_JUMP_S
     return {"mid": ~first & ~last, "first": first, "last": last, "near": near, "off": ~near & near.any()}
 
 

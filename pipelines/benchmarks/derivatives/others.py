@@ -1,4 +1,4 @@
-"""Peers in the other Python: one process for one method on one record."""
+"""Run peer methods in another Python: one process per method and record."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHOICES = "own", "oracle"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 # Hz, the band limit that PyNumDiff asks its user for: above the highest line, and as high as a collision or jump needs.
 BANDS = {"vib": 100.0, "plain": 20.0, "two": 200.0, "high": 400.0, "decay": 150.0, "push": 100.0, "incline": 50.0}
-BROAD = 400.0
+MAX_BAND_HZ = 400.0
 
 
 def peer(plan: Plan, truth: Signal, y: Array, method: str, choice: str) -> tuple[Estimate, float] | str:
@@ -31,7 +31,7 @@ def peer(plan: Plan, truth: Signal, y: Array, method: str, choice: str) -> tuple
         record, out = Path(folder) / "record.npz", Path(folder) / "found.npz"
         np.savez(record, t=truth.t, y=y, v=truth.v, a=truth.a)
         job = {"file": str(record), "out": str(out), "method": method, "seconds": plan.peer_seconds}
-        job["band"] = BANDS.get(truth.name, BROAD) if choice == "own" else None
+        job["band"] = BANDS.get(truth.name, MAX_BAND_HZ) if choice == "own" else None
         command = [plan.python, str(Path(__file__).with_name("peers.py")), json.dumps(job)]
         done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
         if not out.exists():

@@ -1,4 +1,4 @@
-"""frictrack's smoothers, through its public stages; the noise level is stated as a tracker would."""
+"""Run frictrack's smoothers through its public stages, with the noise level that a tracker would state."""
 
 from __future__ import annotations
 

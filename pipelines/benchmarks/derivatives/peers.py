@@ -1,4 +1,4 @@
-"""PyNumDiff's methods applied twice, one method on one record; needs numpy and pynumdiff.
+"""Run one method of PyNumDiff, applied twice, on one record; needs numpy and pynumdiff.
 
 Runs in an environment of its own, within a limit of CPU seconds, which the system enforces:
 
@@ -30,7 +30,7 @@ METHODS = (
     "tvrdiff",
 )
 # Their whole search space takes minutes; with this part of it they come back in time.
-NARROWED = {
+NARROWED_CHOICES = {
     "rtsdiff": {"order": 3, "forwardbackward": False, "log_qr_ratio": [1.0, 5.0, 9.0, 13.0, 17.0]},
     "tvrdiff": {"order": 3, "huberM": 6.0, "gamma": [1e-2, 1.0, 1e2]},
 }
@@ -47,7 +47,7 @@ def main() -> None:
     method, record = getattr(pynumdiff, job["method"]), np.load(job["file"])
     interval = float(record["t"][1] - record["t"][0])
     start, made, settings = time.process_time(), record["y"], []
-    passes, part = [], NARROWED.get(job["method"], {})
+    passes, part = [], NARROWED_CHOICES.get(job["method"], {})
     for truth in ("v", "a"):
         hint = {"bandlimit": job["band"]} if job["band"] else {"dxdt_truth": record[truth]}
         chosen, _ = optimize(method, made, interval, parallel=False, search_space_updates=part, **hint)

@@ -1,4 +1,4 @@
-"""What is asked for."""
+"""The plan of a benchmark: signals, methods, noise levels and repeats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Methods on signals, side by side, and the tables."""
+"""Run methods on signals and write the tables."""
 
 from __future__ import annotations
 

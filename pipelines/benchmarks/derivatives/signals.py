@@ -1,4 +1,4 @@
-"""What a camera would see of a mass of 0.35 kg at 4000 frames/s, with its true velocity and acceleration.
+"""Simulate what a camera records of a mass of 0.35 kg at 4000 frames/s, with its true velocity and acceleration.
 
 Closed forms, or scipy's DOP853 at tolerances far below a picometre; nothing of frictrack is used.
 """
@@ -20,8 +20,8 @@ Path = tuple[Array, Array, Array]  # x m, v m/s, a m/s^2
 Acceleration = Callable[[Array, Array], Array]  # of t and v
 
 RATE, MASS, GRAVITY = 4000.0, 0.35, 9.81
-SLOWEST = 0.06  # m/s at which a slide is cut off
-LONGEST = 1000  # frames
+MIN_SPEED = 0.06  # m/s at which a slide is cut off
+MAX_FRAMES = 1000  # frames
 
 # Friction f_c + (f_s - f_c) exp(-v/v_s) + f_v v in N; 5.75 m/s is left after 0.17 s.
 SLIDE = {"x": 0.0, "v": 5.75, "fc": 8.0, "fs": 14.0, "fv": 1.2, "vs": 0.4}
@@ -93,14 +93,14 @@ def slide(p: Parameters, t: Array) -> Path:
     return integrate(t, (p["x"], p["v"]), acceleration, cuts)
 
 
-def frames(n: int = LONGEST) -> Array:
+def frames(n: int = MAX_FRAMES) -> Array:
     return np.arange(n) / RATE
 
 
 def until_slow(path: Path, t: Array) -> tuple[Array, Array, Array, Array]:
     """Frames up to the first that is slower than 0.06 m/s after the fastest."""
     top = int(np.argmax(path[1]))
-    n = top + int(np.argmax(path[1][top:] < SLOWEST)) + 1
+    n = top + int(np.argmax(path[1][top:] < MIN_SPEED)) + 1
     x, v, a = path
     return t[:n], x[:n], v[:n], a[:n]
 

@@ -1,4 +1,4 @@
-"""How small a missing effect may be and still be named: frictrack, the ideal detector, and other ways."""
+"""Benchmark of detection limits: the smallest missing effect that frictrack, an ideal detector and others name."""
 
 from __future__ import annotations
 

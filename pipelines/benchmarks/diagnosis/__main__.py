@@ -1,4 +1,4 @@
-"""How a diagnosis fares: detection limits of several ways side by side, and the scores of blind studies.
+"""Measure a diagnosis: detection limits of several methods, and scores of blind studies.
 
     python pipelines/benchmarks/diagnosis [--only limits,blind,notebook] [--effects drag,texture] [--repeats 20]
         [--peers-python PATH | --no-peers] [--blind FOLDER ...] [--json FILE]

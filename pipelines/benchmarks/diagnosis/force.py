@@ -1,4 +1,4 @@
-"""The same detector in the force domain: displacement filtered and differentiated twice, then least squares.
+"""Detect effects in the force domain: filter and differentiate the displacement twice, then least squares.
 
 The papers' chain: a Butterworth filter of order 4, forward and backward, and central differences; columns of the law
 and of the effect go through it too. Least squares takes the force's noise for white, which it is not: how far the
@@ -16,16 +16,16 @@ from frictrack.blind.ideal_detector import IdealDetector
 from frictrack.blind.truth import effect_named
 from frictrack.records import Array
 
-CUTOFF = 100.0  # Hz
-TRIM = 20  # frames at either end, which the filter smears
-DRAWS = 300
+CUTOFF_HZ = 100.0  # Hz
+TRIM_FRAMES = 20  # frames at either end, which the filter smears
+N_DRAWS = 300
 
 
 def chained(x: Array, fps: float, mass: float) -> Array:
     """Force (m, k) of displacements (n, k): filtered, differentiated twice, ends left out."""
-    smooth = filtfilt(*butter(4, CUTOFF, fs=fps), x, axis=0)
+    smooth = filtfilt(*butter(4, CUTOFF_HZ, fs=fps), x, axis=0)
     a = np.gradient(np.gradient(smooth, 1 / fps, axis=0), 1 / fps, axis=0)
-    return np.asarray(-mass * a[TRIM:-TRIM])
+    return np.asarray(-mass * a[TRIM_FRAMES:-TRIM_FRAMES])
 
 
 def force_size(detector: IdealDetector, name: str, at: dict[str, float], seed: int = 0) -> float | None:
@@ -49,14 +49,14 @@ def _error(detector: IdealDetector, name: str, at: dict[str, float], phases: dic
         own = np.zeros((len(block), 3 * count))  # two of the start and one of the level
         own[:, 2 * i : 2 * i + 2], own[:, 2 * count + i] = block[:, :2], block[:, -1]
         rows.append(chained(np.column_stack([answer, block[:, 2:-1], own]), bare.fps, mass))
-        noise.append(chained(bare.noise * rng.standard_normal((len(block), DRAWS)), bare.fps, mass))
+        noise.append(chained(bare.noise * rng.standard_normal((len(block), N_DRAWS)), bare.fps, mass))
     a, e = np.vstack(rows), np.vstack(noise)
     spread = float(np.std(e))
     held = np.zeros((count, a.shape[1]))
     held[:, -count:] = np.eye(count) * spread / bare.scatter
-    levels = bare.scatter * rng.standard_normal((count, DRAWS))
+    levels = bare.scatter * rng.standard_normal((count, N_DRAWS))
     e = e + a[:, -count:] @ levels
-    a, e = np.vstack([a, held]), np.vstack([e, np.zeros((count, DRAWS))])
+    a, e = np.vstack([a, held]), np.vstack([e, np.zeros((count, N_DRAWS))])
     norm = np.linalg.norm(a, axis=0)
     kept = norm > 0
     rest = a[:, kept][:, 1:] / norm[kept][1:]

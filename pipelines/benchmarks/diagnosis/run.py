@@ -1,4 +1,4 @@
-"""Limits of all ways for all effects, at the setting that is least favourable to frictrack."""
+"""Compute the limits of all methods for all effects, at the setting that is least favourable to frictrack."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from frictrack.blind.detection_limits import ideal_detection_limit
 from frictrack.blind.truth import effect_named
 
 Say = Callable[[str], None]
-STEPS = tuple(2.0**k for k in range(-1, 9))  # of the ideal limit, for the peer
-NULL = 100  # studies with nothing hidden, by which the peer is calibrated
+SIZES_OVER_IDEAL = tuple(2.0**k for k in range(-1, 9))  # of the ideal limit, for the peer
+N_NULL_STUDIES = 100  # studies with nothing hidden, by which the peer is calibrated
 
 
 def limits(names: Sequence[str], repeats: int, python: str | None, say: Say) -> dict[str, Any]:
@@ -48,20 +48,20 @@ def _with_peer(out: dict[str, Any], python: str, repeats: int, say: Say) -> None
     """The peer's sizes beside the others."""
     forms = {n: row["at"] for n, row in out.items() if effect_named(n).acts_on == "force"}
     owner, law = sparse.owners(forms), len(BASE)
-    nothing = [sparse.case(*_drawn(BASE[0], {}, 0.0, seed), forms) for seed in range(NULL)]
+    nothing = [sparse.case(*_drawn(BASE[0], {}, 0.0, seed), forms) for seed in range(N_NULL_STUDIES)]
     told = sparse.ask(python, nothing, law, None)
     say(f"PySINDy {told['version']}: threshold {told['threshold']:.3g} for one false alarm in 100")
     for name in forms:
         row, shares = out[name], []
-        for times in STEPS:
+        for times in SIZES_OVER_IDEAL:
             size = times * row["ideal"]
             cases = [sparse.case(*_drawn(name, row["at"], size, 1000 + s), forms) for s in range(repeats)]
             found = sparse.ask(python, cases, law, told["threshold"])["kept"]
             shares.append(sum(name in {owner[k] for k in kept} for kept in found) / repeats)
             if shares[-1] >= 1.0:
                 break
-        row["sparse"] = {"times": list(STEPS[: len(shares)]), "named": shares}
-        row["sparse"]["size"] = size_seen(STEPS, shares, row["ideal"])
+        row["sparse"] = {"times": list(SIZES_OVER_IDEAL[: len(shares)]), "named": shares}
+        row["sparse"]["size"] = size_seen(SIZES_OVER_IDEAL, shares, row["ideal"])
         say(f"{name}: PySINDy {_times(row['sparse']['size'], row['ideal'])} of the ideal limit")
 
 

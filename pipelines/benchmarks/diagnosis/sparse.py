@@ -1,4 +1,4 @@
-"""A sparse-regression peer, PySINDy, on the same data; run by a Python that has it:
+"""Run a sparse-regression peer, PySINDy, on the same data; run by a Python that has it:
 
     python sparse.py < cases.npz > shares.json
 
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 Array = Any
-KEEP = 5  # every so many frames, as neighbours of a filtered force say the same
+KEPT_FRAME_STEP = 5  # every so many frames, as neighbours of a filtered force say the same
 ALPHA = 0.01
 
 
@@ -36,7 +36,7 @@ def case(truth: Any, rng: np.random.Generator, forms: dict[str, dict[str, float]
     rows, right = [], []
     for run in recorded(truth, rng):
         m = run.motion
-        keep = np.flatnonzero(np.abs(m.v) > 0.1)[20:-20:KEEP]
+        keep = np.flatnonzero(np.abs(m.v) > 0.1)[20:-20:KEPT_FRAME_STEP]
         rows.append(_terms(run, keep, truth, forms))
         right.append(-run.mass * m.a[keep])
     return np.vstack(rows), np.concatenate(right)

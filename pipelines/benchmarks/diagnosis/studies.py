@@ -1,4 +1,4 @@
-"""The study on which the limits are compared: five runs, 3 % scatter, 10 um, and one effect or none in it."""
+"""Simulate the study on which limits are compared: five runs, 3 % scatter, 10 um, and one effect or none."""
 
 from __future__ import annotations
 

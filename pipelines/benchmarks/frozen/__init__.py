@@ -1,1 +1,1 @@
-"""The outputs of frictrack, stored, to be compared with those of changed code."""
+"""Stored outputs of frictrack, to compare with those of changed code."""

@@ -1,4 +1,4 @@
-"""Compare the outputs of frictrack with those stored from an earlier version: a rewrite must leave them as they are.
+"""Compare the outputs of frictrack with those stored from an earlier version: a rewrite must not change them.
 
     python pipelines/benchmarks/frozen [--only tables,films | --quick] [--texts] [--write]
 

@@ -1,4 +1,4 @@
-"""Identification measured: how near to the bound, on a machine, and how surely the global optimum is found."""
+"""Benchmark of identification: errors over the bound, a real machine, and success of global optimisers."""
 
 from .accuracy import Plan
 from .scenes import SCENES

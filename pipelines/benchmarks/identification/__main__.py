@@ -1,4 +1,4 @@
-"""How well a friction law is identified: frictrack and other ways, side by side.
+"""Compare frictrack and other methods that identify a friction law.
 
     python pipelines/benchmarks/identification [--only accuracy,emps,optima] [--emps FOLDER] [--json FILE]
         [--scenes tustin,five] [--noises 2,10,50] [--seeds 1000] [--beside 100] [--workers 2]

@@ -1,4 +1,4 @@
-"""How far from the truth: errors of every way to a law over the Cramer-Rao bound, scene by scene."""
+"""Compute errors of every method over the Cramer-Rao bound, scene by scene."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Say = Callable[[str], None]
 Rows = dict[str, dict[str, Any]]  # method -> figures
 Results = dict[str, dict[str, Any]]  # scene -> noise -> truth, bound and methods
 NORMAL = 1.96  # standard deviations that hold 95 %
-SEEN = 5.0  # standard deviations that a line must stand out for a bound to mean anything
+MIN_LINE_SIGMAS = 5.0  # standard deviations that a line must stand out for a bound to mean anything
 DEFAULT, QUICK = "structural", "kalman"  # smoothers that start a fit and say where it begins and ends
 OURS = next(iter(METHODS))
-OTHER = "frictrack, quick smoother"
+QUICK_SMOOTHER = "frictrack, quick smoother"
 
 
 class Job(NamedTuple):
@@ -44,10 +44,10 @@ def draw(job: Job) -> Draw:
     scene = SCENES[job.scene]
     found: Draw = {}
     for title in job.titles:
-        runs = films(scene, job.noise, job.seed, QUICK if title == OTHER else DEFAULT)
+        runs = films(scene, job.noise, job.seed, QUICK if title == QUICK_SMOOTHER else DEFAULT)
         start = time.process_time()
         try:
-            estimate = METHODS[OURS if title == OTHER else title](scene, runs)
+            estimate = METHODS[OURS if title == QUICK_SMOOTHER else title](scene, runs)
         except FrictrackError as fault:
             found[title] = str(fault)
             continue
@@ -61,7 +61,7 @@ def judge(scene: Scene, limits: dict[str, float], draws: Sequence[tuple[Estimate
     if not made:
         return {"failed": len(draws)}
     names, scale = list(scene.law), np.array(list(limits.values()))
-    error = np.array([[_off(n, e.values[n], scene.law[n]) for n in names] for e, _ in made])
+    error = np.array([[_error_ratio(n, e.values[n], scene.law[n]) for n in names] for e, _ in made])
     stated = np.array([[e.stds[n] for n in names] for e, _ in made])
     with np.errstate(invalid="ignore"):
         inside = np.where(np.isfinite(stated), np.abs(error) <= NORMAL * stated, np.nan)
@@ -77,7 +77,7 @@ def judge(scene: Scene, limits: dict[str, float], draws: Sequence[tuple[Estimate
     }
 
 
-def _off(name: str, value: float, truth: float) -> float:
+def _error_ratio(name: str, value: float, truth: float) -> float:
     """Error of one parameter; phases are taken the short way round."""
     error = value - truth
     return float(np.angle(np.exp(1j * error))) if name.startswith("phase") else error
@@ -98,7 +98,11 @@ class Plan(NamedTuple):
 
     def jobs(self, scene: str, noise: float) -> list[Job]:
         """All draws of a scene; the quick smoother has half as many as what is shown beside."""
-        wanted = ((OURS, self.seeds), *((m, self.beside) for m in METHODS if m != OURS), (OTHER, self.beside // 2))
+        wanted = (
+            (OURS, self.seeds),
+            *((m, self.beside) for m in METHODS if m != OURS),
+            (QUICK_SMOOTHER, self.beside // 2),
+        )
         return [Job(scene, noise, s, tuple(t for t, n in wanted if s < n)) for s in range(self.seeds)]
 
 
@@ -109,12 +113,12 @@ def compare(plan: Plan, say: Say) -> Results:
         for name, noise in product(plan.scenes, plan.noises):
             scene = SCENES[name]
             limits = bound(scene, noise)
-            if faint := _faint(scene, limits):
+            if faint := _is_faint(scene, limits):
                 say(f"\n{name}, {1e6 * noise:g} um: left out, {faint}")
                 continue
             draws = list(pool.map(draw, plan.jobs(name, noise), chunksize=5))
             rows = _judged(scene, limits, draws)
-            apart = _apart(limits, draws)
+            apart = _differs(limits, draws)
             told = {"truth": dict(scene.law), "bound": limits, "methods": rows, "quick_smoother_apart": apart}
             results.setdefault(name, {})[f"{1e6 * noise:g} um"] = told
             say(table(f"{name}, {1e6 * noise:g} um", told))
@@ -125,19 +129,19 @@ def _judged(scene: Scene, limits: dict[str, float], draws: Sequence[Draw]) -> Ro
     return {title: judge(scene, limits, [d[title] for d in draws if title in d]) for title in METHODS}
 
 
-def _faint(scene: Scene, limits: dict[str, float]) -> str:
+def _is_faint(scene: Scene, limits: dict[str, float]) -> str:
     """Why a scene has no meaningful bound at this noise, empty where it has."""
-    lines = [n for n in scene.law if n[0] == "F" and scene.law[n] < SEEN * limits[n]]
+    lines = [n for n in scene.law if n[0] == "F" and scene.law[n] < MIN_LINE_SIGMAS * limits[n]]
     return "".join(f"{n} stands only {scene.law[n] / limits[n]:.1f} standard deviations out" for n in lines[:1])
 
 
-def _apart(limits: dict[str, float], draws: Iterable[Draw]) -> float:
+def _differs(limits: dict[str, float], draws: Iterable[Draw]) -> float:
     """Most that a parameter changes with the quick smoother in place of the default one, over its bound."""
     apart = [0.0]
     for d in draws:
-        one, other = d.get(OTHER), d[OURS]
+        one, other = d.get(QUICK_SMOOTHER), d[OURS]
         if one is not None and not isinstance(one, str) and not isinstance(other, str):
-            apart += [abs(_off(n, one[0].values[n], other[0].values[n])) / limit for n, limit in limits.items()]
+            apart += [abs(_error_ratio(n, one[0].values[n], other[0].values[n])) / limit for n, limit in limits.items()]
     return max(apart)
 
 

@@ -1,4 +1,4 @@
-"""What no unbiased estimate of the law can beat: the Cramer-Rao bound of the displacements.
+"""Compute the Cramer-Rao bound of the parameters of a law from displacements.
 
 Every run has its own start (x, v), and where the dry friction scatters a level of known spread: a random effect, held
 to one by its own information 1/scatter^2. The Jacobian is that of scipy's integrator by central differences.

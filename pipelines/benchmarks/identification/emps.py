@@ -1,4 +1,4 @@
-"""The Electro-Mechanical Positioning System: published figures, the authors' way to them, and the measure for all.
+"""Read the Electro-Mechanical Positioning System: records, published figures, and the authors' method.
 
 A. Janot, M. Gautier, M. Brunot, Data Set and Reference Models of EMPS, Workshop on Nonlinear System Identification
 Benchmarks, Eindhoven 2019. A motor drives a carriage through a screw; position q and command vir at 1 kHz, 24.8 s, one
@@ -27,9 +27,9 @@ GAIN = 35.15065  # N per volt of the motor command
 RATE = 1000.0  # Hz
 FILES = {"train": "DATA_EMPS.mat", "validation": "DATA_EMPS_PULSES.mat"}
 ORDER, CUTOFF = 2, 100.0  # of the Butterworth filter; forward and backward it is of the fourth order
-THINNED = 100.0  # Hz, to which the force is thinned: one sample of ten
-TRIM = 1  # samples at either end, whose differences are one-sided
-RIPPLE, PASSED = 0.05, 0.8  # dB and share of the new Nyquist frequency: the usual filter of a decimation
+DECIMATED_RATE_HZ = 100.0  # Hz, to which the force is thinned: one sample of ten
+TRIM_SAMPLES = 1  # samples at either end, whose differences are one-sided
+RIPPLE_DB, PASSBAND_SHARE = 0.05, 0.8  # dB and share of the new Nyquist frequency: the usual filter of a decimation
 
 SYMMETRIC, ASYMMETRIC = "coulomb,viscous,slope", "coulomb,viscous,asymmetry"
 PUBLISHED: dict[str, dict[str, float]] = {  # errors in percent; the second validation is the data's description's
@@ -84,8 +84,8 @@ class Record:
 
     def decimated(self, columns: Array) -> Array:
         """Columns (n, k) or (n,), trimmed, low-passed and thinned, as the drive is."""
-        inside, step = columns[TRIM : len(columns) - TRIM], round(self.rate / THINNED)
-        low = _both_ways(*cheby1(8, RIPPLE, PASSED / step), inside)
+        inside, step = columns[TRIM_SAMPLES : len(columns) - TRIM_SAMPLES], round(self.rate / DECIMATED_RATE_HZ)
+        low = _both_ways(*cheby1(8, RIPPLE_DB, PASSBAND_SHARE / step), inside)
         return low[(len(low) - 1) % step :: step]  # so that the last sample is kept
 
     @cached_property

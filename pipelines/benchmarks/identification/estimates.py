@@ -1,4 +1,4 @@
-"""The ways to a law that are compared: frictrack in both domains, and what is done without it.
+"""The methods that are compared: frictrack in both domains, and alternatives without it.
 
 Each takes measured runs and returns the parameters of the scene's law with the deviations it states.
 """
@@ -22,10 +22,10 @@ from .scenes import Scene
 
 ADDRESSES = {"coulomb.F_c": "fc", "stribeck.F_s": "fs", "viscous.F_v": "fv", "stribeck.v_s": "vs"}
 LINE = {"amplitude": "F", "frequency": "f", "phase": "phase"}
-BOX = {"fc": (0.0, 40.0), "fs": (0.0, 80.0), "fv": (0.0, 20.0), "vs": (0.05, 3.0), "F": (0.0, 20.0)}
-REACH = {"f": 10.0, "phase": np.pi}  # Hz and rad about the truth
+SEARCH_BOUNDS = {"fc": (0.0, 40.0), "fs": (0.0, 80.0), "fv": (0.0, 20.0), "vs": (0.05, 3.0), "F": (0.0, 20.0)}
+SEARCH_RANGE = {"f": 10.0, "phase": np.pi}  # Hz and rad about the truth
 ORDER = 4  # of Butterworth, forward and backward
-TRIM = 0.05  # of the record, at either end
+TRIM_SHARE = 0.05  # of the record, at either end
 
 
 class Estimate(NamedTuple):
@@ -68,7 +68,7 @@ def _named(fit: ft.Fit) -> Estimate:
 
 def tuned(scene: Scene, runs: Sequence[Run]) -> Estimate:
     """A well-tuned plain chain: Butterworth 200 Hz of what a cubic leaves, 5 % of either end not compared."""
-    return _fitted(scene, [_derived(run, 200.0, detrend=True, trim=TRIM) for run in runs])
+    return _fitted(scene, [_derived(run, 200.0, detrend=True, trim=TRIM_SHARE) for run in runs])
 
 
 def papers(scene: Scene, runs: Sequence[Run]) -> Estimate:
@@ -103,8 +103,8 @@ def _fitted(scene: Scene, runs: Sequence[tuple[Array, Array, Array]]) -> Estimat
 
 
 def _box(name: str, truth: float) -> tuple[float, float]:
-    kind = name if name in BOX else name.rstrip("0123456789")
-    return BOX[kind] if kind in BOX else (truth - REACH[kind], truth + REACH[kind])
+    kind = name if name in SEARCH_BOUNDS else name.rstrip("0123456789")
+    return SEARCH_BOUNDS[kind] if kind in SEARCH_BOUNDS else (truth - SEARCH_RANGE[kind], truth + SEARCH_RANGE[kind])
 
 
 METHODS: dict[str, Method] = {

@@ -1,4 +1,4 @@
-"""The EMPS, side by side: published, reproduced, frictrack's own, and with the effects that the library adds."""
+"""Compare laws of the EMPS: published, reproduced, frictrack's fit, and with effects added from the library."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .emps import ASYMMETRIC, PUBLISHED, SYMMETRIC, Record, authors, records
 
 Say = Callable[[str], None]
 Rows = list[dict[str, Any]]
-CHAIN, OURS = "force domain, least squares", "frictrack, displacement"
+FORCE_DOMAIN, OURS = "force domain, least squares", "frictrack, displacement"
 
 
 def compare(folder: Path, say: Say) -> dict[str, Rows]:
@@ -27,7 +27,7 @@ def compare(folder: Path, say: Say) -> dict[str, Rows]:
     rows: Rows = []
     for title, law in laws.items():
         row = next(r for r in reproduced if r["model"] == title)
-        rows += [{"way": CHAIN, "model": law.words, "late": 0.0} | row, own(law, data, 0.0, run)]
+        rows += [{"way": FORCE_DOMAIN, "model": law.words, "late": 0.0} | row, own(law, data, 0.0, run)]
     say("\neffects beside the asymmetric law, held-out error on the record to fit")
     for law, record, found in screen.grown(data["train"], laws[ASYMMETRIC], say):
         rows += [chain(law, data, record.late) | found, own(law, data, record.late, run) | found]
@@ -41,7 +41,13 @@ def chain(law: screen.Law, data: Mapping[str, Record], late: float) -> dict[str,
     columns = {role: law.columns(record) for role, record in shifted.items()}
     found = np.linalg.lstsq(columns["train"], shifted["train"].force, rcond=None)[0]
     errors = {role: record.error(found, columns[role]) for role, record in shifted.items()}
-    return {"way": CHAIN, "model": law.words, "late": late, "parameters": {"M": float(found[0])}, "errors": errors}
+    return {
+        "way": FORCE_DOMAIN,
+        "model": law.words,
+        "late": late,
+        "parameters": {"M": float(found[0])},
+        "errors": errors,
+    }
 
 
 def own(law: screen.Law, data: Mapping[str, Record], late: float, run: Any) -> dict[str, Any]:

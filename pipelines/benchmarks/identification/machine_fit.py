@@ -1,4 +1,4 @@
-"""frictrack's own fit of the EMPS: mass and friction found in the displacement, segment by segment."""
+"""Fit mass and friction of the EMPS with frictrack, in the displacement domain, segment by segment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from frictrack.records import Displacement, Run
 
 from .emps import Record
 
-EITHER_WAY = (-np.inf, np.inf)  # dry friction that rises with the speed is a Stribeck rise below zero
+UNBOUNDED = (-np.inf, np.inf)  # dry friction that rises with the speed is a Stribeck rise below zero
 
 
 def filmed(record: Record) -> Run:
@@ -43,7 +43,7 @@ def law_of(numbers: Mapping[str, Mapping[str, float]]) -> Model:
 def _held(effect: Effect, own: Mapping[str, float]) -> Effect:
     changes: dict[str, dict[str, Any]] = {name: {"fixed": value} for name, value in own.items()}
     if effect.kind == "stribeck":
-        changes["F_s"] = {"bounds": EITHER_WAY}
+        changes["F_s"] = {"bounds": UNBOUNDED}
     return effect.adjusted(**changes)
 
 

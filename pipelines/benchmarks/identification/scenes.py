@@ -1,4 +1,4 @@
-"""Sliding masses of known law, as a camera of white noise sees them; nothing of frictrack moves them."""
+"""Simulate sliding masses of known law, independently of frictrack, as a camera of white noise records them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from derivatives.signals import LONGEST, MASS, RATE, SLIDE, SLOWEST, Array, slide
+from derivatives.signals import MASS, MAX_FRAMES, MIN_SPEED, RATE, SLIDE, Array, slide
 
 import frictrack as ft
 from frictrack.records import Displacement, Run
 
 LAW = {name: SLIDE[name] for name in ("fc", "fs", "fv", "vs")}  # N, N, N s/m, m/s
 LINES = {"F0": 2.0, "f0": 60.0, "phase0": 0.5, "F1": 1.2, "f1": 134.0, "phase1": 2.1}  # N, Hz, rad
-DRY = ("fc", "fs")  # what the friction level of a run multiplies
+DRY_FRICTION = ("fc", "fs")  # what the friction level of a run multiplies
 PITCH = 5e-4  # m
 
 
@@ -33,16 +33,16 @@ class Scene:
 
     def motion(self, run: int, law: Mapping[str, float], start: tuple[float, float], level: float, t: Array) -> Array:
         """Displacement (n,) of a run under any law, start (x m, v m/s) and friction level."""
-        dry = {name: level * law[name] for name in DRY}
+        dry = {name: level * law[name] for name in DRY_FRICTION}
         moved: Array = slide(dict(law) | dry | {"x": start[0], "v": start[1]}, t)[0]
         return moved
 
     def frames(self, run: int, level: float = 1.0) -> Array:
         """Times (n,) of the frames until the run is slower than 0.06 m/s."""
-        t = np.arange(LONGEST) / RATE
-        dry = {name: level * self.law[name] for name in DRY}
+        t = np.arange(MAX_FRAMES) / RATE
+        dry = {name: level * self.law[name] for name in DRY_FRICTION}
         v = slide(dict(self.law) | dry | {"x": 0.0, "v": self.speeds[run]}, t)[1]
-        return t[: int(np.argmax(v < SLOWEST))]
+        return t[: int(np.argmax(v < MIN_SPEED))]
 
 
 SCENES = {

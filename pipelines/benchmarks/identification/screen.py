@@ -1,4 +1,4 @@
-"""Which effects of the library lower the error of a record, judged on blocks of it that were not fitted.
+"""Select library effects that lower the error of a record on blocks that were not fitted.
 
 Along the measured motion, in the authors' measure: the coefficients are solved by least squares, the non-linear numbers
 scanned and refined. Effects with numbers of their own in every run are left out: another run could not be told.
@@ -22,11 +22,11 @@ from frictrack.models import Model
 from .emps import Record
 
 BLOCKS = 8  # of the record, held out in turn
-ENOUGH = 0.98  # of the held-out error before, that an effect must reach to be taken
-TAKEN = 4  # effects at most
-LATE = (-2e-3, 2e-3)  # s, within which the drive's clock is looked for
-PRECISE = {"xatol": 1e-6}
-REFINED = 60  # evaluations of the refinement of non-linear numbers
+MAX_ERROR_RATIO = 0.98  # of the held-out error before, that an effect must reach to be taken
+MAX_EFFECTS = 4  # effects at most
+DELAY_RANGE_S = (-2e-3, 2e-3)  # s, within which the drive's clock is looked for
+BRENT_OPTIONS = {"xatol": 1e-6}
+MAX_REFINEMENTS = 60  # evaluations of the refinement of non-linear numbers
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Trial:
             return self.law.plus(self.effect, start | dict(zip(free, map(float, p * sizes), strict=True)))
 
         first = np.sign([start[n] for n in free]) + np.vstack([np.zeros(len(free)), 0.1 * np.eye(len(free))])
-        options = {"maxfev": REFINED, "initial_simplex": first}
+        options = {"maxfev": MAX_REFINEMENTS, "initial_simplex": first}
         best = minimize(
             lambda p: self._misfit(at(p).columns(self.record)), first[0], method="Nelder-Mead", options=options
         )
@@ -156,7 +156,9 @@ def timed(record: Record, law: Law) -> Record:
         shifted = replace(record, late=late)
         return relative(shifted, without(shifted, law.columns(shifted))[0])
 
-    return replace(record, late=float(minimize_scalar(misfit, bounds=LATE, method="bounded", options=PRECISE).x))
+    return replace(
+        record, late=float(minimize_scalar(misfit, bounds=DELAY_RANGE_S, method="bounded", options=BRENT_OPTIONS).x)
+    )
 
 
 def grown(record: Record, law: Law, say: Callable[[str], None]) -> Iterator[tuple[Law, Record, dict[str, Any]]]:
@@ -167,12 +169,12 @@ def grown(record: Record, law: Law, say: Callable[[str], None]) -> Iterator[tupl
     record = timed(record, law)
     error = relative(record, without(record, law.columns(record))[1])
     yield law, record, {"heldout": error, "tried": {}}
-    for _ in range(TAKEN):
+    for _ in range(MAX_EFFECTS):
         trials = {e.name: tried(record, law, e) for e in candidates(law)}
         errors = {name: trial.judged() for name, trial in trials.items()}
         say(f"  beside {law.words} ({error:.3f} %): " + ", ".join(f"{n} {e:.3f}" for n, e in errors.items()))
         name = min(errors, key=errors.__getitem__)
-        if errors[name] > ENOUGH * error:
+        if errors[name] > MAX_ERROR_RATIO * error:
             return
         law = trials[name].settled()
         record = timed(record, law)

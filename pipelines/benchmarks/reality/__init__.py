@@ -1,4 +1,4 @@
-"""Blind studies with the faults that real records have: is a verdict confidently wrong, and is the fault named."""
+"""Benchmark of robustness: blind studies with faults of real records; wrong verdicts and faults named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How right frictrack is on records that have faults: confidently wrong verdicts, faults named, processor time.
+"""Measure frictrack on records with faults: confidently wrong verdicts, faults named, processor time.
 
     python pipelines/benchmarks/reality [--n 200] [--seed 0] [--workers 1] [--only KIND] [--limit 120]
         [--minutes M] [--folder FOLDER] [--json FILE]
@@ -42,7 +42,7 @@ from frictrack.threads import processors  # noqa: E402
 from frictrack.version import __version__  # noqa: E402
 from frictrack.workers import run_parallel  # noqa: E402
 from reality.faults import FILMED, KINDS  # noqa: E402 - found only now
-from reality.judge import CPU_LIMIT, Outcome, judge, judged, read_outcome  # noqa: E402
+from reality.judge import CPU_LIMIT_S, Outcome, judge, judged, read_outcome  # noqa: E402
 from reality.studies import draw_case, planned  # noqa: E402
 from reality.tally import table, tally  # noqa: E402
 
@@ -78,7 +78,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes (default: as many as processors)")
     parser.add_argument("--only", default="", choices=["", *KINDS], help="one kind of fault")
-    parser.add_argument("--limit", type=float, default=CPU_LIMIT, help="processor time of a study, s")
+    parser.add_argument("--limit", type=float, default=CPU_LIMIT_S, help="processor time of a study, s")
     parser.add_argument("--minutes", type=float, default=math.inf, help="after these no study is begun; 0: count")
     parser.add_argument("--folder", type=Path, default=None, help="where studies and outcomes are kept")
     parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")

@@ -1,4 +1,4 @@
-"""The faults that a study can have: how they are drawn, and the words by which a finding names each of them.
+"""Define the faults that a study can have: how they are drawn, and phrases by which a finding names each.
 
 The ranges are those that the field meets (a mistyped exponent, a tracker that jumps to the wrong place, an encoder's
 step, a computer that writes time stamps when it finds the time). They know nothing of what frictrack looks for.

@@ -1,4 +1,4 @@
-"""Diagnose one study with a fault, collect all that frictrack says of it, and judge whether it is confidently wrong."""
+"""Diagnose one study with a fault, collect the findings, and judge whether the verdict is confidently wrong."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from frictrack.flow.pipeline import RunPipeline
 from reality.faults import Fault, noted, read_fault
 from reality.studies import Case, write_case
 
-TWICE = 2.0  # times the detection limit: a hidden effect of that size has to be seen
-FAR = 5.0  # quoted deviations
-CPU_LIMIT = 120.0  # s
-PLACES = 12  # functions that say where a study ran out of time
-ALWAYS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
+MIN_VISIBLE_SIZE = 2.0  # times the detection limit: a hidden effect of that size has to be seen
+MAX_DEVIATION_SIGMAS = 5.0  # quoted deviations
+CPU_LIMIT_S = 120.0  # s
+N_STACK_FUNCTIONS = 12  # functions that say where a study ran out of time
+HARMLESS_REMARKS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
     *("is absorbed exactly", "single run:", "on an incline, Coulomb", "not tried:", "trade places", "go together"),
     *("long record:", "no camera shake:"),
 )
@@ -84,7 +84,7 @@ def read_outcome(raw: dict[str, Any]) -> Outcome:
     return Outcome(**raw | lists | {"groups": groups, "fault": read_fault(raw["fault"])})
 
 
-def judge(case: Case, folder: Path, limit: float = CPU_LIMIT, seed: int = 0) -> Outcome:
+def judge(case: Case, folder: Path, limit: float = CPU_LIMIT_S, seed: int = 0) -> Outcome:
     """Write a study, diagnose it within so much processor time (s), and judge what was said."""
     case = write_case(case, folder)
     truth = case.truth
@@ -95,7 +95,7 @@ def judge(case: Case, folder: Path, limit: float = CPU_LIMIT, seed: int = 0) -> 
 
 def judged(said: Outcome) -> Outcome:
     """The outcome with what follows from what was said: whether the fault is named, and whether it is wrong."""
-    findings = tuple(line for line in said.findings if not any(part in line for part in ALWAYS))
+    findings = tuple(line for line in said.findings if not any(part in line for part in HARMLESS_REMARKS))
     named = said.fault.is_named(findings, said.missing)
     said = replace(said, findings=findings, named=named, noted=tuple(noted(findings)))
     return replace(said, wrong=wrong(said))
@@ -109,10 +109,10 @@ def wrong(said: Outcome) -> str:
                 return f"names {' / '.join(group)}"
     seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in effect_named(h).noted_as)]
     size = max(said.size, default=0.0) / said.fault.louder
-    if said.verdict == "complete" and not said.named and not seen and size >= TWICE:
+    if said.verdict == "complete" and not said.named and not seen and size >= MIN_VISIBLE_SIZE:
         return f"complete, while {said.hidden[0]} of {size:.1f} limits is hidden"
     address, z = said.worst
-    if said.verdict in ("complete", "missing") and abs(z) > FAR and not _warned(said):
+    if said.verdict in ("complete", "missing") and abs(z) > MAX_DEVIATION_SIGMAS and not _warned(said):
         return f"{address} {z:+.1f} deviations off, without a finding"
     return ""
 
@@ -239,4 +239,4 @@ def _expired(signum: int, frame: FrameType | None) -> None:
         if "frictrack" in path.parts:
             places.append(f"{path.parent.name}/{path.name}: {frame.f_code.co_name}")
         frame = frame.f_back
-    raise OutOfTime(", ".join(places[:PLACES]))
+    raise OutOfTime(", ".join(places[:N_STACK_FUNCTIONS]))

@@ -17,8 +17,8 @@ from reality.faults import Fault
 Rows = NDArray[np.int64]
 Array = NDArray[np.float64]
 LONGEST_BURST = 4
-OUTLYING = (0.002, 0.02)  # share of the samples
-MOVING = (0.05, 0.9)  # part of a run in which a doubled frame or a lost one is put: not where it rests
+OUTLIER_SHARE = (0.002, 0.02)  # share of the samples
+FAULT_PLACE_SHARE = (0.05, 0.9)  # part of a run in which a doubled frame or a lost one is put: not where it rests
 LENGTHS = ["x_m", "sigma_m", "y_m"]
 
 
@@ -36,12 +36,12 @@ class Recorded:
         return float(np.median(np.diff(self.data["t_s"])))
 
 
-Spoilt = tuple[pd.DataFrame, Rows]
-Spoil = Callable[[Recorded, Fault, np.random.Generator], Spoilt]
+FaultyTable = tuple[pd.DataFrame, Rows]
+Spoil = Callable[[Recorded, Fault, np.random.Generator], FaultyTable]
 NO_ROWS: Rows = np.zeros(0, dtype=np.int64)
 
 
-def spoilt(run: Recorded, name: str, fault: Fault, rng: np.random.Generator) -> tuple[pd.DataFrame, Fault]:
+def with_fault(run: Recorded, name: str, fault: Fault, rng: np.random.Generator) -> tuple[pd.DataFrame, Fault]:
     """The table of a run with the fault in it, where it has one, and the fault with the frames concerned."""
     if name not in fault.runs or fault.kind not in TABLES:
         return run.data, fault
@@ -62,10 +62,10 @@ def _louder(data: pd.DataFrame, run: Recorded, fault: Fault) -> float:
 # --- tables
 
 
-def outliers(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def outliers(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Samples that lie off by so many times the noise, each by its own amount, single or in bursts of 2 to 4."""
     n = len(run.data)
-    count = max(1, round(n * float(rng.uniform(*OUTLYING))))
+    count = max(1, round(n * float(rng.uniform(*OUTLIER_SHARE))))
     rows = np.zeros(0, dtype=np.int64)
     while len(rows) < count:
         length = 1 if fault.variant == "single" else int(rng.integers(2, LONGEST_BURST + 1))
@@ -74,7 +74,7 @@ def outliers(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
     return _with(run.data, "x_m", _added(run.data["x_m"].to_numpy(), rows, off)), rows
 
 
-def doubled(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def doubled(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Frames that show what the one before showed, put in (all later ones come late) or in place of their own."""
     rows = _chosen(len(run.data), fault, rng)
     source = np.arange(len(run.data))
@@ -86,19 +86,19 @@ def doubled(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
     return _even(run.data, source), rows + np.arange(len(rows))
 
 
-def missing(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def missing(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Frames that are lost while the time stamps go on evenly."""
     rows = _chosen(len(run.data), fault, rng)
     return _even(run.data, np.delete(np.arange(len(run.data)), rows)), rows
 
 
-def quantised(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def quantised(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Positions that an encoder rounds to steps of so many times the noise."""
     step = fault.size * run.noise
     return _with(run.data, "x_m", np.round(run.data["x_m"].to_numpy() / step) * step), NO_ROWS
 
 
-def jitter(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def jitter(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Uneven stamps of even samples, uneven samples with their true stamps, or uneven samples on even stamps."""
     t, x = run.data["t_s"].to_numpy(), run.data["x_m"].to_numpy()
     late = fault.size * run.interval * rng.uniform(-np.sqrt(3), np.sqrt(3), len(t))
@@ -108,7 +108,7 @@ def jitter(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
     return (_with(moved, "t_s", t + late) if fault.variant == "samples" else moved), NO_ROWS
 
 
-def clock(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def clock(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Time stamps that run fast or slow by a constant share."""
     return _with(run.data, "t_s", run.data["t_s"].to_numpy() * clock_factor(fault)), NO_ROWS
 
@@ -118,14 +118,14 @@ def clock_factor(fault: Fault) -> float:
     return 1.0 + fault.size * (1 if round(1e6 * fault.size) % 2 else -1)
 
 
-def coloured(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def coloured(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Noise of the stated size that an autoregressive process of order one makes instead of a white one."""
     white = rng.standard_normal(len(run.data) + 200)
     noise = lfilter([np.sqrt(1 - fault.size**2)], [1.0, -fault.size], white)[200:]
     return _with(run.data, "x_m", run.clean + run.noise * noise), NO_ROWS
 
 
-def unit(run: Recorded, fault: Fault, rng: np.random.Generator) -> Spoilt:
+def unit(run: Recorded, fault: Fault, rng: np.random.Generator) -> FaultyTable:
     """Lengths in mm, or times in ms, under the head of metres and seconds."""
     columns = {"x": LENGTHS, "t": ["t_s"]}[fault.variant]
     scaled = {name: run.data[name] * fault.size for name in columns if name in run.data}
@@ -160,7 +160,7 @@ def copied(run: Recorded, fault: Fault, rng: np.random.Generator) -> pd.DataFram
 
 def _chosen(n: int, fault: Fault, rng: np.random.Generator) -> Rows:
     """One frame, three in a row, or a share of all, in the part of a run in which it moves."""
-    low, high = (round(part * n) for part in MOVING)
+    low, high = (round(part * n) for part in FAULT_PLACE_SHARE)
     if not fault.variant.startswith("scattered"):
         return int(rng.integers(low, high)) + np.arange(1 if fault.variant.startswith("one") else 3)
     return np.sort(rng.choice(np.arange(low, high), max(2, round(fault.size * n)), replace=False))
@@ -185,7 +185,7 @@ def _added(x: Array, rows: Rows, off: Array) -> Array:
 # --- the study file
 
 
-def lines_spoilt(lines: list[str], fault: Fault) -> list[str]:
+def lines_with_fault(lines: list[str], fault: Fault) -> list[str]:
     """The study file with the fault in it, where it belongs there."""
     if fault.kind == "mass":
         return _masses(lines, fault)

@@ -19,16 +19,16 @@ from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions
 from frictrack.simulate.rendering import Camera, Rod, Target, render, write_film
 from reality.faults import FILMED, KINDS, NONE, Fault, draw_fault
-from reality.spoil import Recorded, copied, lines_spoilt, spoilt
+from reality.spoil import Recorded, copied, lines_with_fault, with_fault
 
 TURNED_HEIGHT, HEIGHT = 112, 72  # px; a turning block needs its diagonal
 FRICTION = (0.1, 0.4)  # coefficients of friction on a slope
-RESTS = 8  # frames after a stop
+FRAMES_AFTER_STOP = 8  # frames after a stop
 REFLECTANCE = (0.02, 0.6)  # of a rod
 
 
 @dataclass(frozen=True)
-class Sloped(Truth):
+class InclinedCase(Truth):
     """A blind truth on a course that rises toward +x by `incline`, rad."""
 
     incline: float = 0.0
@@ -73,7 +73,7 @@ def draw_case(name: str, seed: int, fault: str, hidden: str, turn: int) -> Case:
         if not set(truth.hidden) & set(drawn.allowed):
             break
     if fault == "incline":
-        truth = sloped(truth, drawn.size, rng)
+        truth = inclined_case(truth, drawn.size, rng)
     return Case(name, truth, _placed(drawn, truth, rng))
 
 
@@ -91,7 +91,7 @@ def _placed(fault: Fault, truth: Truth, rng: np.random.Generator) -> Fault:
     return replace(fault, in_all=in_all, runs=runs, visible=not silent)
 
 
-def sloped(flat: Truth, degrees: float, rng: np.random.Generator) -> Sloped:
+def inclined_case(flat: Truth, degrees: float, rng: np.random.Generator) -> InclinedCase:
     """The same study on a slope, with less friction, so that gravity matters; runs last as long as they do there."""
     angle = float(np.radians(degrees) * rng.choice([-1, 1]))
     level = flat.mass * GRAVITY * float(np.cos(angle) * rng.uniform(*FRICTION))
@@ -99,7 +99,7 @@ def sloped(flat: Truth, degrees: float, rng: np.random.Generator) -> Sloped:
     sizes = {"coulomb": ("F_c",), "stribeck": ("F_s",), "viscous": ("F_v",), "drag": ("c",)}
     law = {e: {k: v * share if k in sizes[e] else v for k, v in own.items()} for e, own in flat.law.items()}
     known = {f.name: getattr(flat, f.name) for f in fields(Truth)}
-    on = Sloped(**known | {"law": law, "push": 0.0, "lift": None, "clamp": None}, incline=angle)
+    on = InclinedCase(**known | {"law": law, "push": 0.0, "lift": None, "clamp": None}, incline=angle)
     return replace(on, runs=tuple(replace(run, frames=_frames(on, run)) for run in on.runs))
 
 
@@ -109,7 +109,9 @@ def _frames(truth: Truth, run: RunTruth) -> int:
     trajectory = truth.trajectory(run)
     gone = np.flatnonzero(np.abs(trajectory.x - trajectory.x[0]) > truth.course)
     stops = np.flatnonzero(np.abs(trajectory.v) < 1e-9)
-    return min([run.frames, *(int(rows[0]) + more for rows, more in ((gone, 0), (stops, RESTS)) if len(rows))])
+    return min(
+        [run.frames, *(int(rows[0]) + more for rows, more in ((gone, 0), (stops, FRAMES_AFTER_STOP)) if len(rows))]
+    )
 
 
 def write_case(case: Case, folder: Path) -> Case:
@@ -122,12 +124,12 @@ def write_case(case: Case, folder: Path) -> Case:
             filmed(case, run, folder / f"{run.name}.avi", rng)
             continue
         good = recorded(case.truth, run, rng)
-        data, fault = spoilt(good, run.name, fault, rng)
+        data, fault = with_fault(good, run.name, fault, rng)
         _write(data, folder / f"{run.name}.csv")
         if fault.kind == "copy" and run.name in fault.runs:
             _write(copied(good, fault, rng), folder / "again.csv")
             more = ["", "[[run]]", 'name = "again"', 'table = "again.csv"', *_own(case.truth, run)]
-    lines = [*lines_spoilt(_lines(case), fault), *more]
+    lines = [*lines_with_fault(_lines(case), fault), *more]
     (folder / "study.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return replace(case, fault=replace(fault, runs=(*fault.runs, "again")) if more else fault)
 
@@ -152,7 +154,7 @@ def _lines(case: Case) -> list[str]:
     """The study file; on a slope with the incline, wrong as the fault has it."""
     lines = list(study_lines(case.truth, case.name))
     truth = case.truth
-    if not isinstance(truth, Sloped) or case.fault.variant == "not stated":
+    if not isinstance(truth, InclinedCase) or case.fault.variant == "not stated":
         return lines
     stated = np.degrees(truth.incline) * (-1 if case.fault.variant == "sign" else 1)
     heads = {f'name = "{run.name}"' for run in truth.runs}

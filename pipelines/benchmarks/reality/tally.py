@@ -1,4 +1,4 @@
-"""Outcomes of many studies as figures: confidently wrong, fault named, processor time; and as lines to read."""
+"""Count the outcomes of many studies: confidently wrong, fault named, processor time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.blind.tally import count_with_interval
 from reality.faults import KINDS, NONE
-from reality.judge import BROKEN, CPU_LIMIT, FAR, OUT_OF_TIME, Outcome
+from reality.judge import BROKEN, CPU_LIMIT_S, MAX_DEVIATION_SIGMAS, OUT_OF_TIME, Outcome
 
 
 def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
@@ -23,8 +23,8 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
         "confidently_wrong": _share(rows, lambda r: bool(r.wrong)),
         "fault_named": _share(faulty, lambda r: r.named),
         "named_by_nothing_but_chance": _share(clean, lambda r: bool(r.noted)),
-        "within_five_deviations": _share(known, lambda r: abs(r.worst[1]) <= FAR),
-        "within_120_s": _share(rows, lambda r: r.seconds <= CPU_LIMIT and r.verdict != OUT_OF_TIME),
+        "within_five_deviations": _share(known, lambda r: abs(r.worst[1]) <= MAX_DEVIATION_SIGMAS),
+        "within_120_s": _share(rows, lambda r: r.seconds <= CPU_LIMIT_S and r.verdict != OUT_OF_TIME),
         "broken": [{"study": r.name, "fault": r.fault.kind, "error": r.error} for r in rows if r.verdict == BROKEN],
         "seconds": _seconds(rows),
         "by_fault": {kind: _of_kind([r for r in rows if r.fault.kind == kind]) for kind in KINDS},

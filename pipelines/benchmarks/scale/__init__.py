@@ -1,0 +1,1 @@
+"""Benchmark of scaling: cores, length of a film, number of runs, archives."""

@@ -1,4 +1,4 @@
-"""How frictrack scales: over cores, the length of a film, the number of runs; and where the time of a study goes.
+"""Measure how frictrack scales: cores, length of a film, number of runs, and time per stage.
 
     python pipelines/benchmarks/scale [--only cores,length,runs,stages,archive] [--json FILE]
 

@@ -1,4 +1,4 @@
-"""An archive of finished studies: what it takes to begin its batch again, and to verify it."""
+"""Measure an archive of finished studies: time to repeat its batch and to verify it."""
 
 from __future__ import annotations
 

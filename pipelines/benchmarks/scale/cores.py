@@ -1,4 +1,4 @@
-"""Throughput of a batch over the number of processes."""
+"""Measure the throughput of a batch over the number of processes."""
 
 from __future__ import annotations
 

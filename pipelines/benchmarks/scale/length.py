@@ -1,4 +1,4 @@
-"""Memory and time of tracking over the length of a film."""
+"""Measure memory and time of tracking over the length of a film."""
 
 from __future__ import annotations
 

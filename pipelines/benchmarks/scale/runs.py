@@ -1,4 +1,4 @@
-"""Cost of fit and diagnosis over the number of runs."""
+"""Measure the cost of fit and diagnosis over the number of runs."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Rendered films for whoever measures time."""
+"""Render films for timing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rendered import FOUR
+from rendered import FOUR_RUNS
 
 from frictrack.simulate.scene import film_scene, read_scene
 
@@ -14,5 +14,5 @@ RUNS = 4
 
 def filmed(folder: Path, seed: int) -> Path:
     """A study of four films; the study file."""
-    film_scene(read_scene(FOUR.format(name=f"scale {seed}", law=LAW)), folder, seed=seed)
+    film_scene(read_scene(FOUR_RUNS.format(name=f"scale {seed}", law=LAW)), folder, seed=seed)
     return folder / "study.toml"

@@ -1,4 +1,4 @@
-"""Where the time of one study goes, beside what reading its films alone costs."""
+"""Measure the time of each stage of one study, and of reading its films alone."""
 
 from __future__ import annotations
 

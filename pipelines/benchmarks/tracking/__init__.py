@@ -1,4 +1,4 @@
-"""Tracking benchmark: `python pipelines/benchmarks/tracking --help`; `from tracking import condition` for its films."""
+"""Benchmark of tracking: `python pipelines/benchmarks/tracking --help`; `tracking.condition` gives its films."""
 
 from .conditions import CONDITIONS, NUISANCES, Condition, condition
 

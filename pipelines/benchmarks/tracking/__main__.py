@@ -1,4 +1,4 @@
-"""How well and how fast: frictrack and other trackers on rendered films, side by side.
+"""Compare accuracy and speed of frictrack and other trackers on rendered films.
 
     python pipelines/benchmarks/tracking [--seeds 5] [--frames 600] [--conditions nominal,hard] [--json FILE]
                                          [--peers-python PATH | --no-peers] [--speed | --no-speed] [--nuisances]

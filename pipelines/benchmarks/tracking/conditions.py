@@ -1,4 +1,4 @@
-"""The films of the benchmark: eight conditions, rendered with known truth, and the bound that no tracker can beat.
+"""Render the films of the benchmark: eight conditions of known truth, and the Cramer-Rao bound of each.
 
 A block of 90 x 60 px slides 743 px in 600 frames (3.4 to 1.7 m/s at 0.5 mm/px and 4000 frames/s; blur: 8 m/s) and
 vibrates vertically by 0.3 px. Full well 15 000 e-, read noise 20 e-, 8 bit, 1024 x 128 px.
@@ -38,8 +38,8 @@ WINDOW = 83, 53  # px, width and height of what is tracked
 BLOCK = 90.0, 60.0
 FPS, SCALE = 4000.0, 0.5e-3
 WIDTH, HEIGHT = 1024, 128
-TRAVEL, FRAMES, LONGEST = 743.0, 600, {"blur8": 240}
-DRY, VISCOUS = 5.0, 2.5  # m/s^2 and 1/s: deceleration 5 + 2.5 v
+TRAVEL, FRAMES, MAX_FRAMES = 743.0, 600, {"blur8": 240}
+DRY_DECELERATION, VISCOUS = 5.0, 2.5  # m/s^2 and 1/s: deceleration 5 + 2.5 v
 BEGIN_X, BEGIN_Y = 60.3, 60.1  # px, the block's centre in frame 0
 BOUND_FRAMES = 12
 EDITION = 1  # count up when the code below makes other films of the same numbers
@@ -115,7 +115,7 @@ def condition(name: str, seed: int = 0, n_frames: int = FRAMES) -> Condition:
 
     At most as many frames as fit into the picture (240 with blur); more than 600 frames slow the slide down.
     """
-    n = min(n_frames, LONGEST.get(name, n_frames))
+    n = min(n_frames, MAX_FRAMES.get(name, n_frames))
     stem, quality = FOLDER / f"{name}_{seed}_{n}_{_version(name)}", SETTINGS[name].quality
     stem.parent.mkdir(parents=True, exist_ok=True)
     film, numbers = stem.with_suffix(".avi" if quality else ".tif"), stem.with_suffix(".npz")
@@ -153,7 +153,7 @@ def truth(name: str, seed: int, n: int) -> dict[str, Any]:
 def _path(speed: float | None, seconds: float) -> Callable[[Array], tuple[Array, Array]]:
     """x'' = -(DRY + VISCOUS x') in closed form; y vibrates. Slower slides decelerate less."""
     slow = (FRAMES / FPS / seconds) ** 2
-    dry, k = DRY * slow, VISCOUS * np.sqrt(slow)
+    dry, k = DRY_DECELERATION * slow, VISCOUS * np.sqrt(slow)
     fall = (1 - np.exp(-k * seconds)) / k
     start = speed or (TRAVEL * SCALE + dry / k * (seconds - fall)) / fall
 
@@ -223,5 +223,5 @@ def _save(path: Path, arrays: dict[str, Any]) -> None:
 def _version(name: str) -> str:
     """Changes with the renderer and with the condition, so that no film outlives what it was made by."""
     sources = [p.read_bytes() for p in sorted(Path(frictrack.simulate.__path__[0]).glob("*.py"))]
-    about = repr((SETTINGS[name], WINDOW, BLOCK, TRAVEL, DRY, VISCOUS, BEGIN_X, BEGIN_Y, EDITION))
+    about = repr((SETTINGS[name], WINDOW, BLOCK, TRAVEL, DRY_DECELERATION, VISCOUS, BEGIN_X, BEGIN_Y, EDITION))
     return hashlib.sha256(b"".join(sources) + about.encode()).hexdigest()[:10]

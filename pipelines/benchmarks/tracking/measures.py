@@ -1,4 +1,4 @@
-"""From positions found and positions true to the figures of the table."""
+"""Compute the figures of the table from tracked and true positions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.signal import savgol_coeffs
 from .conditions import FPS, SCALE
 
 Array = NDArray[np.float64]
-OFF = 1.0  # px from the truth: lost
+LOST_PX = 1.0  # px from the truth: lost
 SMOOTHER, ORDER = 61, 4  # frames (15.25 ms) and order of the Savitzky-Golay smoother
 
 
@@ -34,7 +34,7 @@ def judge(found: Array, x: Array, bound: float, seconds: float, sigma: Array | N
     """Displacements found (n,) px, NaN where given up, against the true positions x (n,) px."""
     error = found - (x - x[0])
     worst = float(np.nanmax(np.abs(error))) if np.any(np.isfinite(error)) else np.nan
-    near = np.abs(error) <= OFF  # False for NaN
+    near = np.abs(error) <= LOST_PX  # False for NaN
     silent = int(np.sum(np.isfinite(error) & ~near))
     kept = np.where(near, error, np.nan)
     if near.any():

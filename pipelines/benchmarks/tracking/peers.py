@@ -1,4 +1,4 @@
-"""Other trackers on the same frames, each as its manual shows it; needs numpy and OpenCV, the others where installed.
+"""Run other trackers on the same frames as their manuals show; needs numpy and OpenCV, others where installed.
 
 Runs in an environment of its own, because pyidi brings another OpenCV than ours:
 
@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Frames = NDArray[np.uint8]
 Rectangle = tuple[int, int, int, int]
-REACH = 5
+SEARCH_REACH_PX = 5
 LK = {"winSize": (21, 21), "maxLevel": 2}
-NOWHERE = np.full(2, np.nan)
+NOT_FOUND = np.full(2, np.nan)
 
 
 class Cut:
@@ -82,8 +82,8 @@ def match_near(frames: Frames, rectangle: Rectangle) -> Array:
     cut = Cut(frames, rectangle)
 
     def step(i: int) -> Array:
-        part, at = cut.around(i, REACH)
-        return at - REACH + _best(cv2.matchTemplate(part, cut.template, cv2.TM_CCOEFF_NORMED))
+        part, at = cut.around(i, SEARCH_REACH_PX)
+        return at - SEARCH_REACH_PX + _best(cv2.matchTemplate(part, cut.template, cv2.TM_CCOEFF_NORMED))
 
     return cut.all(step)
 
@@ -105,13 +105,13 @@ def ecc(frames: Frames, rectangle: Rectangle, gauss: int = 5) -> Array:
     enough = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
 
     def step(i: int) -> Array:
-        part, at = cut.around(i, REACH)
-        warp = np.array([[1, 0, REACH], [0, 1, REACH]], np.float32)
+        part, at = cut.around(i, SEARCH_REACH_PX)
+        warp = np.array([[1, 0, SEARCH_REACH_PX], [0, 1, SEARCH_REACH_PX]], np.float32)
         try:
             _, warp = cv2.findTransformECC(cut.template, part, warp, cv2.MOTION_TRANSLATION, enough, None, gauss)
         except cv2.error:  # its way to say that it does not converge
-            return NOWHERE
-        return at - REACH + warp[:, 2]
+            return NOT_FOUND
+        return at - SEARCH_REACH_PX + warp[:, 2]
 
     return cut.all(step)
 
@@ -139,7 +139,7 @@ def lucas_kanade(frames: Frames, rectangle: Rectangle) -> Array:
         part, at = cut.around(i, margin)
         moved, status, _ = cv2.calcOpticalFlowPyrLK(first, part, points, None, **LK)
         good = status.ravel() == 1
-        return at + np.median((moved - points)[good, 0], axis=0) if good.any() else NOWHERE
+        return at + np.median((moved - points)[good, 0], axis=0) if good.any() else NOT_FOUND
 
     return cut.all(step)
 

@@ -1,4 +1,4 @@
-"""Trackers on films, side by side, and the tables."""
+"""Run trackers on films and write the tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from machine import described
 import frictrack as ft
 from frictrack.errors import FrictrackError
 
-from .conditions import FPS, LONGEST, Condition, condition
+from .conditions import FPS, MAX_FRAMES, Condition, condition
 from .measures import Judged, judge, pool
 from .peers import ONLY_ON, PEERS
 
@@ -78,7 +78,7 @@ def accuracy(names: Sequence[str], seeds: int, frames: int, python: str | None, 
     for name in names:
         judged: dict[str, list[Judged]] = {}
         # A short film is made up for by more seeds.
-        for seed in range(-(-seeds * frames // min(frames, LONGEST.get(name, frames)))):
+        for seed in range(-(-seeds * frames // min(frames, MAX_FRAMES.get(name, frames)))):
             film = condition(name, seed, frames)
             here = ours(film) | (others(name, film, python) if python else {})
             for tracker, one in here.items():

@@ -1,4 +1,4 @@
-"""Frames per second end to end: from an uncompressed file, and from a compressed one against its decoder alone."""
+"""Measure frames per second from an uncompressed and a compressed file, and of the decoder alone."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How quickly the workbench answers, beside the charts of Bokeh."""
+"""Benchmark of the workbench: response times, compared with charts of Bokeh alone."""

@@ -1,4 +1,4 @@
-"""How quickly the workbench answers: first paint, selection to highlight, selection to the frame of the film.
+"""Measure the response times of the workbench: first paint, selection to highlight, selection to frame.
 
     python pipelines/benchmarks/workbench [--points 100000] [--selections 40] [--study STUDY] [--json FILE]
 
@@ -32,7 +32,7 @@ from machine import described
 PAGES = Path(__file__).with_name("pages.py")
 ARGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
 # From the release of the mouse to the last change of the other four plots, and to the film's new label, ms.
-WATCH = """([sources, quiet]) => {
+WATCH_SCRIPT = """([sources, quiet]) => {
     const all = (root, css, found = []) => {
         found.push(...root.querySelectorAll(css));
         for (const n of root.querySelectorAll("*")) if (n.shadowRoot) all(n.shadowRoot, css, found);
@@ -90,7 +90,7 @@ def selections(page: Page, plots: str, canvases: str, count: int, quiet: float) 
     assert box is not None
     rng, found = np.random.default_rng(1), []
     for k in range(count + 2):
-        page.evaluate(WATCH, [canvases, quiet])
+        page.evaluate(WATCH_SCRIPT, [canvases, quiet])
         x = box["x"] + 80 + rng.uniform(0, 0.4) * (box["width"] - 100)
         page.mouse.move(x, box["y"] + 40)
         page.mouse.down()

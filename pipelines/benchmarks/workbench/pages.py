@@ -1,4 +1,4 @@
-"""The pages that are timed: five linked plots and a film, ours and of Bokeh's own charts with a shared source.
+"""Build the pages that are timed: five linked plots and a film, with frictrack and with Bokeh alone.
 
 python pages.py ours 100000 5090
 """
@@ -17,7 +17,7 @@ from bokeh.plotting import figure
 from frictrack.workbench.panel_plots import PanelPlots
 from frictrack.workbench.plot_data import PlotData, dots, plot
 
-NAMES = ("t", "x", "v", "F", "phase")
+COLUMN_NAMES = ("t", "x", "v", "F", "phase")
 FRAMES, WIDTH, HEIGHT = 4000, 640, 360
 
 
@@ -40,7 +40,7 @@ def frame(number: int) -> tuple[int, bytes]:
 
 def ours(n: int) -> pn.Column:
     """Five of our plots and the film."""
-    shown = [plot(f"against {name}", (name, name), "left", dots("left")) for name in NAMES]
+    shown = [plot(f"against {name}", (name, name), "left", dots("left")) for name in COLUMN_NAMES]
     scene = PlotData(n, columns(n), shown, [{"name": "run", "first": 0, "count": n, "colour": "#0072b2"}])
     linked = PanelPlots(sizing_mode="stretch_width")
     linked.draw(scene)
@@ -60,7 +60,7 @@ def bokeh(n: int) -> pn.Column:
     """Five of Bokeh's with one source: what is selected in one is selected in all."""
     source = ColumnDataSource(columns(n))
     charts = []
-    for name in NAMES:
+    for name in COLUMN_NAMES:
         chart = figure(width=400, height=230, tools="box_select,pan")
         chart.toolbar.active_drag = next(tool for tool in chart.tools if isinstance(tool, BoxSelectTool))
         drawn = chart.scatter(name, "left", source=source, size=2, color="#1a1a1a")

@@ -1,4 +1,4 @@
-"""How surely and how fast the global optimum is found: frictrack's searches and other optimisers on the same series."""
+"""Benchmark of global optimisation: success rate and time of frictrack's searches and other optimisers."""
 
 from .problems import PROBLEMS
 from .run import compare

@@ -1,4 +1,4 @@
-"""Only this comparison:
+"""Run only the comparison of optimisers:
 
 python pipelines/benchmarks/identification/optima [--problems "TM,ATM1 n=2"] [--seeds 1000] [--beside 30]
                                                   [--peers-python PATH | --no-peers] [--json FILE]

@@ -1,4 +1,4 @@
-"""frictrack on the problems: variable projection, and the papers' searches over all or the non-linear parameters."""
+"""Run frictrack on the problems: variable projection, and the papers' searches over all or non-linear parameters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X
 
 PATH = Path(t=T, x=X, v=V, s=np.ones(len(T)))
 SPAN = Span(duration=float(T[-1]), x_min=0.0, x_max=float(X[-1]), v_min=float(V.min()), v_max=float(V.max()), fps=FPS)
-HIGHEST = {"atm1": (5.0, 400.0), "atm2": (0.0, 200.0)}  # Hz
+FREQUENCY_RANGE_HZ = {"atm1": (5.0, 400.0), "atm2": (0.0, 200.0)}  # Hz
 
 
 @cache
@@ -36,7 +36,7 @@ def layout(name: str) -> ParameterLayout:
     kind = PROBLEMS[name].model.split(":")[0]
     made = []
     for e in models.parse(PROBLEMS[name].model).effects:
-        bounds: dict[str, Any] = {p.name: {"bounds": HIGHEST[kind]} for p in e.parameters if p.unit == "Hz"}
+        bounds: dict[str, Any] = {p.name: {"bounds": FREQUENCY_RANGE_HZ[kind]} for p in e.parameters if p.unit == "Hz"}
         bounds |= {p.name: {"bounds": (0.05, 3.0)} for p in e.parameters if p.name == "v_s"}
         made.append(e.adjusted(**bounds))
     return ParameterLayout(models.Model(tuple(made)), ("run",), (SPAN,))

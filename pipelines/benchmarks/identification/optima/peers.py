@@ -1,4 +1,4 @@
-"""Other optimisers on the same problems, each as its manual shows it; run by a Python that has them:
+"""Run other optimisers on the same problems as their manuals show; run by a Python that has them:
 
     python peers.py PROBLEM SEEDS BUDGET SECONDS PEER        (JSON on stdout, one object per seed)
 

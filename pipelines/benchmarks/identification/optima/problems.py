@@ -1,4 +1,4 @@
-"""The identification problems of the comparison, in numpy alone, so that every optimiser sees the same numbers.
+"""Define the identification problems with numpy alone, so that every optimiser gets the same numbers.
 
 A force series of 652 samples at 4 kHz along a slide from 5.4 to 0.05 m/s, white force noise of 1 N; truths are drawn at
 random, frequencies off every grid. Points are rows (P, d) in the order of `Law.names`.
@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 FPS, FRAMES, MASS, NOISE = 4000.0, 652, 0.35, 1.0
-FAR, CLOSE = 1.001, 0.5  # success: SSE over the reference; distance of a close pair, Rayleigh cells
+MAX_SSE_RATIO, CLOSE_PAIR_CELLS = (
+    1.001,
+    0.5,
+)  # success: SSE over the reference; distance of a close pair, Rayleigh cells
 
 
 def slide() -> tuple[Array, Array, Array]:
@@ -74,7 +77,7 @@ def _lines(count: int, close: bool = False) -> Callable[[np.random.Generator], A
         p, f = _levels(rng), rng.uniform(8, 390, count)
         if close:
             f[0] = rng.uniform(20, 380)
-            f[1] = f[0] + CLOSE / T[-1]
+            f[1] = f[0] + CLOSE_PAIR_CELLS / T[-1]
         for frequency in f:
             p += [rng.uniform(0.3, 4), frequency, rng.uniform(-np.pi, np.pi)]
         return np.array(p)
@@ -128,7 +131,7 @@ class Case:
     @property
     def target(self) -> float:
         """SSE from which on the global optimum counts as found."""
-        return FAR * self.reference
+        return MAX_SSE_RATIO * self.reference
 
     def sse(self, points: Array) -> Array:
         """Sum of squared residuals (P,) of points (P, d)."""

@@ -1,4 +1,4 @@
-"""All optimisers on all problems, and the tables.
+"""Run all optimisers on all problems and write the tables.
 
 python -m pipelines.benchmarks.identification ... --only optima
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from . import ours
 from .peers import PEERS
-from .problems import FAR, PROBLEMS, case
+from .problems import MAX_SSE_RATIO, PROBLEMS, case
 
 BUDGET = {"ATM1 n=3": 60_000, "ATM2 n=2": 30_000}  # evaluations; 40 000 else
 SECONDS = 2.5  # CPU, of a peer's run
@@ -40,7 +40,7 @@ class Plan:
 
 def compare(plan: Plan, say: Say) -> dict[str, Any]:
     """Run everything; figures by problem and optimiser."""
-    say(f"\nsuccess: SSE at most {FAR:g} times that of least squares started at the truth; CPU of one thread")
+    say(f"\nsuccess: SSE at most {MAX_SSE_RATIO:g} times that of least squares started at the truth; CPU of one thread")
     out: dict[str, Any] = {}
     for name in plan.problems:
         rows: dict[str, Row] = {"frictrack varpro": _summary([_ours(name, seed) for seed in range(plan.seeds)])}
@@ -88,7 +88,7 @@ def _peer(name: str, peer: str, plan: Plan) -> Row | None:
 
 def _summary(rows: list[Row]) -> Row:
     """Success, and of successful runs the median CPU and evaluations; ERT: all CPU over the number of successes."""
-    hit = np.array([r["ratio"] <= FAR for r in rows])
+    hit = np.array([r["ratio"] <= MAX_SSE_RATIO for r in rows])
     seconds, evaluations = (np.array([r[key] for r in rows], dtype=float) for key in ("seconds", "evaluations"))
     return {
         "success": int(hit.sum()),
