@@ -57,7 +57,7 @@ def undetectable_amplitude(n: int) -> float:
     Examples
     --------
     >>> round(undetectable_amplitude(1000), 3)
-    0.307
+    0.306
 
     """
     return float(np.sqrt(2.0 * (LINE_COST * np.log(n) + 2.0 * np.log(n / 2.0)) / n))
