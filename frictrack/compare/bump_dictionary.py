@@ -21,13 +21,13 @@ from frictrack.fit.measured_friction import MeasuredFrictionPiece
 from frictrack.motion.noise import CORRELATION_COST
 from frictrack.records import Array
 
-MIN_WIDTH_FRAMES = 2.0  # frames: no narrower bump can be told from it
-MAX_WIDTH_DURATION_SHARE = 1 / 12  # of a piece's duration: more is no moment
-MIN_WIDTH_COURSE_SHARE, MAX_WIDTH_COURSE_SHARE = 1 / 120, 1 / 8  # of the way: places on a course
-WIDTH_RATIO = 2.5  # from one width of the search to the next
-MAX_CENTRES = 250  # centres along a piece or along the course
-MIN_SPACING_FRAMES = 4.0  # frames between two centres: a kink in a displacement is no sharper
-MIN_VISIBLE_SHARE = 1e-3  # of a trace that must be left beside the law to count
+MIN_WIDTH_FRAMES = 2.0  # frames; a narrower bump leaves the same trace
+MAX_WIDTH_DURATION_SHARE = 1 / 12  # of a piece's duration; a wider bump is no local force
+MIN_WIDTH_COURSE_SHARE, MAX_WIDTH_COURSE_SHARE = 1 / 120, 1 / 8  # of the course, for bumps in place
+WIDTH_RATIO = 2.5  # between two widths of the search
+MAX_CENTRES = 250  # along a piece or along the course
+MIN_SPACING_FRAMES = 4.0  # frames between two centres; a displacement has no sharper bend
+MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain beside the model
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,11 @@ from frictrack.fit.measured_friction import MeasuredFrictionPiece
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
-MAX_KNOTS = 100  # of a piece at most
-MIN_KNOT_SPACING_FRAMES = 4.0  # frames between knots at least
-N_CORRELATION_LENGTHS = 5  # of the process, from a few knots to a quarter of the longest piece
-SIZE_RATIOS = np.geomspace(0.1, 3e4, 31)  # of the process over what the runs just show
-MIN_RELATIVE_WEIGHT = 0.01  # weight, over the largest, below which a size and reach are left out
+MAX_KNOTS = 100  # per piece
+MIN_KNOT_SPACING_FRAMES = 4.0  # frames between knots
+N_CORRELATION_LENGTHS = 5  # from a few knots to a quarter of the longest piece
+SIZE_RATIOS = np.geomspace(0.1, 3e4, 31)  # amplitudes over the smallest that the runs show
+MIN_RELATIVE_WEIGHT = 0.01  # relative weight below which an amplitude and length are left out
 
 
 @dataclass(frozen=True)

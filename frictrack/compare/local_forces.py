@@ -43,14 +43,14 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.segments import Piece
 from frictrack.records import Array
 
-ALPHA = 0.01  # of the whole search for local forces
-MAX_ROUNDS = 4
-MIN_REDUCED_CHI2_REFITTED = 1.5  # reduced chi-squared from which a law is fitted again beside what it misses
+ALPHA = 0.01  # significance level of the whole search
+MAX_ROUNDS = 4  # of adding bumps
+MIN_REDUCED_CHI2_REFITTED = 1.5  # above it the model is refitted beside the bumps
 MAX_REFITS, MAX_REFIT_STEPS = 2, 6
-MIN_SHARE_PER_BUMP = 0.02  # of what all bumps explain that each must carry
-MIN_CHI2_GAIN_PLACE = 10.0  # of chi-squared by which one place for all runs must gain more than a moment of one run
-MIN_CHI2_GAIN_LONGER = 6.6  # of chi-squared that a longer moment must gain over a briefer one
-ALPHA_PIECE = 0.2  # chance in a run of its own below which one more moment is believed where other runs show theirs
+MIN_SHARE_PER_BUMP = 0.02  # of the chi-squared that all bumps explain
+MIN_CHI2_GAIN_PLACE = 10.0  # by which one place must gain more than a bump in time of one run
+MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a shorter one
+ALPHA_PIECE = 0.2  # level in its own piece for a bump in time if other pieces have one
 
 
 @dataclass(frozen=True)

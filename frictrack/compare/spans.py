@@ -35,15 +35,15 @@ from frictrack.fit.measured_friction import MeasuredFrictionPiece, keep_compared
 from frictrack.fit.segments import Rows
 from frictrack.records import Array, Mask, Run, stretches
 
-SPAN_HALF_WIDTHS = 2.0  # widths on either side that a Gaussian force spans
-TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # of a force's largest value, the same for any shape
-MIN_CHI2_RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the shortest to count as resolved
-MIN_SIGMAS = 3.0  # standard deviations of a measured force beyond which a frame fails
-MIN_SHARE_OF_PEAK = 0.35  # of the largest residual: less is the law bending to make up for the failure elsewhere
-MAX_GAP_FRAMES = 12  # frames between two stretches that are one
-N_WIDTHS, N_CENTRES = 25, 15  # tried for the span of a local force
-N_REFINEMENTS = 2  # times that they are looked for more finely where they are likely
-MAX_CHI2_DIFFERENCE = 16.0  # of chi-squared, by which a width and a place may fit worse and still count
+SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
+TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # height at the end of a span over the peak
+MIN_CHI2_RESOLVED = 6.6  # rise with the shortest width above which a duration is resolved
+MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
+MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
+MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
+N_WIDTHS, N_CENTRES = 25, 15  # grid of widths and centres for the span of a bump
+N_REFINEMENTS = 2  # of that grid around likely values
+MAX_CHI2_DIFFERENCE = 16.0  # from the best fit, within which a width and centre count
 
 
 @dataclass(frozen=True)

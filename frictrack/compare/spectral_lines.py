@@ -14,10 +14,10 @@ from frictrack.effects import frequencies, spatial_periods
 from frictrack.fit.least_squares import ModelProjection, PieceResponse, displacement_response
 from frictrack.records import Array
 
-MIN_PERIODS = 3.0
-MAX_REFINEMENT_STEPS = 12  # looks between two frequencies of the scan
-CHUNK_COLUMNS = 32  # waves whose traces are made at once: what they need stays in the cache
-FREQUENCY_STRIDE = 2  # of the library's frequencies, a quarter of a Rayleigh cell apart
+MIN_PERIODS = 3.0  # in the longest run
+MAX_REFINEMENT_STEPS = 12  # of a frequency between two scanned ones
+CHUNK_COLUMNS = 32  # frequencies computed together so that they stay in the cache
+FREQUENCY_STRIDE = 2  # of the library's scan, which has steps of a quarter Rayleigh cell
 
 
 @dataclass(frozen=True)

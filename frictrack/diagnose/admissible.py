@@ -9,7 +9,7 @@ from frictrack.fit.least_squares import Solution, inverse_normal_matrix
 from frictrack.fit.parameters import ParameterLayout, penalty_jacobian
 from frictrack.records import Array
 
-MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an effect must exceed
+MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
 
 
 def objection(solution: Solution, effect: Effect) -> str:

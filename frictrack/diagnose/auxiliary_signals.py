@@ -25,17 +25,17 @@ from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 
-MIN_GAIN_RATIO = 0.9  # of the worth of the best candidate: what a witness must tell
-COEFFICIENTS_PER_SIGNAL = 2  # of a series that acts in one way
-MAX_P = 0.01  # p below which a likeness is no chance
-MIN_KNOWN_SHARE = 0.8  # share of frames in which a series must be known
+MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach
+COEFFICIENTS_PER_SIGNAL = 2  # the series and its derivative
+MAX_P = 0.01  # significance level of a match
+MIN_KNOWN_SHARE = 0.8  # of frames in which a series must be known
 MIN_SENSED_SHARE, MIN_SENSED_DIFFERENCE = (
     0.25,
     0.3,
-)  # share of the residual's motion: an accelerometer sees less, or differs from all by less
-MIN_CHI2_PER_FREQUENCY = 15.0  # chi-squared per frequency, of three together, from which something is surely seen
-MIN_WEIGHT = 0.1  # weight of a frequency at which the sensor tells something
-MIN_SIGMAS = 5.0  # deviations by which it must tell all of it from none
+)  # of the residual motion: below is "not sensed"; closer to one is "all sensed"
+MIN_CHI2_PER_FREQUENCY = 15.0  # mean over three frequencies, above which the residual is clear
+MIN_WEIGHT = 0.1  # of a frequency at which the sensor is informative
+MIN_SIGMAS = 5.0  # standard deviations between "all" and "nothing" for a verdict
 
 AuxiliarySignals = Mapping[
     str, Mapping[str, Array]

@@ -26,9 +26,9 @@ from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.segments import Rows
 from frictrack.records import Array
 
-MAX_COMPONENTS = 800  # numbers over all pieces, about
-MIN_COMPONENTS_PER_PIECE = 4  # per piece
-POINTS_PER_SPLINE = 3  # places per spline at which a force is read
+MAX_COMPONENTS = 800  # over all pieces, approximately
+MIN_COMPONENTS_PER_PIECE = 4
+POINTS_PER_SPLINE = 3  # points per spline at which a force is read
 SPLINE_DEGREE = 3
 
 Force = Callable[[Path], Array]  # along one piece (n,): columns (n, k), N

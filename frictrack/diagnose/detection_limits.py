@@ -14,8 +14,8 @@ from frictrack.effects import Effect
 from frictrack.fit.linearised import MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.records import Array
 
-POWER = 0.95
-MIN_RELATIVE_GAIN = 1e-3  # of the usual gain: less belongs to a place, speed or moment that no run comes near
+POWER = 0.95  # probability of detection at the limit
+MIN_RELATIVE_GAIN = 1e-3  # of the median gain; less means that no run visits the place, speed or time
 
 
 def noncentrality(threshold: float, freedom: int) -> float:

@@ -13,7 +13,7 @@ from frictrack.models import Model
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array, stretches
 
-MIN_SHARE_OF_PEAK = 0.8  # of the largest force of the cause: the middle of the first stretch that reaches it is told
+MIN_SHARE_OF_PEAK = 0.8  # of the largest contribution; the first stretch above it is described
 
 
 def describe_effect(effect: Effect, solution: Solution | None = None) -> dict[str, str]:

@@ -19,8 +19,8 @@ from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.threads import map_in_threads
 
-ALPHA = 0.01  # half for lack of fit, half for candidates
-COMMON_SCALE_QUANTILE = 0.99  # quantile of its own null at which every candidate is put on the common scale
+ALPHA = 0.01  # significance level: half for lack of fit, half for candidates
+COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,9 @@ import numpy as np
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 
-MIN_CHI2_SEPARATED = 10.0  # expected chi-squared difference below which two causes cannot be told apart
-MAX_BIC_BARE_MENTION = (
-    2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
-)
-MAX_CHI2_NEAR = 40.0  # measured difference beyond which the expected one is not worth computing
+MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
+MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Raftery 1995)
+MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
 
 
 def expected_separation(best: Solution, rival: Solution) -> float:

@@ -31,7 +31,7 @@ from frictrack.motion.noise import (
 from frictrack.records import Array, Mask
 
 N_DRAWS = 999
-TAU_GRID = np.geomspace(2e-4, 0.32, 13)
+TAU_GRID = np.geomspace(2e-4, 0.32, 13)  # spreads of friction levels at which a draw is estimated
 
 
 @dataclass(frozen=True, eq=False)

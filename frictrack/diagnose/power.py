@@ -19,11 +19,9 @@ from frictrack.fit import Fit
 from frictrack.fit.linearised import LinearisedPiece
 from frictrack.records import Array
 
-MIN_DETECTABLE_SHARE = 0.10  # of the mean friction: rms size at which they must be seen
-MAX_NOISE_FACTOR = (
-    5.0  # times less noise that a laboratory can still be asked for: beyond, another kind of run is needed
-)
-NOT_ESTIMATED = ("fixed", "tied")  # reasons for which a parameter has no deviation though nothing is wrong with it
+MIN_DETECTABLE_SHARE = 0.10  # of the mean friction, rms
+MAX_NOISE_FACTOR = 5.0  # noise reduction that a laboratory can achieve; beyond it another kind of run is needed
+NOT_ESTIMATED = ("fixed", "tied")  # reasons for a parameter without standard deviation that are no fault
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,13 @@ from frictrack.fit.stepwise import (
 from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
 
-MAX_P_REFINED = 0.05  # p of a candidate that is refined; the best two are in any case
-MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
-MAX_CHI2_PER_FRAME_EXCHANGED = (
-    10.0  # chi-squared per frame from which no effect of a law is exchanged: too much of it is wrong
-)
+MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
+MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
+MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
 MAX_CANDIDATES_SIMULATED = 6
-MAX_UNKNOWNS_SIMPLE = 3  # unknowns of an effect that is no mixture of others
-MAX_CANDIDATES_SPLIT = 6  # effects beside which a second one is looked for then
-MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
+MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
+MAX_CANDIDATES_SPLIT = 6  # beside which a second simple effect is sought
+MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
 Notify = Callable[[str], None]
 

@@ -45,17 +45,15 @@ from frictrack.fit.uncertainty import Estimates, estimate_parameters, linear_est
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-MAX_EFFECTS = 4  # effects looked for one after the other
-MAX_ROUNDS = 6  # of adding and looking again
+MAX_EFFECTS = 4  # that are added
+MAX_ROUNDS = 6  # of testing and adding
 MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
     0.01,
     6,
 )  # share of the misfit, and number, of further effects in the table of importance
-MAX_ERROR_RATIO_ADDED = 0.99  # times the held-out error before, that an effect must reach for the list to go on past it
-MAX_ERROR_RATIO_DECISIVE = (
-    0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
-)
-N_CANDIDATES_HELD_OUT = 3  # candidates whose held-out error and rivals are computed
+MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
+MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
+N_CANDIDATES_HELD_OUT = 3  # with held-out error and rivals
 
 Progress = Callable[[int, int, str], None]
 

@@ -22,13 +22,13 @@ from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual
 from frictrack.effects import Path
 from frictrack.records import Array
 
-N_SPLINES = 60  # over an axis
-LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # of the axis, over which a force is alike
-SIZE_RATIOS = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-squared asks for
+N_SPLINES = 60  # per axis
+LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # correlation lengths over the axis
+SIZE_RATIOS = np.geomspace(1e-3, 1e3, 61)  # amplitudes over that of one unit of chi-squared
 JITTER = 1e-8
 N_CURVE_POINTS = 81  # of the curve
-MIN_LOAD_RATIO = 1.2  # ratio of loads beyond which runs differ in their load
-MIN_REVERSALS = 2  # times that a motion must turn back to have a phase
+MIN_LOAD_RATIO = 1.2  # above which runs differ in load
+MIN_REVERSALS = 2  # of a motion with a phase
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, has_known_history
 
-MAX_PIECES = 32  # pieces that are looked at, unless there are more runs
-MAX_FREQUENCY_RATIO = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
-MAX_FRAMES = 12_000  # over all pieces, a dozen films of slides; the search takes time in proportion
-MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece: lines are tried at each of them
+MAX_PIECES = 32  # that are searched, unless there are more runs
+MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which lines are sought; see `effects.base.frequencies`
+MAX_FRAMES = 12_000  # over all pieces; the time of a search is proportional to them
+MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
 
 
 def subsample_pieces(solution: Solution) -> tuple[Solution, str]:

@@ -22,8 +22,8 @@ from scipy.fft import dct
 from frictrack.records import Array
 
 N_DRAWS = 499
-MAX_HALF_PERIODS = 127  # half periods over a run, most
-MIN_INDEPENDENT_SHARE = 1e-9  # share of a second column's square that is not the first's
+MAX_HALF_PERIODS = 127  # of the cosines over a run
+MIN_INDEPENDENT_SHARE = 1e-9  # of a second column's square that is independent of the first
 
 Columns = Callable[[Sequence[Array | None]], dict[str, Array]]  # (n_i, 3, D) per piece -> way -> (M, 2, D)
 

@@ -10,7 +10,7 @@ from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.records import Array
 
-MAX_ERROR_RATIO = 1.002  # times the held-out error before: a change of that size is none
+MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
 
 
 @dataclass(frozen=True)

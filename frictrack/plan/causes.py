@@ -12,10 +12,10 @@ from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
 
-MEASUREMENT_NOISE_RATIO = 1.0  # times the noise of a frame (rms), of a fault of the picture
-MAX_GRID_POINTS = 150  # of one effect
-MAX_FREQUENCY_HZ = 250.0  # Hz, up to which lines are looked for
-N_EVENT_TIMES = 24  # of a run, at which an event may come
+MEASUREMENT_NOISE_RATIO = 1.0  # size of a measurement fault (rms) over the noise per frame
+MAX_GRID_POINTS = 150  # per effect
+MAX_FREQUENCY_HZ = 250.0  # up to which lines are sought
+N_EVENT_TIMES = 24  # times of an event in a run
 REASON_BY_NEED = {
     "drive": "needs a measured drive",
     "lift": "needs the vertical motion of the mass",

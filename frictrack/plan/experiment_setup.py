@@ -13,14 +13,14 @@ from frictrack.effects import Path
 from frictrack.models import Model
 from frictrack.records import GRAVITY
 
-PICTURE_WIDTH_PX = 800  # px that a picture is wide, of which the course is as long
-DEFAULT_NOISE_PX = 0.02  # px, of a frame
-SPEEDS_M_S = (1.0, 2.0, 4.0, 6.0, 8.0)  # m/s
-RETURN_SPEEDS_M_S = (2.0, 4.0, 8.0)  # m/s, the other way
-MIDDLE_SPEED_M_S = 4.0  # m/s, at which mass, tilt and frame rate are varied
+PICTURE_WIDTH_PX = 800  # width of a picture, px
+DEFAULT_NOISE_PX = 0.02  # position noise per frame, px
+SPEEDS_M_S = (1.0, 2.0, 4.0, 6.0, 8.0)
+RETURN_SPEEDS_M_S = (2.0, 4.0, 8.0)  # in the other direction
+MIDDLE_SPEED_M_S = 4.0  # at which mass, tilt and frame rate are varied
 TILT_RAD = np.deg2rad(5.0)
-STOP_WITHIN_SHARE = 0.85  # of the course, within which a run is to stop
-COULOMB_DECELERATION = 5.0  # m/s^2, by Coulomb friction
+STOP_WITHIN_SHARE = 0.85  # of the course
+COULOMB_DECELERATION = 5.0  # m/s^2
 STATIC_RISE_RATIO = 0.3  # static over Coulomb friction, minus one
 STRIBECK_VELOCITY = 0.3  # m/s
 VISCOUS_RATIO = 0.1  # viscous friction per m/s, over Coulomb friction

@@ -22,8 +22,8 @@ from frictrack.plan.causes import Cause
 from frictrack.plan.traces import PlannedRun, effect_columns
 from frictrack.records import Array
 
-RIDGE_RATIO = 1e-9  # of a unit matrix: directions that no run shows
-MIN_SQUARE_SHARE = 1e-10  # share of a column's square below which it is rounding
+RIDGE_RATIO = 1e-9  # regularises directions that no run shows
+MIN_SQUARE_SHARE = 1e-10  # of a column's square, below which it is rounding
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from frictrack.plan.causes import MEASUREMENT_NOISE_RATIO
 from frictrack.plan.selection import MIN_CHI2_SEPARATED, PlanStep, RunPlan, detection_threshold, unseparated_pairs
 from frictrack.records import Array
 
-MAX_CHI2_IDENTICAL = 1.0  # expected chi-squared below which two traces are one
-MIN_VISIBLE_SHARE = 1e-6  # of what a cause leaves in the picture: less is rounding
+MAX_CHI2_IDENTICAL = 1.0  # below which two traces count as identical
+MIN_VISIBLE_SHARE = 1e-6  # of a trace's square that must remain beside the law; less is rounding
 REFERENCE_INSTRUCTION = "a mark at rest in every picture, given as `reference`"
 PLANNED_SIZES = (
     f"sizes: every force {100 * PLANNED_SHARE:g} % of friction (rms), a blow {100 * PLANNED_SHARE:g} % of the "

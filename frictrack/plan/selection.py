@@ -18,10 +18,10 @@ from frictrack.plan.traces import PlannedRun, effect_trace, planned_size, simula
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-MAX_RUNS = 8  # runs
-MIN_PROGRESS_PAIRS = 0.5  # of a pair that a run must bring nearer where it parts none
-N_INDEPENDENT_FORMS = 1000  # independent forms that a search of the library looks at, about
-DEGREES_OF_FREEDOM = 2  # coefficients of a form
+MAX_RUNS = 8  # of a plan
+MIN_PROGRESS_PAIRS = 0.5  # progress in pairs for which a run is worth filming though it separates none
+N_INDEPENDENT_FORMS = 1000  # independent tests in a search of the library, approximately
+DEGREES_OF_FREEDOM = 2  # coefficients per test
 
 Progress = Callable[[int, int, str], None]
 

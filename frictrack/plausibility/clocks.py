@@ -10,8 +10,8 @@ import numpy as np
 from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.records import Run
 
-MAX_RELATIVE_DIFFERENCE = 0.01  # relative: forces are then off by twice as much
-MIN_OTHER_SETTING = 0.35  # relative: a larger difference between runs is another setting, and no wrong clock
+MAX_RELATIVE_DIFFERENCE = 0.01  # of frame rates; forces are then wrong by twice as much
+MIN_OTHER_SETTING = 0.35  # relative difference between runs from which the camera setting differs
 TIME_UNITS = {
     1e3: ("ms", "t (ms)"),
     1e6: ("us", "t (us)"),

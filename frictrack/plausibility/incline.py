@@ -14,14 +14,14 @@ from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.plausibility.strokes import MIN_SIGMAS, Stroke, find_strokes, mean_acceleration, total_distance
 from frictrack.records import GRAVITY, Run, Track
 
-MAX_MISFIT = 0.02  # rms off a parabola over the way: a push by hand is not as constant as gravity
+MAX_MISFIT = 0.02  # rms deviation from a parabola over the distance; a push by hand is less constant
 MAX_PARTNER_SHARE = (
     0.25  # of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring
 )
-MIN_SPEEDING_SHARE = 0.4  # of the whole way that must be passed speeding up
-MIN_SHARE_EACH_WAY = 0.2  # of the whole way that a direction needs to count
+MIN_SPEEDING_SHARE = 0.4  # of the distance that must be covered while accelerating
+MIN_SHARE_EACH_WAY = 0.2  # of the distance, for a direction to count
 MIN_PUSH_SHARE = 0.05  # of the pull of gravity by which friction would have to push
-MAX_PULL_RATIO = 3.0  # by which the pull that the motion shows may differ from the stated one
+MAX_PULL_RATIO = 3.0  # between the pull that the motion shows and the stated one
 
 
 def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None:

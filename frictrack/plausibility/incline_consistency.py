@@ -18,7 +18,7 @@ from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MAX_PULL_RATIO, si
 from frictrack.plausibility.strokes import MIN_SIGMAS, Stroke, find_strokes
 from frictrack.records import GRAVITY, Run
 
-MIN_LEGS = 5  # slides for three numbers and their scatter
+MIN_STROKES = 5  # strokes, for three parameters and their scatter
 # Friction one way over friction the other way, which no dry surface exceeds: snake skin, made for it, has 1.3
 # (Hu, Nirody, Scott & Shelley 2009, Proc. Natl. Acad. Sci. 106, 10081).
 MAX_DIRECTION_RATIO = 2.0
@@ -91,7 +91,7 @@ def _fit_pull(runs: Sequence[Run]) -> _ExtraPull | None:
         if stroke.is_significant and _is_free_slide(stroke)
     ]
     s = np.array([stroke.direction for _, stroke in slides])
-    if len(slides) < MIN_LEGS or abs(np.sum(s)) == len(slides):
+    if len(slides) < MIN_STROKES or abs(np.sum(s)) == len(slides):
         return None
     a = np.array([stroke.a + GRAVITY * sin(run.incline) for run, stroke in slides])
     speed = np.array([_speed_over_mass(run, stroke) for run, stroke in slides])

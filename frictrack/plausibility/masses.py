@@ -24,13 +24,13 @@ from frictrack.plausibility.slide import SlideEstimate, estimate_slide
 from frictrack.plausibility.strokes import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.records import GRAVITY, Array, Run
 
-MAX_SPREAD_DECADES = 0.2  # decades within which the other runs agree, or two numbers are the same up to a power of ten
-EXACT_DECADES = 0.02  # decades: the same weighing up to a power of ten
+MAX_SPREAD_DECADES = 0.2  # within which runs agree, or two numbers differ by a power of ten
+EXACT_DECADES = 0.02  # within which two masses differ by exactly a power of ten
 MIN_FRAMES = 20
-MAX_RELATIVE_STD = 0.1  # relative deviation of a mass that the drive tells
+MAX_RELATIVE_STD = 0.1  # of a mass estimated from the drive
 UNITS = {3: "x_m holds mm", -6: "t_s holds ms", -3: "t_s holds ms and x_m mm"}  # by the power of ten of m = D/a
-MIN_RUNS = 3  # runs, of which two agree against the third
-UNIT_POWERS = (3, 6)  # of ten: steps from a unit to its thousandth, and their squares, where nothing else is likely
+MIN_RUNS = 3  # two that agree and a third
+UNIT_POWERS = (3, 6)  # of ten: a unit and its thousandth, and the square
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ TABLE_UNITS = (
     (1e3, 1.0, 'x_m holds km: head that column "x (km)" and give columns = {x = "x (km)"}'),
     (1.0, 60.0, 't_s holds minutes: head that column "t (min)" and give columns = {t = "t (min)"}'),
 )
-UNIT_STEP = 1e3  # from a unit to its thousandth: a slip of that size is no other setting of the instrument
+UNIT_STEP = 1e3  # factor of a wrong unit; no camera setting differs by as much
 FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
 
 

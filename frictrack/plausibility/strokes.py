@@ -9,11 +9,11 @@ import numpy as np
 from frictrack.friction import is_moving, split_by_direction
 from frictrack.records import Array, Mask, Run
 
-MIN_FRAMES = 10  # of a leg, below which a parabola tells nothing
-TRIMMED_SHARE = 0.1  # share of a leg at either end that is left out: smoothing reaches over a collision
-EVENT_REACH_FRAMES = 3  # frames beyond an event that a difference may still see it
-CORRELATION_FACTOR = 3.0  # factor on a standard deviation for errors that neighbours share
-MIN_SIGMAS = 5.0  # standard deviations
+MIN_FRAMES = 10  # of a stroke, for a parabola
+TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
+EVENT_REACH_FRAMES = 3  # frames that an event affects beyond itself
+CORRELATION_FACTOR = 3.0  # on standard deviations, for errors that neighbours share
+MIN_SIGMAS = 5.0  # of an acceleration that differs from 0
 
 
 @dataclass(frozen=True)

@@ -37,14 +37,14 @@ from frictrack.fit.segments import Piece, spans_of
 from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, add_effect, is_unconstrained
 from frictrack.records import Array
 
-START_PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
-START_TIMES = np.linspace(0.1, 0.9, 7)  # of the planned run, at which a rival's event is sought
+START_PHASES = np.arange(4) * np.pi / 2  # starting phases of the planned run, rad
+START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
 SIZE_ROLES = ("amplitude", "depth")
-SMALL_FORCE_RATIO = 0.05  # of friction: size of a cause that the runs do not tell
-MAX_CHI2_UNDETERMINED = 10.0  # rise of chi-squared below which the runs do not tell a size
-N_STARTS_REFINED = 2  # of these starts that are refined
-MAX_CHI2_LINEAR = 1000.0  # chi-squared beyond which a rival is too far away for the runs at hand to answer as they did
-MAX_STEPS_OWN, MAX_STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
+SMALL_FORCE_RATIO = 0.05  # of friction: size of an effect that the runs do not determine
+MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size
+N_STARTS_REFINED = 2  # best starting values that are refined
+MAX_CHI2_LINEAR = 1000.0  # above it a rival is too far away for linearised runs
+MAX_STEPS_OWN, MAX_STEPS = 4, 12  # Gauss-Newton steps: planned run alone, all runs
 
 
 @dataclass(frozen=True)

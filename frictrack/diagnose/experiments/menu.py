@@ -10,12 +10,12 @@ import numpy as np
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.fit.least_squares import Solution
 
-MAX_SPEED = 8.0  # m/s, that the set-ups of this field reach
+MAX_SPEED = 8.0  # m/s, reached by setups of this field
 MIN_SPEED = 0.3  # m/s
 SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run so far
 TILT_RAD = np.deg2rad(5.0)
-MIN_SPEED_DIFFERENCE = 0.15  # relative, within which two speeds are the same one
-STOP_WITHIN_SHARE = 0.8  # of the course, within which a run is to stop
+MIN_SPEED_DIFFERENCE = 0.15  # relative; smaller ones count as the same speed
+STOP_WITHIN_SHARE = 0.8  # of the course
 
 
 @dataclass(frozen=True)

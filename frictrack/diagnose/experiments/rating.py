@@ -21,14 +21,14 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
 
-MAX_BIC_NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
-MIN_BIC_SEPARATED = 10.0  # expected difference of BIC from which two explanations are told apart
-MAX_EXPLANATIONS = 3  # explanations that are compared with each other
-MAX_EXPERIMENTS = 5  # experiments that are told
-MAX_AXES = 2  # along which what no effect explains is compared
-AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that tell axes apart
-COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # what has to be bought, fixed and brought in time
-COST_FACTOR = 10.0  # times as much evidence as a film must come from these to be preferred
+MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run that excludes it
+MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations
+MAX_EXPLANATIONS = 3  # that are compared with each other
+MAX_EXPERIMENTS = 5  # that are proposed
+MAX_AXES = 2  # over which an unexplained force is compared
+AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that separate axes
+COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # to buy, mount and synchronise
+COST_FACTOR = 10.0  # times the evidence of a film that a costly check must give
 
 Progress = Callable[[str], None]
 Pair = tuple[str, str]  # true explanation, the other one

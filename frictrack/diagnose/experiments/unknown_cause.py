@@ -24,8 +24,8 @@ INVARIANTS = {  # by axis: what a force over it keeps when a run is made differe
     "t": "what depends on the time comes again equally long after release",
     "v": "what depends on the speed comes again at the same speed",
 }
-N_HATS = 14  # over an axis
-PRIOR_STD_RATIO = 0.5  # of friction: what is known of a height beside the runs
+N_HATS = 14  # knots of a free curve
+PRIOR_STD_RATIO = 0.5  # of friction: prior standard deviation of a height
 MAX_STEPS = 8
 
 

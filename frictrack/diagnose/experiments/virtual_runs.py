@@ -16,12 +16,12 @@ from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import Panels
 
 PLANNED_RUN_NAME = "next run"
-MIN_VISIBLE_SPEED = 0.01  # m/s, below which a camera no longer sees the mass move
-STOP_TIME_MARGIN = 1.5  # times the time that the usual deceleration needs to stop the mass: long enough to see it stop
-MAX_FRAMES = 3000  # frames of a planned run
-MIN_RUN_FRAMES = 3 * MIN_FRAMES  # frames of a run that is worth filming
-DEFAULT_SCATTER = 0.03  # of the friction level, before enough runs tell their own
-GOLDEN_ANGLE_RAD = 2.39996  # rad, so that phases of planned runs spread evenly
+MIN_VISIBLE_SPEED = 0.01  # m/s; a slower mass counts as stopped
+STOP_TIME_MARGIN = 1.5  # times the stopping time at the typical deceleration
+MAX_FRAMES = 3000  # of a planned run
+MIN_RUN_FRAMES = 3 * MIN_FRAMES  # of a run that is worth filming
+DEFAULT_SCATTER = 0.03  # relative, of the friction level, if there are too few runs to estimate it
+GOLDEN_ANGLE_RAD = 2.39996  # rad; phases of successive runs spread evenly
 
 
 @dataclass(frozen=True)

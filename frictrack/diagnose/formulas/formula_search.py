@@ -37,27 +37,19 @@ from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remov
 from frictrack.models import Model
 from frictrack.records import Array
 
-MIN_LEAKAGE_RATIO, MIN_SQUARE_SHARE = (
-    3.0,
-    1e-8,
-)  # share of a column's square that must remain beside the law: over the law's own, and least
-MAX_COLUMN_VALUE = 1e9  # of a column: beyond it a shape has no value
-RELATIVE_STEP = 1e-5  # relative, of a difference
-MAX_EVALUATIONS = 25  # of the numbers of a form
-MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain that a shape must reach on the grid to be refined
-N_REFINED, N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED, N_SHOWN = (
-    12,
-    2,
-    5,
-    2,
-    6,
-)  # forms refined, fitted in full at first, as rivals, as a second term, and told
-MAX_DELTA_BIC_EQUAL = 6.0  # difference of the criterion within which formulas explain alike (Kass & Raftery 1995)
-MAX_DELTA_BIC_FITTED = (
-    15.0  # of the criterion beside the law of the best formula within which another one is fitted in full
-)
-MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared that are no noise
-MIN_AXIS_GAIN_RATIO = 0.5  # of the best gain of a smooth force that an axis must reach for formulas over it
+MIN_LEAKAGE_RATIO = 3.0  # remaining share of a column's square over the leakage of the model projection
+MIN_SQUARE_SHARE = 1e-8  # least remaining share of a column's square
+MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
+RELATIVE_STEP = 1e-5  # of finite differences
+MAX_EVALUATIONS = 25  # per refinement of a term
+MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain that a shape must reach on the grid
+N_REFINED = 12  # forms refined beside the linearised model
+N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 2, 5, 2  # first terms, rivals and second terms fitted in full
+N_SHOWN = 6  # formulas reported
+MAX_DELTA_BIC_EQUAL = 6.0  # within which formulas explain equally (Kass & Raftery 1995)
+MAX_DELTA_BIC_FITTED = 15.0  # from the best formula, within which another is fitted in full
+MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
+MIN_AXIS_GAIN_RATIO = 0.5  # of the best smooth force's gain that an axis must reach
 
 
 def search_formulas(solution: Solution, extended: Solution | None = None) -> list[dict[str, Any]]:

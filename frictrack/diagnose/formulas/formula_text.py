@@ -23,7 +23,7 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
 
-FACTOR_TEXTS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
+FACTOR_TEXTS = {"L * s": "L s ", "s": "s ", "": ""}  # by the factor in a study file
 INVERSE_UNITS = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
 POWERS = {"u": 1, "u^2": 2, "u^3": 3, "sqrt(u)": 0.5}
 

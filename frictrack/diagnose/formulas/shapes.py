@@ -18,9 +18,9 @@ import numpy as np
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
 from frictrack.records import Array
 
-WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for places
-MAX_PERIODS = 45.0  # on an axis, most
-PERIOD_STEP = 0.25  # of a period by which two waves differ over the axis
+WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps
+MAX_PERIODS = 45.0  # on an axis
+PERIOD_STEP = 0.25  # difference of periods over the axis between two waves of the grid
 Grid = Callable[[float, float], list[tuple[float, ...]]]  # ends of the axis -> numbers to try
 
 

@@ -17,9 +17,9 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
-AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # axes of formulas: in a study file, to read
-EFFECT_NAME = "unexplained"  # of the effect in the study file
-MAX_WIDTH_RATIO = 3.0  # times the axis: a width beyond it is no width
+AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # in a study file, and to read
+EFFECT_NAME = "unexplained"  # in the study file
+MAX_WIDTH_RATIO = 3.0  # times the axis; a wider shape is flat
 
 
 @dataclass(frozen=True)

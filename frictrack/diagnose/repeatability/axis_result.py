@@ -8,8 +8,8 @@ from typing import Any
 
 from frictrack.axes import AXES
 
-MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs predict, and its chance, for a failure to repeat
-MIN_EVIDENCE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
+MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs must predict, and its significance level
+MIN_EVIDENCE = 10.0  # twice the log likelihood ratio that decides
 
 AXIS_TEXTS = {
     "x": ("at the same place", "it depends on the position along the course"),

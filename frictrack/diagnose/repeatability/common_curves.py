@@ -36,9 +36,9 @@ from frictrack.records import Array
 
 N_DRAWS = 199
 N_KNOTS = {"x": 120, "t": 80, "v": 40}
-CORRELATION_LENGTHS_KNOTS = (2.0, 6.0, 20.0)  # of a curve, in knots
-PRIOR_SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
-MIN_MODEL_WEIGHT = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
+CORRELATION_LENGTHS_KNOTS = (2.0, 6.0, 20.0)  # in knots
+PRIOR_SIZES = (0.3, 3.0, 30.0)  # amplitudes over the smallest that the runs show
+MIN_MODEL_WEIGHT = 0.03  # weight of all runs' information on the model in predictions from other runs
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from frictrack.compare import scan_frequencies, time_wave_traces
 from frictrack.fit.least_squares import ModelProjection
 from frictrack.records import Array
 
-MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
+MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that counts as repeating there
 
 _Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G, 2, 2), data (G, 2), (G, 2)
 

@@ -14,8 +14,8 @@ from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve
-SMOOTHING_WIDTH = 1 / 80  # of an axis: width of the smoothing
-MIN_WEIGHT_SHARE = 0.2  # of the usual number of frames round a place for a run to have a say there
+SMOOTHING_WIDTH = 1 / 80  # of the axis
+MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point for a run to count there
 
 
 @dataclass(frozen=True)
