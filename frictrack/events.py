@@ -9,8 +9,8 @@ from frictrack.friction import is_motion, is_moving, release_time, split_by_dire
 from frictrack.records import Array, Run, RunEvents
 
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
-MIN_IMPACT_RATIO = 5.0  # times what the usual acceleration would change the velocity by: an impact
-MIN_REST_FRAMES = 12  # frames, fewer do not tell the noise
+MIN_IMPACT_RATIO = 5.0  # change of velocity in an impact over that by the typical acceleration
+MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
 

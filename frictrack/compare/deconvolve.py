@@ -78,32 +78,34 @@ class _Process:
 
     def log_likelihood(self, size: float) -> float:
         """Log restricted likelihood of an amplitude, up to a constant."""
-        kept, inner, _, pull = self._reduced_system(size)
-        exponent = sum(float(b @ (k * b)) for k, b in zip(kept, self.projections, strict=True))
-        exponent += float(pull @ np.linalg.solve(inner, pull))
-        spread = sum(float(np.sum(np.log1p(size**2 * s))) for s in self.squares) + float(np.linalg.slogdet(inner)[1])
+        variances_of_parts, normal_matrix, _, right_side = self._reduced_system(size)
+        exponent = sum(float(b @ (k * b)) for k, b in zip(variances_of_parts, self.projections, strict=True))
+        exponent += float(right_side @ np.linalg.solve(normal_matrix, right_side))
+        spread = sum(float(np.sum(np.log1p(size**2 * s))) for s in self.squares) + float(
+            np.linalg.slogdet(normal_matrix)[1]
+        )
         return (exponent - spread) / 2
 
     def posterior(self, size: float) -> tuple[list[Array], list[Array]]:
         """Means and variances (n,) of the force for an amplitude."""
-        kept, _, inverse, pull = self._reduced_system(size)
-        back = inverse @ pull
+        variances_of_parts, _, inverse, right_side = self._reduced_system(size)
+        law_coefficients = inverse @ right_side
         means, variances = [], []
-        for shape, k, w, b in zip(self.shape, kept, self.law_components, self.projections, strict=True):
-            means.append(shape @ (k * (b + w @ back)))
+        for shape, k, w, b in zip(self.shape, variances_of_parts, self.law_components, self.projections, strict=True):
+            means.append(shape @ (k * (b + w @ law_coefficients)))
             law_shape = shape @ (k[:, None] * w)
             variances.append(shape**2 @ k + np.einsum("np,np->n", law_shape @ inverse, law_shape))
         return means, variances
 
     def _reduced_system(self, size: float) -> tuple[list[Array], Array, Array, Array]:
         """Posterior variances (K,), reduced normal matrix of the model (P', P'), its inverse and right side (P',)."""
-        kept = [size**2 / (1 + size**2 * s) for s in self.squares]
-        inner = np.eye(self.law_components[0].shape[1])
-        pull = np.zeros(len(inner))
-        for k, w, b in zip(kept, self.law_components, self.projections, strict=True):
-            inner -= (w * k[:, None]).T @ w
-            pull += w.T @ (k * b)
-        return kept, inner, np.asarray(np.linalg.inv(inner), dtype=np.float64), pull
+        variances_of_parts = [size**2 / (1 + size**2 * s) for s in self.squares]
+        normal_matrix = np.eye(self.law_components[0].shape[1])
+        right_side = np.zeros(len(normal_matrix))
+        for k, w, b in zip(variances_of_parts, self.law_components, self.projections, strict=True):
+            normal_matrix -= (w * k[:, None]).T @ w
+            right_side += w.T @ (k * b)
+        return variances_of_parts, normal_matrix, np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64), right_side
 
 
 def deconvolve_force(solution: Solution) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
@@ -157,12 +159,12 @@ def _vibration(solution: Solution) -> float | None:
 def _model_averaged_force(law: ModelProjection) -> tuple[list[Array], list[Array]]:
     """Means and variances of the force, averaged over amplitudes and correlation lengths by their likelihood."""
     knots = [_knots(r) for r in law.responses]
-    made = [_normal_products(law, i, k) for i, k in enumerate(knots)]
+    products = [_normal_products(law, i, k) for i, k in enumerate(knots)]
     step = max(float(k[1] - k[0]) for k in knots)
     longest = max(float(k[-1] - k[0]) for k in knots)
     tried = []
     for length in np.geomspace(2 * step, max(longest / 4, 3 * step), N_CORRELATION_LENGTHS):
-        process = _make_process(law, knots, made, float(length))
+        process = _make_process(law, knots, products, float(length))
         top = max(float(s.max()) for s in process.squares)
         sizes = (SIZE_RATIOS / np.sqrt(max(top, 1e-300))).tolist()
         tried += [(process.log_likelihood(size), process, size) for size in sizes]
@@ -190,10 +192,10 @@ def _normal_products(law: ModelProjection, i: int, knots: Array) -> tuple[Array,
 
 
 def _make_process(
-    law: ModelProjection, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], length: float
+    law: ModelProjection, knots: Sequence[Array], products: Sequence[tuple[Array, ...]], length: float
 ) -> _Process:
     shape, squares, law_components, projections = [], [], [], []
-    for response, at, (gram, w, b) in zip(law.responses, knots, made, strict=True):
+    for response, at, (gram, w, b) in zip(law.responses, knots, products, strict=True):
         root = np.linalg.cholesky(matern_covariance(at, length) + 1e-10 * np.eye(len(at)))
         value, vector = np.linalg.eigh(root.T @ gram @ root)
         part = root @ vector

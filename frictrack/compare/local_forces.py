@@ -87,10 +87,10 @@ class LocalForces:
 
     def p(self, bump: Bump) -> float:
         """p-value of a bump: in the whole search, or in its piece alone where that suffices (see `is_credible`)."""
-        whole = self.significance(bump.z)
-        if bump.piece is None or whole < ALPHA or not self.is_credible(bump):
-            return whole
-        return min(whole, self.piece_significance[bump.piece](bump.z))
+        global_p = self.significance(bump.z)
+        if bump.piece is None or global_p < ALPHA or not self.is_credible(bump):
+            return global_p
+        return min(global_p, self.piece_significance[bump.piece](bump.z))
 
     def is_credible(self, bump: Bump) -> bool:
         """Whether noise alone rarely shows such a bump.
@@ -100,11 +100,11 @@ class LocalForces:
         if self.significance(bump.z) < ALPHA:
             return True
         others = {b.piece for b in self.bumps if not b.at_place} - {bump.piece}
-        mine = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
+        stronger = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
         return (
             bump.piece is not None
             and bool(others)
-            and not mine
+            and not stronger
             and self.piece_significance[bump.piece](bump.z) < ALPHA_PIECE
         )
 
@@ -172,10 +172,10 @@ def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
         )
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
-    fresh = start_search(law)
-    trace = bump_columns(fresh, found.bumps, derivatives=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
+    restarted = start_search(law)
+    trace = bump_columns(restarted, found.bumps, derivatives=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
     law = replace(law, r=law.r + trace - law.u @ (law.u.T @ trace))
-    return _prune(_fit_bumps(replace(fresh, law=law, residual=law, bumps=found.bumps)))
+    return _prune(_fit_bumps(replace(restarted, law=law, residual=law, bumps=found.bumps)))
 
 
 def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
@@ -355,15 +355,15 @@ def bump_forces(found: LocalForces) -> tuple[list[Array], list[Array]]:
     """
     bumps, law, k = found.bumps, found.law, len(found.bumps)
     if not bumps:
-        still = [np.zeros(len(r.piece.t)) for r in law.responses]
-        return still, still
+        zeros = [np.zeros(len(r.piece.t)) for r in law.responses]
+        return zeros, zeros
     sizes = np.array([b.size for b in bumps])
     scale = np.stack([np.ones(k), sizes, sizes], axis=1)
     columns = (bump_columns(found, bumps) * scale).reshape(len(law.r), -1)
     clean = columns - law.u @ (law.u.T @ columns)
-    known = np.zeros(3 * k)
-    known[2::3] = 1.0  # a width that the runs do not tell is known to a factor of e
-    covariance = np.linalg.pinv(clean.T @ clean + np.diag(known), hermitian=True)
+    prior = np.zeros(3 * k)
+    prior[2::3] = 1.0  # a width that the runs do not determine is known within a factor of e
+    covariance = np.linalg.pinv(clean.T @ clean + np.diag(prior), hermitian=True)
     forces, variances = [], []
     for i, (response, at) in enumerate(zip(law.responses, found.nodes, strict=True)):
         present = np.array([b.piece in (None, i) for b in bumps])

@@ -94,16 +94,16 @@ def _spans_of_residual(solution: Solution, runs: Sequence[Run]) -> list[FailingS
 
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
     """Extent of the bumps of a search in every piece."""
-    made = bump_columns(found, found.bumps)[:, :, 0]
-    sizes, _ = solve_sizes(found.law, made)
+    columns = bump_columns(found, found.bumps)[:, :, 0]
+    sizes, _ = solve_sizes(found.law, columns)
     total = excess_chi2(found.law)
     spans = []
     for k, (bump, unresolved) in enumerate(
-        zip(_consensus_bumps(found, made), _are_unresolved(found, made), strict=True)
+        zip(_consensus_bumps(found, columns), _are_unresolved(found, columns), strict=True)
     ):
         for i, rows in enumerate(found.law.rows):
             if bump.piece in (None, i):
-                share = float(sizes[k] * (made[rows, k] @ found.law.r[rows])) / total
+                share = float(sizes[k] * (columns[rows, k] @ found.law.r[rows])) / total
                 inside = _inside(
                     found, bump, i, _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
                 )
@@ -158,23 +158,23 @@ def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
     return 0.5 / float(cutoff) if known else 0.0
 
 
-def _are_unresolved(found: LocalForces, made: Array) -> list[bool]:
+def _are_unresolved(found: LocalForces, columns: Array) -> list[bool]:
     """Whether each bump in time is as short as the shortest that the frames resolve."""
-    _, best = solve_sizes(found.law, made)
+    _, best = solve_sizes(found.law, columns)
     out = []
     for k, bump in enumerate(found.bumps):
-        shortest = made.copy()
+        shortest = columns.copy()
         shortest[:, k] = bump_columns(found, [replace(bump, width=width_limits(found.law.responses, bump)[0])])[:, 0, 0]
         out.append(not bump.at_place and solve_sizes(found.law, shortest)[1] - best < MIN_CHI2_RESOLVED)
     return out
 
 
-def _consensus_bumps(found: LocalForces, made: Array) -> list[Bump]:
+def _consensus_bumps(found: LocalForces, columns: Array) -> list[Bump]:
     """Replace each bump by the one whose span overlaps best with those of all that fit, weighted by likelihood.
 
     A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
     """
-    return [_consensus_bump(found, bump, np.delete(made, k, axis=1)) for k, bump in enumerate(found.bumps)]
+    return [_consensus_bump(found, bump, np.delete(columns, k, axis=1)) for k, bump in enumerate(found.bumps)]
 
 
 def _consensus_bump(found: LocalForces, bump: Bump, others: Array) -> Bump:
@@ -246,22 +246,24 @@ def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> l
         places += [(i, np.arange(s.start, s.stop)) for s in stretches(_close_gaps(acts))]
     if not places:
         return []
-    made = np.stack([_partial_trace(law, i, rows, solution, missing) for i, rows in places], axis=1)
-    whole = made.sum(axis=1)
-    total = max(excess_chi2(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
+    columns = np.stack([_partial_trace(law, i, rows, solution, missing) for i, rows in places], axis=1)
+    total_trace = columns.sum(axis=1)
+    total = max(excess_chi2(law), float(np.sum((total_trace - law.u @ (law.u.T @ total_trace)) ** 2)))
     # what the runs share acts in all of them or in none
     group = np.array([solution.responses[i].piece.run if _has_size_per_run(effect) else 0 for i, _ in places])
     names, of = np.unique(group, return_inverse=True)
-    z = _joint_significance(law, np.stack([made[:, group == g].sum(axis=1) for g in names], axis=1))[of]
+    z = _joint_significance(law, np.stack([columns[:, group == g].sum(axis=1) for g in names], axis=1))[of]
     p = [_p_value(search, i, float(s)) for (i, _), s in zip(places, z, strict=True)]
-    spans = [FailingSpan(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, made.T, p, strict=True)]
+    spans = [
+        FailingSpan(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, columns.T, p, strict=True)
+    ]
     return [s for s in spans if s.p < ALPHA_PIECE]
 
 
 def _p_value(search: LocalForces, piece: int, z: float) -> float:
     """p-value of a span in the whole search, or in its piece if that search is not significant."""
-    whole = search.significance(z)
-    return whole if whole < ALPHA else min(whole, search.piece_significance[piece](z))
+    global_p = search.significance(z)
+    return global_p if global_p < ALPHA else min(global_p, search.piece_significance[piece](z))
 
 
 def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
@@ -287,12 +289,12 @@ def _model_without(solution: Solution, effect: Effect) -> ModelProjection:
     """The model without one of its effects, and the residual that this leaves."""
     slots = solution.problem.layout.slots
     kept = [i for i, s in enumerate(slots) if s.effect != effect.name]
-    whole = model_projection(solution, kept)
-    trace = np.zeros_like(whole.r)
-    for rows, response in zip(whole.rows, solution.responses, strict=True):
+    projection = model_projection(solution, kept)
+    trace = np.zeros_like(projection.r)
+    for rows, response in zip(projection.rows, solution.responses, strict=True):
         at = effect_force_at_nodes(solution, response, effect.name)
         trace[rows] = displacement_response(response, at[:, None])[:, 0]
-    return replace(whole, r=whole.r + trace - whole.u @ (whole.u.T @ trace))
+    return replace(projection, r=projection.r + trace - projection.u @ (projection.u.T @ trace))
 
 
 def _partial_trace(law: ModelProjection, i: int, rows: Rows, solution: Solution, name: str) -> Array:
@@ -306,9 +308,9 @@ def _partial_trace(law: ModelProjection, i: int, rows: Rows, solution: Solution,
     return out
 
 
-def _joint_significance(law: ModelProjection, made: Array) -> Array:
+def _joint_significance(law: ModelProjection, columns: Array) -> Array:
     """Significance of each column (N + m, k) beside the model and all other columns, in standard deviations."""
-    clean = made - law.u @ (law.u.T @ made)
+    clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
     deviation = np.sqrt(np.diag(inverse))
     return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)

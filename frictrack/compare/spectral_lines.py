@@ -116,9 +116,9 @@ def wave_traces(response: PieceResponse, position: Array, f: Array, dry_factor: 
     """
     out = np.empty((len(response.r), 2 * len(f)))
     for first in range(0, len(f), CHUNK_COLUMNS):
-        made = sine_cosine_columns(position, f[first : first + CHUNK_COLUMNS])
+        waves = sine_cosine_columns(position, f[first : first + CHUNK_COLUMNS])
         out[:, 2 * first : 2 * (first + CHUNK_COLUMNS)] = displacement_response(
-            response, made if dry_factor is None else made * dry_factor[:, None]
+            response, waves if dry_factor is None else waves * dry_factor[:, None]
         )
     return out
 
@@ -134,11 +134,11 @@ def strongest_line(law: ModelProjection) -> SpectralLine | None:
         gram, data = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2))
         for rows, response in zip(law.rows, law.responses, strict=True):
             if response.piece.run == run:
-                made = time_wave_traces(response, f)
-                on = (law.u[rows].T @ made).reshape(-1, len(f), 2)
-                cube = made.reshape(len(made), len(f), 2)
-                gram += np.einsum("nfi,nfj->fij", cube, cube) - np.einsum("pfi,pfj->fij", on, on)
-                data += (law.r[rows] @ made).reshape(len(f), 2)
+                traces = time_wave_traces(response, f)
+                on_law = (law.u[rows].T @ traces).reshape(-1, len(f), 2)
+                pairs = traces.reshape(len(traces), len(f), 2)
+                gram += np.einsum("nfi,nfj->fij", pairs, pairs) - np.einsum("pfi,pfj->fij", on_law, on_law)
+                data += (law.r[rows] @ traces).reshape(len(f), 2)
         gain += np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
     best, step = float(f[int(np.argmax(gain))]), float(f[1] - f[0]) if len(f) > 1 else 0.0
     around = (max(best - step, 0.5 * best), best + step)
@@ -182,14 +182,14 @@ def strongest_spatial_wave(law: ModelProjection) -> SpatialWave | None:
     """The spatial period that lowers chi-squared of all runs most; None if there is nothing to refine."""
     f = np.sort(1 / spatial_periods(law.solution.problem.layout.span))
     at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    gram, data, on = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
+    gram, data, on_law = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
     for rows, response, n in zip(law.rows, law.responses, at, strict=True):
-        made = wave_traces(response, n.x, f, n.dry_factor)
-        cube = made.reshape(len(made), len(f), 2)
-        gram += np.einsum("nfi,nfj->fij", cube, cube, optimize=True)
-        data += (law.r[rows] @ made).reshape(len(f), 2)
-        on += (law.u[rows].T @ made).reshape(-1, len(f), 2)
-    gram -= np.einsum("pfi,pfj->fij", on, on, optimize=True)
+        traces = wave_traces(response, n.x, f, n.dry_factor)
+        pairs = traces.reshape(len(traces), len(f), 2)
+        gram += np.einsum("nfi,nfj->fij", pairs, pairs, optimize=True)
+        data += (law.r[rows] @ traces).reshape(len(f), 2)
+        on_law += (law.u[rows].T @ traces).reshape(-1, len(f), 2)
+    gram -= np.einsum("pfi,pfj->fij", on_law, on_law, optimize=True)
     gain = np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
     best = int(np.argmax(gain))
     around = float(f[max(best - 1, 0)]), float(f[min(best + 1, len(f) - 1)])
@@ -213,8 +213,8 @@ def _spatial_wave(law: ModelProjection, at: Sequence[NodeMotion], f: float, trie
     derivatives = [_force_derivatives(n, f, size) for n in at]
     for rows, response, m in zip(law.rows, law.responses, derivatives, strict=True):
         shifted[rows] = displacement_response(response, m[:, 2:])[:, 0]
-    whole = np.column_stack([clean, shifted - law.u @ (law.u.T @ shifted)])
-    covariance = np.linalg.pinv(whole.T @ whole, hermitian=True)
+    columns_and_shift = np.column_stack([clean, shifted - law.u @ (law.u.T @ shifted)])
+    covariance = np.linalg.pinv(columns_and_shift.T @ columns_and_shift, hermitian=True)
     frames = [
         np.stack([np.interp(r.piece.t, n.t, q) for q in m.T], axis=1)
         for r, n, m in zip(law.responses, at, derivatives, strict=True)
@@ -228,5 +228,5 @@ def _spatial_wave(law: ModelProjection, at: Sequence[NodeMotion], f: float, trie
 def _force_derivatives(n: NodeMotion, f: float, size: Array) -> Array:
     """Force at the nodes of one piece per unit of sine, of cosine and of f, (3 p, 3)."""
     wave = sine_cosine_columns(n.x, np.array([f])) * n.dry_factor[:, None]
-    turned = 2 * np.pi * n.x * (wave[:, 1] * size[0] - wave[:, 0] * size[1])
-    return np.column_stack([wave, turned])
+    by_frequency = 2 * np.pi * n.x * (wave[:, 1] * size[0] - wave[:, 0] * size[1])
+    return np.column_stack([wave, by_frequency])

@@ -81,7 +81,7 @@ class Evidence:
     acts_on: str  # force or measurement: where it puts the cause
     run: str | None = None  # None for all runs together
     name: str = ""
-    curve: Mapping[str, Array] = field(default_factory=dict)  # of the run that shows it best: t (s), left and told (m)
+    curve: Mapping[str, Array] = field(default_factory=dict)  # of the run that shows it best
     shown: str = ""  # that run
 
     def summary(self) -> dict[str, Any]:
@@ -188,17 +188,17 @@ def _match_signal(
     def columns(paths: Sequence[Array | None]) -> dict[str, Array]:
         return _signal_traces(compressed, solution, paths)
 
-    own = {
+    traces = {
         action: made[:, :, 0]
         for action, made in columns([None if s is None else s.u[:, :, None] for s in smooth]).items()
     }
-    gained = {action: _best_gain(compressed, made) for action, made in own.items()}
+    gained = {action: _best_gain(compressed, made) for action, made in traces.items()}
     best = max(gain for gain, _ in gained.values())
     if best - COEFFICIENTS_PER_SIGNAL * np.log(compressed.n_frames) < min_gain:
         return None
     action = next(w for w in ACTIONS if gained[w][0] > best - MIN_CHI2_SEPARATED)
     gain, coefficients = gained[action]
-    piece, curve = _largest_piece_curve(compressed, solution, own[action] @ coefficients)
+    piece, curve = _largest_piece_curve(compressed, solution, traces[action] @ coefficients)
     return _SignalMatch(
         share=float(np.clip(gain / max(compressed.excess, gain, 1e-300), 0.0, 1.0)),
         p=surrogate_p_value(best, smooth, columns, compressed.residual, rng),
@@ -218,8 +218,8 @@ def _largest_piece_curve(
     parts = np.split(explained, ends)
     k = int(np.argmax([float(part @ part) for part in parts]))
     piece = solution.responses[k].piece
-    back = compressed.displacement_basis[k]
-    return k, {"t": piece.t, "left": back @ np.split(compressed.residual, ends)[k], "told": back @ parts[k]}
+    basis = compressed.displacement_basis[k]
+    return k, {"t": piece.t, "left": basis @ np.split(compressed.residual, ends)[k], "told": basis @ parts[k]}
 
 
 def _smooth_signal(response: PieceResponse, run: Run, series: Array) -> SmoothedSignal | None:
@@ -366,8 +366,8 @@ def _by_frequency(response: PieceResponse, a: Array, noise: float) -> tuple[Arra
 def _sensor_columns(response: PieceResponse, a: Array) -> Array:
     """Displacements of one piece (n, 3) in units of sigma: sensor minus model, sensor gain and sensor bias."""
     piece = response.piece
-    own = CubicSpline(piece.panels.t, response.motion.a)(piece.t)
-    inputs = np.stack([a - own, own, np.ones_like(own)], axis=1)
+    model_acceleration = CubicSpline(piece.panels.t, response.motion.a)(piece.t)
+    inputs = np.stack([a - model_acceleration, model_acceleration, np.ones_like(model_acceleration)], axis=1)
     speed = cumulative_trapezoid(inputs, piece.t, axis=0, initial=0)
     moved = piece.whitened(cumulative_trapezoid(speed, piece.t, axis=0, initial=0))
     return np.asarray(moved - response.q @ (response.q.T @ moved))

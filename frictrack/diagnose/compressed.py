@@ -76,7 +76,7 @@ class CompressedResidual:
     residual: Array
     n_frames: int
     excess: float  # chi-squared above its expectation
-    leakage: float = 0.0  # share of its square that the law's own force leaves of itself, told in so few numbers
+    leakage: float = 0.0
 
     def project_out_model(self, traces: Array) -> Array:
         """Project the model out of traces (M, k)."""
@@ -162,15 +162,15 @@ def compress_residual(solution: Solution, without: str = "") -> CompressedResidu
 def _leakage(compressed: CompressedResidual, solution: Solution, without: str) -> float:
     """Largest share of the square of a model column that the projection leaves."""
     layout = solution.problem.layout
-    made = [
+    columns_by_piece = [
         layout.model.force_columns(p, layout.values(solution.p, r)[0])
         for p, r in zip(compressed.paths, compressed.runs, strict=True)
     ]
     shares = [0.0]
-    for name in made[0].keys() - {without}:
-        rows = np.concatenate([m @ own[name] for m, own in zip(compressed.force_maps, made, strict=True)])
-        whole = np.sum(rows**2, axis=0)
-        shares += (np.sum(compressed.project_out_model(rows) ** 2, axis=0)[whole > 0] / whole[whole > 0]).tolist()
+    for name in columns_by_piece[0].keys() - {without}:
+        rows = np.concatenate([m @ own[name] for m, own in zip(compressed.force_maps, columns_by_piece, strict=True)])
+        squares = np.sum(rows**2, axis=0)
+        shares += (np.sum(compressed.project_out_model(rows) ** 2, axis=0)[squares > 0] / squares[squares > 0]).tolist()
     return max(shares)
 
 
@@ -210,8 +210,8 @@ def _path_at_rows(solution: Solution, response: PieceResponse, rows: Rows) -> Pa
     """Path of one piece at some of its frames."""
     piece, motion = response.piece, response.motion
     _, level = solution.problem.layout.values(solution.p, piece.run)
-    whole = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
+    path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
     n = len(piece.t)
-    series = vars(whole).items()
+    series = vars(path).items()
     at_rows: dict[str, Any] = {k: q[rows] for k, q in series if isinstance(q, np.ndarray) and q.shape == (n,)}
-    return replace(whole, **at_rows)
+    return replace(path, **at_rows)

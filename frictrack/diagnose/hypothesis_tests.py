@@ -126,17 +126,17 @@ def _needs_reversal(effect: Effect, solution: Solution) -> str:
     if effect.modifies or not (effect.memory and effect.turns):
         return ""
     pieces = solution.problem.pieces
-    ways = {(p.run, float(s)) for p in pieces for s in np.sign(p.v_hat if p.turns else p.path.s[-1:])}
-    if len({w for w in ways if w[1]}) > len({run for run, s in ways if s}):
+    directions = {(p.run, float(s)) for p in pieces for s in np.sign(p.v_hat if p.turns else p.path.s[-1:])}
+    if len({w for w in directions if w[1]}) > len({run for run, s in directions if s}):
         return ""
     return f"{effect.name} needs a run that reverses; let the mass swing to and fro"
 
 
 def _can_occur_twice(effect: Effect) -> bool:
     """Whether a second effect of the kind is a different cause: another line, time or place."""
-    places = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
-    own = any(p.role == "phase" or p.per_run for p in effect.parameters)
-    return (own or places) and any(p.scan is not None and p.free for p in effect.parameters)
+    in_place = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
+    per_run = any(p.role == "phase" or p.per_run for p in effect.parameters)
+    return (per_run or in_place) and any(p.scan is not None and p.free for p in effect.parameters)
 
 
 def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> SearchTests:
@@ -156,8 +156,8 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
     SearchTests
 
     """
-    made = map_in_threads(lambda e: _scan(solution, draws, e), library)
-    scanned = [s for s in made if s is not None]
+    candidates = map_in_threads(lambda e: _scan(solution, draws, e), library)
+    scanned = [s for s in candidates if s is not None]
     max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
     p = {s.effect.name: _p_value(max_excess[1:], s.excess[0]) for s in scanned}
     return SearchTests(
@@ -170,12 +170,12 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
 
 def _scan(solution: Solution, draws: NullEnsemble, effect: Effect) -> ScannedCandidate | None:
     """Scan one candidate; None if it has no settings to scan. Events of single runs each pay a penalty."""
-    made = candidate_grids(draws.law, effect_for_scan(solution, effect))
-    if not made:
+    grids = candidate_grids(draws.law, effect_for_scan(solution, effect))
+    if not grids:
         return None
-    scans = [scan_candidate(draws.law, family, draws.series) for family in made]
+    scans = [scan_candidate(draws.law, family, draws.series) for family in grids]
     tops = np.stack([s.max_gains for s in scans])
-    if len(made) > 1:  # events of single runs: each must pay its price
+    if len(grids) > 1:  # events of single runs: each must pay its price
         penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
         statistic = np.maximum(np.sum(np.maximum(tops - penalty, 0.0), axis=0), tops.max(axis=0) - penalty)
     else:

@@ -56,8 +56,8 @@ class NullEnsemble:
     @property
     def residual_projector(self) -> Array:
         """Projector of the model's residual at the data's own spread, (L, L)."""
-        mine = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
-        return self.series.residual_projectors[mine]
+        own_group = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
+        return self.series.residual_projectors[own_group]
 
     def residuals(self) -> Float32Array:
         """Residuals of the refitted model for the data and every draw, (N, D)."""
@@ -119,9 +119,11 @@ def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generato
     """Fill in noise (N, D) over its estimated level, run by run, with initial conditions projected out."""
     out[...] = rng.standard_normal(out.shape, dtype=np.float32)
     for run in law.runs:
-        mine = [i for i, s in enumerate(law.pieces) if s.run == run]
-        level = _noise_level([law.pieces[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
-        for i in mine:
+        members = [i for i, s in enumerate(law.pieces) if s.run == run]
+        level = _noise_level(
+            [law.pieces[i].response.piece.frames for i in members], [out[law.rows[i]] for i in members]
+        )
+        for i in members:
             e = out[law.rows[i]]
             e /= level
             piece = law.pieces[i].response.piece
@@ -229,14 +231,16 @@ def random_tones(cycles: Array, draws: int, rng: np.random.Generator) -> Float32
 
 def _noise_level(frames: list[Rows], noise: list[Float32Array]) -> Array:
     """Level (D,) of white noise (n, D) in the pieces of a run, estimated like that of the data."""
-    whole = {k: [_consecutive(f, k) for f in frames] for k in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
-    many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
-    order = difference_order(many, few)
+    consecutive = {k: [_consecutive(f, k) for f in frames] for k in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
+    n_high, n_fallback = (sum(int(np.sum(w)) for w in consecutive[k]) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
+    order = difference_order(n_high, n_fallback)
     total = np.zeros(noise[0].shape[1])
-    for e, rows in zip(noise, whole[order], strict=True):
+    for e, rows in zip(noise, consecutive[order], strict=True):
         d = np.diff(e, order, axis=0)[rows]
         total += np.einsum("nd,nd->d", d, d)
-    return np.asarray(np.sqrt(total / max(many if order == DIFFERENCE_ORDER else few, 1) / difference_variance(order)))
+    return np.asarray(
+        np.sqrt(total / max(n_high if order == DIFFERENCE_ORDER else n_fallback, 1) / difference_variance(order))
+    )
 
 
 def _consecutive(frames: Rows, order: int) -> Mask:

@@ -125,8 +125,8 @@ def _middle_row(values: Array) -> int:
         return 0
     scale = np.log(values) if np.all(values > 0) else values
     low, high = scale.min(axis=0), scale.max(axis=0)
-    away = (scale - (low + high) / 2) / np.maximum(high - low, 1e-300)
-    return int(np.argmin(np.sum(away**2, axis=1)))
+    distance = (scale - (low + high) / 2) / np.maximum(high - low, 1e-300)
+    return int(np.argmin(np.sum(distance**2, axis=1)))
 
 
 def _undetermined_parameters(fit: Fit) -> Sequence[Undetermined]:
@@ -146,8 +146,8 @@ def _undetermined_parameters(fit: Fit) -> Sequence[Undetermined]:
 def _significant_effects(fit: Fit) -> set[str]:
     """Effects with a coefficient that exceeds three standard deviations in at least one run."""
     heads = {f"{e.name}.{p.name}": e.name for e in fit.model.effects for p in e.linear}
-    there = ((heads.get(address.split("[")[0]), found) for address, found in fit.parameters.items())
-    return {name for name, found in there if name and found.is_significant(MIN_SIGNIFICANCE)}
+    estimates = ((heads.get(address.split("[")[0]), found) for address, found in fit.parameters.items())
+    return {name for name, found in estimates if name and found.is_significant(MIN_SIGNIFICANCE)}
 
 
 def _uncertain_coefficients(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
@@ -178,5 +178,5 @@ def _undetectable(name: str, limit: float, confirm: str) -> Undetermined:
         return Undetermined(name, "the fitted model absorbs it whatever its size", confirm)
     times = limit / MIN_DETECTABLE_SHARE
     why = f"it would have been detected only above {100 * limit:.2g} % of the mean friction"
-    how = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
-    return Undetermined(name, why, how if times < MAX_NOISE_FACTOR else confirm, limit)
+    advice = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
+    return Undetermined(name, why, advice if times < MAX_NOISE_FACTOR else confirm, limit)

@@ -76,10 +76,8 @@ class RefinedCandidate:
     delta_bic: float
     p: float
     indistinguishable_from: tuple[str, ...] = ()
-    objection: str = ""  # why it cannot be the cause, whatever it explains
-    linear_trial: tuple[LinearisedModel, CandidateTrial] | None = (
-        None  # where it stands along the motion, beside what law
-    )
+    objection: str = ""
+    linear_trial: tuple[LinearisedModel, CandidateTrial] | None = None
 
     @property
     def law(self) -> Solution:
@@ -159,10 +157,10 @@ def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
     """Select candidates that are significant, or nearly as good as the best; at least the best two."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
     top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < ALPHA / 2 else np.inf
-    near = [
+    selected = [
         s for s in order if tests.p[s.effect.name] < MAX_P_REFINED or s.statistic[0] > top - _near_margin(s.effect, top)
     ]
-    return near if len(near) >= 2 else order[:2]
+    return selected if len(selected) >= 2 else order[:2]
 
 
 def _near_margin(effect: Effect, top: float) -> float:
@@ -282,44 +280,44 @@ def review_found(
     list of RefinedCandidate
 
     """
-    kept = list(found)
+    remaining = list(found)
     for old in found:
-        same_kind = [k.effect.name for k in kept if k.effect.kind == old.effect.kind]
-        whole, name = kept[-1].law, old.effect.name
-        if len(kept) < 2 and _count_unknowns(whole, name) <= MAX_UNKNOWNS_SIMPLE:
+        same_kind = [k.effect.name for k in remaining if k.effect.kind == old.effect.kind]
+        full, name = remaining[-1].law, old.effect.name
+        if len(remaining) < 2 and _count_unknowns(full, name) <= MAX_UNKNOWNS_SIMPLE:
             break
         notify(f"testing {name} again")
         try:
-            rest = remove_effect(whole, name)
+            reduced = remove_effect(full, name)
         except FrictrackError:  # without it there is no law that could be followed
             continue
-        if rest.objective > start.objective + MIN_CHI2_SEPARATED:  # it has more to explain with: it has run away
+        if reduced.objective > start.objective + MIN_CHI2_SEPARATED:  # it has more to explain with: it has run away
             continue
-        evidence = information_criterion(rest) - information_criterion(whole)
-        if evidence <= 0 and len(kept) > 1:
-            kept = _with_law([k for k in kept if k.effect.name != name], rest)
-        elif whole.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * whole.problem.n_frames and name == same_kind[-1]:
-            kept = _exchange_effect(kept, same_kind, rest, own)
-    return kept
+        evidence = information_criterion(reduced) - information_criterion(full)
+        if evidence <= 0 and len(remaining) > 1:
+            remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
+        elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
+            remaining = _exchange_effect(remaining, same_kind, reduced, own)
+    return remaining
 
 
 def _exchange_effect(
-    kept: list[RefinedCandidate], same_kind: list[str], rest: Solution, own: Sequence[Effect]
+    kept: list[RefinedCandidate], same_kind: list[str], reduced: Solution, own: Sequence[Effect]
 ) -> list[RefinedCandidate]:
     """Try every effect in place of one, or of several of its kind; `rest` is the model without the last of them."""
-    whole, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
+    full, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
     try:
         for name in same_kind[:-1]:
-            rest = remove_effect(rest, name)
+            reduced = remove_effect(reduced, name)
     except FrictrackError:
         return kept
-    evidence = information_criterion(rest) - information_criterion(whole)
-    tried_again = _alternatives(rest, own, old, min_evidence=evidence)
+    evidence = information_criterion(reduced) - information_criterion(full)
+    tried_again = _alternatives(reduced, own, old, min_evidence=evidence)
     best = tried_again[0]
     if not _is_better(best, old, evidence):
         if len(same_kind) > 1:
             return kept
-        best = replace(old, solution=whole, delta_bic=evidence)
+        best = replace(old, solution=full, delta_bic=evidence)
     best = replace(best, indistinguishable_from=find_rivals(best, tried_again))
     pair = _split_in_two(best, tried_again, own)
     new = pair or [best]

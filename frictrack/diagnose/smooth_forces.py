@@ -112,12 +112,12 @@ def gain_of_separate_curves(compressed: CompressedResidual) -> float:
             for run in sorted(set(compressed.runs))
         ]
     )
-    gram, pull, span = traces.T @ traces, traces.T @ compressed.residual, float(np.ptp(t))
+    gram, right_side, span = traces.T @ traces, traces.T @ compressed.residual, float(np.ptp(t))
     identity = np.eye(len(set(compressed.runs)))
     roots: list[Array] = [
         np.asarray(np.kron(identity, _covariance_root(knots, span * length)), np.float64) for length in LENGTH_RATIOS
     ]
-    return max(_most_likely(gram, pull, root)[0] for root in roots)
+    return max(_most_likely(gram, right_side, root)[0] for root in roots)
 
 
 def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
@@ -153,9 +153,9 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     design = BSpline.design_matrix(np.clip(u, low, high), knots, SPLINE_DEGREE).toarray()
     factor = compressed.concatenate(axis.times)
     traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
-    gram, pull = traces.T @ traces, traces.T @ compressed.residual
+    gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
-    fits = [_most_likely(gram, pull, _covariance_root(knots, span * length)) for length in LENGTH_RATIOS]
+    fits = [_most_likely(gram, right_side, _covariance_root(knots, span * length)) for length in LENGTH_RATIOS]
     best = int(np.argmax([t[0] for t in fits]))
     gain, mean, root = fits[best]
     spread = root @ root.T
@@ -184,11 +184,11 @@ def _covariance_root(knots: Array, length: float) -> Array:
     return np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES))
 
 
-def _most_likely(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Array]:
+def _most_likely(gram: Array, right_side: Array, root: Array) -> tuple[float, Array, Array]:
     """Gain, mean (m,) and root of the covariance (m, m) of the coefficients at the most likely amplitude."""
     values, vectors = np.linalg.eigh(root.T @ gram @ root)
     values = np.maximum(values, 0.0)
-    g = vectors.T @ (root.T @ pull)
+    g = vectors.T @ (root.T @ right_side)
     sizes = SIZE_RATIOS[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
     gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
     best = int(np.argmax(gains))
@@ -199,5 +199,5 @@ def _most_likely(gram: Array, pull: Array, root: Array) -> tuple[float, Array, A
 
 def _share(compressed: CompressedResidual, fitted: Array) -> float:
     """Share of the chi-squared above its expectation that a trace (M,) removes."""
-    gone = float(compressed.residual @ compressed.residual - np.sum((compressed.residual - fitted) ** 2))
-    return float(np.clip(gone / max(compressed.excess, gone, 1e-300), 0.0, 1.0))
+    explained = float(compressed.residual @ compressed.residual - np.sum((compressed.residual - fitted) ** 2))
+    return float(np.clip(explained / max(compressed.excess, explained, 1e-300), 0.0, 1.0))

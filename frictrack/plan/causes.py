@@ -67,10 +67,10 @@ def list_causes(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
 
     """
     present = {e.kind for e in law.effects}
-    taken = frozenset[str]().union(*(e.replaces for e in law.effects))
+    replaced = frozenset[str]().union(*(e.replaces for e in law.effects))
     causes, excluded = [], {}
     for effect in effects.LIBRARY.values():
-        if effect.name in present or effect.kind in taken or effect.replaces:
+        if effect.name in present or effect.kind in replaced or effect.replaces:
             continue
         if effect.modifies and not present & effect.modifies:
             excluded[effect.name] = f"modifies {' or '.join(sorted(effect.modifies))}, which the model does not contain"

@@ -74,11 +74,11 @@ class NormalMatrices:
         norm = np.sqrt(np.maximum(np.einsum("gss->gs", ss), 1e-300))
         unit = ss / norm[:, :, None] / norm[:, None, :] + RIDGE_RATIO * np.eye(ss.shape[1])
         right = sd / norm[:, :, None]
-        taken = np.einsum("gsd,gsd->gd", right, np.linalg.solve(unit, right)) if ss.shape[1] else 0.0
+        explained = np.einsum("gsd,gsd->gd", right, np.linalg.solve(unit, right)) if ss.shape[1] else 0.0
         weight, first, second = self.moments
         one_amplitude = second - first**2 / np.maximum(weight, 1e-300)
         penalty = (self.runs - 1) * np.log(max(self.frames, 2))
-        return np.asarray(np.min(self.dd[k] - taken + np.minimum(np.maximum(one_amplitude, 0.0), penalty), axis=0))
+        return np.asarray(np.min(self.dd[k] - explained + np.minimum(np.maximum(one_amplitude, 0.0), penalty), axis=0))
 
 
 def reduce_without_rival(run: PlannedRun, traces: Array, tau: float) -> NormalMatrices:
@@ -147,8 +147,8 @@ def _eliminate_level(
     """Eliminate the level from the products: once free, once with its scatter as prior."""
     sl, dl, ll = level
     both = []
-    for held in (1e-9 * np.maximum(ll, 1e-300), tau**-2):
-        w = 1 / (ll + held)
+    for prior in (1e-9 * np.maximum(ll, 1e-300), tau**-2):
+        w = 1 / (ll + prior)
         both.append(
             (
                 ss - w[:, None, None] * sl[:, :, None] * sl[:, None, :],

@@ -95,7 +95,7 @@ class PlanStep:
     experiment: Experiment | None  # None: the reference
     evidence: Array
     separated: list[tuple[str, str]]
-    detected: list[str]  # effects that are seen from here on
+    detected: list[str]  # effects detected from this run on
     n_pairs_left: int
 
 

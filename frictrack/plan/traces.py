@@ -156,8 +156,10 @@ def effect_forces(run: PlannedRun, effect: Effect, grid: list[dict[str, float]])
         return np.concatenate([effect.columns(path, form) for form in grid], axis=1)
     values, _ = run.problem.layout.values(run.p, 0)
     model = run.problem.model
-    there = model.force_columns(path, values)
-    inner = sum(there[e.name] @ model.coefficients(e.name, values) for e in model.effects if e.kind in effect.modifies)
+    present = model.force_columns(path, values)
+    inner = sum(
+        present[e.name] @ model.coefficients(e.name, values) for e in model.effects if e.kind in effect.modifies
+    )
     dry = np.asarray(inner)[:, None]
     return np.concatenate([effect.columns(path, form, dry) - dry for form in grid], axis=1)
 

@@ -99,8 +99,8 @@ def _fit_pull(runs: Sequence[Run]) -> _ExtraPull | None:
     found, _, rank, _ = np.linalg.lstsq(design, a, rcond=1e-9)
     if rank < design.shape[1]:
         return None
-    left = float(np.sum((a - design @ found) ** 2) / (len(a) - design.shape[1]))
-    sigma = float(np.sqrt(left * np.linalg.inv(design.T @ design)[0, 0]))
+    residual_variance = float(np.sum((a - design @ found) ** 2) / (len(a) - design.shape[1]))
+    sigma = float(np.sqrt(residual_variance * np.linalg.inv(design.T @ design)[0, 0]))
     deceleration = [
         float(np.mean([-stroke.speed_gain for _, stroke in slides if stroke.direction == distance]))
         for distance in (1.0, -1.0)

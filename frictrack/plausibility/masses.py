@@ -233,8 +233,8 @@ def _viscous_rate(run: Run) -> float | None:
     design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -_integrate_twice(u, v)], axis=1)
     scale = np.abs(design).max(axis=0)
     solution = np.linalg.lstsq(design / scale, x, rcond=None)[0]
-    left = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
-    covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
+    residual_variance = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
+    covariance = residual_variance * np.linalg.pinv((design / scale).T @ (design / scale))
     rate, std = float(solution[3] / scale[3]), CORRELATION_FACTOR * float(np.sqrt(covariance[3, 3])) / float(scale[3])
     return rate if rate > MIN_SIGMAS * std else None
 
@@ -270,8 +270,8 @@ def _check_against_drive(run: Run) -> Finding | None:
     design = np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1)
     scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
     solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
-    left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
-    covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
+    residual_variance = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
+    covariance = residual_variance * np.linalg.pinv((design / scale).T @ (design / scale))
     fitted_mass, std = (
         float(solution[0] / scale[0]),
         CORRELATION_FACTOR * float(np.sqrt(covariance[0, 0])) / float(scale[0]),

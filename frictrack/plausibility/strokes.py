@@ -100,9 +100,9 @@ def _fit_stroke(run: Run, s: slice, *, is_accelerating: bool, partner_distance: 
     distance = float(abs(x[-1] - x[0]))
     if distance <= 0.0:
         return None
-    (slope, a), sigma_a, left = _fit_parabola(t, x)
+    (slope, a), sigma_a, residual_rms = _fit_parabola(t, x)
     noise = float(np.median(run.displacement.sigma_x[s.start + trimmed : s.stop - trimmed]))
-    excess = float(np.sqrt(max(left**2 - noise**2, 0.0)))
+    excess = float(np.sqrt(max(residual_rms**2 - noise**2, 0.0)))
     half = abs(a) * float(t[-1] - t[0]) / 2
     direction = float(np.sign(x[-1] - x[0]))
     return Stroke(
@@ -123,6 +123,6 @@ def _fit_parabola(t: Array, x: Array) -> tuple[tuple[float, float], float, float
     u = t - (t[0] + t[-1]) / 2
     design = np.stack([np.ones_like(u), u, u**2 / 2], axis=1)
     solution = np.linalg.lstsq(design, x, rcond=None)[0]
-    left = float(np.sqrt(np.sum((x - design @ solution) ** 2) / (len(u) - 3)))
-    sigma = CORRELATION_FACTOR * left * float(np.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
-    return (float(solution[1]), float(solution[2])), sigma, left
+    residual_rms = float(np.sqrt(np.sum((x - design @ solution) ** 2) / (len(u) - 3)))
+    sigma = CORRELATION_FACTOR * residual_rms * float(np.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
+    return (float(solution[1]), float(solution[2])), sigma, residual_rms

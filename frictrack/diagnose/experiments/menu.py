@@ -50,33 +50,35 @@ class _ObservedSetup:
     """Properties of the setup: speeds m/s, main direction, course m, start positions m, typical deceleration m/s^2."""
 
     speeds: tuple[float, ...]
-    way: float
-    both: bool
+    direction: float
+    both_directions: bool
     course: tuple[float, float]
     starts: dict[float, float]
     braking: float
     driven: bool
 
-    def design(self, speed: float, way: float | None = None) -> RunDesign:
+    def design(self, speed: float, direction: float | None = None) -> RunDesign:
         """A plain run at a speed."""
-        way = way or self.way
+        direction = direction or self.direction
         typical = float(np.median(self.speeds))
-        return RunDesign((self.starts[way], way * speed), self.course, drive=way * self.way * speed / typical)
+        return RunDesign(
+            (self.starts[direction], direction * speed), self.course, drive=direction * self.direction * speed / typical
+        )
 
 
 def _setup(solution: Solution) -> _ObservedSetup:
     first: dict[int, tuple[float, float]] = {}
     for piece, start in zip(solution.problem.pieces, solution.starts, strict=True):
         first.setdefault(piece.run, (float(start[0]), float(start[1])))
-    ways = np.array([np.sign(v) for _, v in first.values()])
+    directions = np.array([np.sign(v) for _, v in first.values()])
     span = solution.problem.layout.span
     course = span.x_min, span.x_max
     starts = {1.0: course[0], -1.0: course[1]}
     a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
     return _ObservedSetup(
         speeds=tuple(sorted(abs(v) for _, v in first.values())),
-        way=1.0 if np.sum(ways) >= 0 else -1.0,
-        both=len(set(ways)) > 1,
+        direction=1.0 if np.sum(directions) >= 0 else -1.0,
+        both_directions=len(set(directions)) > 1,
         course=course,
         starts=starts,
         braking=max(-float(np.median(a)), 0.1),
@@ -97,9 +99,9 @@ def _speeds(setup: _ObservedSetup) -> Iterator[Experiment]:
     if not setup.driven and MIN_SPEED < stop < MAX_SPEED:
         words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
         yield Experiment("to a stop", words, setup.design(stop))
-    back = "the other way" if setup.both else "in the other direction, which no run has had so far,"
-    words = f"{what} a run {back} at about {typical:.1f} m/s"
-    yield Experiment("reversed", words, setup.design(typical, -setup.way))
+    text = "the other way" if setup.both_directions else "in the other direction, which no run has had so far,"
+    words = f"{what} a run {text} at about {typical:.1f} m/s"
+    yield Experiment("reversed", words, setup.design(typical, -setup.direction))
     words = f"{what} another run like those at about {typical:.1f} m/s"
     yield Experiment("repeat", words, setup.design(typical))
 
@@ -116,15 +118,15 @@ def _changes(setup: _ObservedSetup) -> Iterator[Experiment]:
     words = f"{what} a run {at} at twice the frame rate, as long as the light allows"
     yield Experiment("frame rate", words, replace(plain, rate=2.0))
     words = f"{what} a run {at} at another zoom, a pixel being 0.7 times as large"
-    yield Experiment("zoom", words, replace(plain, pitch=0.7, course=_shown(setup, 0.7)))
+    yield Experiment("zoom", words, replace(plain, pitch=0.7, course=_visible_course(setup, 0.7)))
     words = f"{what} a longer run: half as far again, {at}, the camera moved back"
-    yield Experiment("longer", words, replace(plain, pitch=1.5, course=_shown(setup, 1.5)))
+    yield Experiment("longer", words, replace(plain, pitch=1.5, course=_visible_course(setup, 1.5)))
 
 
-def _shown(setup: _ObservedSetup, share: float) -> tuple[float, float]:
+def _visible_course(setup: _ObservedSetup, share: float) -> tuple[float, float]:
     """The part of the course that another zoom shows."""
     length = share * (setup.course[1] - setup.course[0])
-    if setup.way > 0:
+    if setup.direction > 0:
         return setup.course[0], setup.course[0] + length
     return setup.course[1] - length, setup.course[1]
 

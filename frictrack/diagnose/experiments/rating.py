@@ -40,7 +40,7 @@ class RatedExperiment:
 
     key: str
     words: str
-    kind: str  # "film", or "measurement" beside it
+    kind: str  # "film" or "measurement"
     evidence: dict[Pair, float]
 
     def separated_pairs(self) -> list[Pair]:

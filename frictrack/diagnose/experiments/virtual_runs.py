@@ -162,8 +162,8 @@ def integrate_motion(problem: LeastSquaresProblem, p: Array, design: RunDesign) 
     n = _visible_frames(x, np.sign(design.start[1]) * v, design.course)
     if n < MIN_RUN_FRAMES:
         raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
-    seen = replace(piece, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
-    return seen.first(n)
+    simulated = replace(piece, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
+    return simulated.first(n)
 
 
 def _visible_frames(x: Array, speed: Array, course: tuple[float, float]) -> int:

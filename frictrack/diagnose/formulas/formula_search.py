@@ -135,8 +135,8 @@ class _FormulaFitter:
         out = []
         for term in terms:
             with suppress(FrictrackError):
-                grown = add_effect(solution, build_effect(name, term))
-                out.append(self.evaluate((*first, term), grown if _is_noise(grown) else refine_to_end(grown)))
+                fitted = add_effect(solution, build_effect(name, term))
+                out.append(self.evaluate((*first, term), fitted if _is_noise(fitted) else refine_to_end(fitted)))
         return out
 
     def exchange_term(self, best: FittedFormula, term: Term) -> FittedFormula | None:
@@ -184,12 +184,12 @@ def _rank(found: Sequence[FittedFormula]) -> list[FittedFormula]:
 
 def _best_terms(compressed: CompressedResidual, max_terms: int, names: Sequence[str] = ()) -> list[Term]:
     """The best forms beside a model, refined, one per shape and axis, best first."""
-    seen = list(_scan_shapes(compressed, names))
-    if not seen:
+    scanned = list(_scan_shapes(compressed, names))
+    if not scanned:
         return []
-    best = max(t.gain for t in seen)
+    best = max(t.gain for t in scanned)
     order = sorted(
-        (t for t in seen if t.gain > MIN_GAIN_RATIO_REFINED * best), key=lambda t: -_penalised_gain(t, compressed)
+        (t for t in scanned if t.gain > MIN_GAIN_RATIO_REFINED * best), key=lambda t: -_penalised_gain(t, compressed)
     )[:N_REFINED]
     refined = sorted((_refine_term(compressed, t) for t in order), key=lambda t: -_penalised_gain(t, compressed))
     unique = {(t.shape.name, t.variable): t for t in reversed(refined)}
@@ -234,10 +234,10 @@ def _grid_gains(
     projections = (compressed.residual @ projected / norm).reshape(-1, k)
     unit = (projected / norm).reshape(len(projected), -1, k).transpose(1, 0, 2)
     values, vectors = np.linalg.eigh(unit.transpose(0, 2, 1) @ unit)
-    turned = np.einsum("gij,gi->gj", vectors, projections)
+    rotated = np.einsum("gij,gi->gj", vectors, projections)
     min_eigenvalue = max(MIN_LEAKAGE_RATIO * compressed.leakage, MIN_SQUARE_SHARE)
     gains: Array = np.sum(
-        np.where(values > min_eigenvalue, turned**2 / np.maximum(values, min_eigenvalue), 0.0), axis=1
+        np.where(values > min_eigenvalue, rotated**2 / np.maximum(values, min_eigenvalue), 0.0), axis=1
     )
     return gains
 

@@ -148,16 +148,18 @@ def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: in
         )
     projected = _project_own_columns(law, runs, _draw_sign_flips(law, rng, draws))
     found, curves, excess = [], {}, _excess_chi2(projected)
-    evidence, own = _axis_evidence(solution)
+    evidence, separate_evidence = _axis_evidence(solution)
     for axis in N_KNOTS:
-        made, curves[axis] = _best_smooth_curve([_curve_products(projected, axis, dry) for dry in (True, False)])
+        gains, curves[axis] = _best_smooth_curve([_curve_products(projected, axis, dry) for dry in (True, False)])
         if axis == "x":
             wave, wave_evidence = _best_wave_gains(projected)
-            made, evidence[axis] = _larger_gains(made, wave), max(evidence[axis], wave_evidence)
-        found.append(replace(_axis_result(axis, made, excess), evidence=evidence[axis] - own))
+            gains, evidence[axis] = _larger_gains(gains, wave), max(evidence[axis], wave_evidence)
+        found.append(replace(_axis_result(axis, gains, excess), evidence=evidence[axis] - separate_evidence))
     phase = assess_common_frequency(law, runs, rng, draws)
     found.append(
-        AxisRepeatability("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own)
+        AxisRepeatability(
+            "phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - separate_evidence
+        )
     )
     found = sort_axes(found)
     return Repeatability(found, describe_axes(found), curves)
@@ -176,31 +178,31 @@ def _axis_evidence(solution: Solution) -> tuple[dict[str, float], float]:
 def _project_own_columns(law: ModelProjection, runs: Sequence[int], series: Array) -> _Runs:
     """Project out of every run what belongs to it alone."""
     layout = law.solution.problem.layout
-    own, shared, left = [], [], []
+    own_columns, shared, residuals = [], [], []
     for rows, response in zip(law.rows, law.responses, strict=True):
         slots = [layout.slots[i] for i in response.active]
-        mine = np.array([s.run is not None for s in slots], dtype=bool)
-        q, upper = np.linalg.qr(response.jac[:, mine])
+        per_run = np.array([s.run is not None for s in slots], dtype=bool)
+        q, upper = np.linalg.qr(response.jac[:, per_run])
         q = q[:, np.abs(np.diag(upper)) > 1e-9 * max(float(np.linalg.norm(upper)), 1e-300)]
-        own.append(q)
-        shared.append(response.jac[:, ~mine] - q @ (q.T @ response.jac[:, ~mine]))
-        left.append(series[rows] - q @ (q.T @ series[rows]))
+        own_columns.append(q)
+        shared.append(response.jac[:, ~per_run] - q @ (q.T @ response.jac[:, ~per_run]))
+        residuals.append(series[rows] - q @ (q.T @ series[rows]))
     norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
     shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
     at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    return _Runs(law, at, [runs.index(r.piece.run) for r in law.responses], own, shared, left)
+    return _Runs(law, at, [runs.index(r.piece.run) for r in law.responses], own_columns, shared, residuals)
 
 
 def _excess_chi2(projected: _Runs) -> Array:
     """Misfit of every run above its noise under the model of the other runs, at least its uncertainty, (R, D)."""
     gram, data = projected.normal_equations([np.zeros((len(c), 0)) for c in projected.shared])
     products = _CurveProducts(np.empty(0), gram, data)
-    left, frames = np.zeros((projected.count, data.shape[2])), np.zeros((projected.count, 1))
+    misfit, frames = np.zeros((projected.count, data.shape[2])), np.zeros((projected.count, 1))
     for run, series, own in zip(projected.run, projected.series, projected.own, strict=True):
-        left[run] += np.einsum("nd,nd->d", series, series)
+        misfit[run] += np.einsum("nd,nd->d", series, series)
         frames[run] += len(series) - own.shape[1]
-    left -= _gains(products, _model_prior(products), 0)
-    return np.asarray(np.maximum(left - frames, np.sqrt(2 * frames)))
+    misfit -= _gains(products, _model_prior(products), 0)
+    return np.asarray(np.maximum(misfit - frames, np.sqrt(2 * frames)))
 
 
 def _draw_sign_flips(law: ModelProjection, rng: np.random.Generator, draws: int) -> Array:
@@ -212,8 +214,8 @@ def _draw_sign_flips(law: ModelProjection, rng: np.random.Generator, draws: int)
         out[rows, 1:] = idct(wave, axis=0, norm="ortho")
     out[:, 1:] -= law.u @ (law.u.T @ out[:, 1:])
     for rows in law.rows:
-        left = np.linalg.norm(out[rows, 1:], axis=0)
-        out[rows, 1:] *= np.linalg.norm(law.r[rows]) / np.maximum(left, 1e-300)
+        norms = np.linalg.norm(out[rows, 1:], axis=0)
+        out[rows, 1:] *= np.linalg.norm(law.r[rows]) / np.maximum(norms, 1e-300)
     return out
 
 
@@ -231,12 +233,12 @@ def _knots(projected: _Runs, axis: str) -> Array:
 def _curve_products(projected: _Runs, axis: str, dry: bool) -> _CurveProducts:
     """Products of a curve over an axis; a dry force goes with load, level and direction."""
     knots = _knots(projected, axis)
-    made = []
+    traces = []
     for response, n in zip(projected.law.responses, projected.at, strict=True):
         values = {"x": n.x, "t": n.t, "v": np.abs(n.v)}[axis]
         factor = n.dry_factor if dry else np.sign(n.dry_factor) if axis == "v" else np.ones_like(n.dry_factor)
-        made.append(displacement_response(response, linear_interpolation_matrix(values, knots) * factor[:, None]))
-    return _CurveProducts(knots, *projected.normal_equations(made))
+        traces.append(displacement_response(response, linear_interpolation_matrix(values, knots) * factor[:, None]))
+    return _CurveProducts(knots, *projected.normal_equations(traces))
 
 
 def _model_prior(products: _CurveProducts) -> Array:
@@ -283,49 +285,53 @@ def _axis_result(axis: str, gains: Array, excess: Array) -> AxisRepeatability:
 def _best_wave_gains(projected: _Runs) -> tuple[Array, float]:
     """Fall of chi-squared (R, D) with a dry force periodic in place, fitted to the other runs; and its evidence."""
     f = 1 / spatial_periods(projected.law.solution.problem.layout.span)
-    made = [wave_traces(r, n.x, f, n.dry_factor) for r, n in zip(projected.law.responses, projected.at, strict=True)]
-    runs = projected.wave_products(made)
+    traces = [wave_traces(r, n.x, f, n.dry_factor) for r, n in zip(projected.law.responses, projected.at, strict=True)]
+    runs = projected.wave_products(traces)
     gram, data = projected.normal_equations([np.zeros((len(c), 0)) for c in projected.shared])
-    whole = _WaveProducts(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))
+    total = _WaveProducts(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))
     prior, out = _model_prior(_CurveProducts(np.empty(0), gram, data)), np.zeros((projected.count, data.shape[2]))
     for run in range(projected.count):
         law, data_of_others = gram.sum(axis=0) - gram[run] + prior, data.sum(axis=0) - data[run]
-        cross = whole.cross - runs.cross[run]
+        cross = total.cross - runs.cross[run]
         inverse = np.linalg.pinv(law, rcond=1e-10, hermitian=True)
         absorbed = np.einsum("st,git->sgi", inverse, cross)  # what the law takes up of every column, (S, G, 2)
-        pairs = whole.pairs - runs.pairs[run] - np.einsum("gis,sgj->gij", cross, absorbed)
-        left = whole.data - runs.data[run] - np.einsum("sgi,sd->gid", absorbed, data_of_others)
-        size = np.linalg.pinv(pairs, rcond=1e-6, hermitian=True) @ left
-        best = np.argmax(np.sum(size * left, axis=1), axis=0)
-        mine = _WaveProducts(runs.pairs[run], runs.cross[run], runs.data[run])
-        out[run] = _predicted_gain(mine, (gram[run], data[run]), (inverse @ data_of_others, absorbed), size, best)
-    return out, restricted_likelihood_gain(_best_wave(whole, gram.sum(axis=0) + prior, data.sum(axis=0)), 2, len(f))
+        pairs = total.pairs - runs.pairs[run] - np.einsum("gis,sgj->gij", cross, absorbed)
+        right_side = total.data - runs.data[run] - np.einsum("sgi,sd->gid", absorbed, data_of_others)
+        size = np.linalg.pinv(pairs, rcond=1e-6, hermitian=True) @ right_side
+        best = np.argmax(np.sum(size * right_side, axis=1), axis=0)
+        own_products = _WaveProducts(runs.pairs[run], runs.cross[run], runs.data[run])
+        out[run] = _predicted_gain(
+            own_products, (gram[run], data[run]), (inverse @ data_of_others, absorbed), size, best
+        )
+    return out, restricted_likelihood_gain(_best_wave(total, gram.sum(axis=0) + prior, data.sum(axis=0)), 2, len(f))
 
 
-def _best_wave(whole: _WaveProducts, law: Array, data: Array) -> float:
+def _best_wave(total: _WaveProducts, law: Array, data: Array) -> float:
     """Fall of chi-squared of the data with the best of all waves beside the model (S, S)."""
-    absorbed = np.einsum("st,git->sgi", np.linalg.pinv(law, rcond=1e-10, hermitian=True), whole.cross)
-    pairs = whole.pairs - np.einsum("gis,sgj->gij", whole.cross, absorbed)
-    left = whole.data[:, :, 0] - np.einsum("sgi,s->gi", absorbed, data[:, 0])
-    return float(np.max(np.einsum("gi,gij,gj->g", left, np.linalg.pinv(pairs, rcond=1e-6, hermitian=True), left)))
+    absorbed = np.einsum("st,git->sgi", np.linalg.pinv(law, rcond=1e-10, hermitian=True), total.cross)
+    pairs = total.pairs - np.einsum("gis,sgj->gij", total.cross, absorbed)
+    right_side = total.data[:, :, 0] - np.einsum("sgi,s->gi", absorbed, data[:, 0])
+    return float(
+        np.max(np.einsum("gi,gij,gj->g", right_side, np.linalg.pinv(pairs, rcond=1e-6, hermitian=True), right_side))
+    )
 
 
 def _predicted_gain(
-    mine: _WaveProducts, own: tuple[Array, Array], law: tuple[Array, Array], size: Array, best: Array
+    own_products: _WaveProducts, own: tuple[Array, Array], law: tuple[Array, Array], size: Array, best: Array
 ) -> Array:
     """Fall of one run's chi-squared (D,) with the wave that is best for the other runs, for each draw.
 
     `own` are the Gram matrix and data of its model, `law` the coefficients of the other runs' model and what it
     absorbs.
     """
-    (gram, data), (before, absorbed) = own, law
+    (gram, data), (coefficients, absorbed) = own, law
     each = np.arange(data.shape[1])
     c = size[best, :, each]  # (D, 2)
-    moved = before - np.einsum("sdi,di->sd", absorbed[:, best], c)
-    fall = _chi2_fall(gram, data, moved) - _chi2_fall(gram, data, before)
-    fall += 2 * np.einsum("di,di->d", c, mine.data[best, :, each])
-    fall -= np.einsum("di,dij,dj->d", c, mine.pairs[best], c)
-    return np.asarray(fall - 2 * np.einsum("di,dis,sd->d", c, mine.cross[best], moved))
+    shifted = coefficients - np.einsum("sdi,di->sd", absorbed[:, best], c)
+    fall = _chi2_fall(gram, data, shifted) - _chi2_fall(gram, data, coefficients)
+    fall += 2 * np.einsum("di,di->d", c, own_products.data[best, :, each])
+    fall -= np.einsum("di,dij,dj->d", c, own_products.pairs[best], c)
+    return np.asarray(fall - 2 * np.einsum("di,dis,sd->d", c, own_products.cross[best], shifted))
 
 
 def _gains(products: _CurveProducts, prior: Array, knots: int) -> Array:

@@ -102,9 +102,9 @@ def assess_common_frequency(
             np.array([np.roll(t, int(by), -1) for t, by in zip(statistics, shifts, strict=True)])
         )
         null.append(float(drawn[:, int(np.argmax(total))].sum()))
-    mine = float(gains[:, best].sum())
-    p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
-    share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
+    gain = float(gains[:, best].sum())
+    p = float((1 + np.sum(np.array(null) >= gain)) / (1 + draws))
+    share = float(np.clip(gain / excess.sum(), 0.0, 1.0))
     n_runs = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * excess))
     return CommonFrequency(
         share, p, n_runs, float(f[best]), restricted_likelihood_gain(float(free[best]), 2 * len(statistics), len(f))
@@ -130,12 +130,12 @@ def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
     ]
     for rows, response in zip(law.rows, law.responses, strict=True):
         if response.piece.run == run:
-            made = time_wave_traces(response, f)
-            made -= law.u[rows] @ (law.u[rows].T @ made)
-            cube = made.reshape(len(made), len(f), 2)
+            traces = time_wave_traces(response, f)
+            traces -= law.u[rows] @ (law.u[rows].T @ traces)
+            pairs = traces.reshape(len(traces), len(f), 2)
             for k in (0, 1):
-                out[k] += np.einsum("nfi,nfj->fij", cube[k::2], cube[k::2])
-                out[2 + k] += np.einsum("nfi,n->fi", cube[k::2], law.r[rows][k::2])
+                out[k] += np.einsum("nfi,nfj->fij", pairs[k::2], pairs[k::2])
+                out[2 + k] += np.einsum("nfi,n->fi", pairs[k::2], law.r[rows][k::2])
     return out[0], out[1], out[2], out[3]
 
 

@@ -115,13 +115,13 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
     width = max(high - low, 1e-12) * SMOOTHING_WIDTH
     means, variances = [], []
     for r in np.unique(run):
-        mine = run == r
-        kernel = np.exp(-(((axis[mine] - at[:, None]) / width) ** 2) / 2)
+        rows = run == r
+        kernel = np.exp(-(((axis[rows] - at[:, None]) / width) ** 2) / 2)
         weight = kernel.sum(axis=1)
         covered = weight > MIN_WEIGHT_SHARE * np.median(weight[weight > 0])
         share = kernel / np.maximum(weight, 1e-300)[:, None]
-        means.append(np.where(covered, share @ force[mine], np.nan))
-        variances.append(np.where(covered, share @ sigma[mine] ** 2, np.nan))
+        means.append(np.where(covered, share @ force[rows], np.nan))
+        variances.append(np.where(covered, share @ sigma[rows] ** 2, np.nan))
     force, deviation = _pool_runs(np.array(means), np.maximum(np.array(variances), 1e-30))
     return {"at": at, "F": force, "sigma_F": deviation}
 
