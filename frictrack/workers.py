@@ -63,7 +63,7 @@ def local_workers(workers: int | None = None) -> Iterator[WorkerPool]:
         The pool. It is closed when the block ends, and its processes are stopped when the block raises.
 
     """
-    from pebble import ProcessPool  # noqa: PLC0415 - only who works side by side needs it
+    from pebble import ProcessPool  # noqa: PLC0415 - only needed for several processes
 
     workers = workers or processors()
     with _worker_environment():

@@ -180,7 +180,7 @@ def test_a_study_file_names_the_areas(tmp_path: Path) -> None:
         ("target = [[1, 1], [2, 2]]", "target: expected a polygon of 3 to 1000 corners but got 2"),
         ("target = [[0, 0], [40, 40], [40, 0], [0, 40]]", "target: expected a polygon whose sides do not cross"),
         ("obstacles = [[1, 1], [5, 1], [5, 9]]", r"obstacles: expected a polygon \[\[x, y\], .* but got \[1, 1\]"),
-        ("exclude = [[20, 20, 5, 5]]", "expected a target beside exclude"),
+        ("exclude = [[20, 20, 5, 5]]", "expected a target with exclude"),
     ],
 )
 def test_a_study_file_with_a_bad_polygon_is_refused(tmp_path: Path, lines: str, said: str) -> None:

@@ -200,7 +200,7 @@ def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypa
     monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("unknown.h5")
     path.write_bytes(with_header(sound.read_bytes()[store.HEADER_BYTES :], __version__))
-    with pytest.raises(FrictrackError, match=r"but .*python.* begins none"):
+    with pytest.raises(FrictrackError, match=r"but .*python.* starts none"):
         store.read(path, "models/1_tustin")
 
 

@@ -196,14 +196,14 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
         ),
         (
             f"[study]\nmass = 1\n{CAMERA}{RUN}target = 'v3.avi'\ntemplate = 3\n",
-            "expected no template beside a picture of the target",
+            "expected no template with a picture of the target",
         ),
-        (f"[study]\nmass = 1\n{CAMERA}{RUN}template = 3\n", "expected a target beside template"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}template = 3\n", "expected a target with template"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}free = [0.2, 0.1]\n", "expected an end after the start but got [0.2, 0.1]"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}incline = 22\n", "expected incline between -1.57 and 1.57 rad but got 22"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", "role: expected 'fit' or 'validation' but got 'val'"),
-        (f"[study]\nmass = 1\n{CAMERA}{RUN}columns = {{x = 'x'}}\n", "expected columns only beside a table"),
-        (f"[study]\nmass = 'fit'\n{CAMERA}{RUN}", 'expected a measured drive beside mass = "fit" but got none'),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}columns = {{x = 'x'}}\n", "expected columns only with a table"),
+        (f"[study]\nmass = 'fit'\n{CAMERA}{RUN}", 'expected a measured drive with mass = "fit" but got none'),
         (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "expected the name of a model or a list of effects but got 3"),
         (f"[study]\nmass = 1\n[camera]\nscale = true\n{RUN}", '"0.5 mm/px" or {points'),
         (
@@ -263,7 +263,7 @@ def test_an_initial_study_explains_itself_and_works_once_filled_in(folder: Path)
     path = write_study(folder / "study.toml", find_recordings(folder), commented=True)
     text = path.read_text()
     assert "frictrack run study.toml" in text
-    assert "friction goes with its square" in text
+    assert "the friction force scales with its square" in text
     for key in ("mass", "fps", "scale", "model"):
         text = text.replace(f"# {key} = ", f"{key} = ", 1)
     study = load(written(folder, text))
@@ -381,7 +381,7 @@ def test_a_film_is_no_table(folder: Path) -> None:
 def test_a_sensor_with_its_own_clock_is_read(folder: Path) -> None:
     data = read_sensor_table(table(folder, "t_s,drive_N\n0,0\n1,\n2,20\n"), ("drive",))
     np.testing.assert_array_equal(data.drive, [0, np.nan, 20])  # an empty cell is a sample that was not taken
-    with pytest.raises(FrictrackError, match="expected a column a_m_s2 or friction_N beside t_s but got none"):
+    with pytest.raises(FrictrackError, match="expected a column a_m_s2 or friction_N in addition to t_s but got none"):
         read_sensor_table(folder / "run.csv", ("a", "friction"))
     with pytest.raises(FrictrackError, match='expected numbers in "drive_N" but got off in row 2'):
         read_sensor_table(table(folder, "t_s,drive_N\n0,0\n1,off\n2,20\n"), ("drive",))
@@ -430,7 +430,7 @@ def test_a_drive_is_a_pressure_times_an_area(folder: Path) -> None:
         ("drive = true", 'expected a drive as "drive.csv" (t_s, drive_N), a constant "2.5 N", "none"'),
         ("drive = {area = 3}", 'expected table = "drive.csv" or force = "2.5 N" but got neither'),
         ('drive = {table = "drive.csv", force = 1}', "but got both"),
-        ('drive = {force = 1, offset = "auto"}', "expected no offset beside a constant force: it belongs to a table"),
+        ('drive = {force = 1, offset = "auto"}', "expected no offset with a constant force: it belongs to a table"),
         ('drive = {tabel = "drive.csv"}', 'but got "tabel"; did you mean "table"?'),
         ('drive = {table = "drive.csv", area = "-1 cm^2"}', "expected area above 0 m^2 but got '-1 cm^2'"),
         ('drive = {table = "drive.csv", until = "relaese"}', 'expected until as "release" or a time like "1.2 ms"'),

@@ -42,7 +42,7 @@ def blind(out: Console, result: dict[str, Any]) -> None:
     one, where, time = result["one"], result["where"], result["seconds"]
     out.print(
         f"median group {format_plain(one['median_group'])}, "
-        f"of what nobody could tell apart {format_plain(one['median_set'])}"
+        f"of indistinguishable effects {format_plain(one['median_set'])}"
     )
     out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
     out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")

@@ -280,7 +280,7 @@ def _impact_energy(pipeline: RunPipeline) -> ImpactEnergy | None:
     motion: Motion = pipeline.get("motion")
     try:
         release = release_time(replace(pipeline.to_run(), drive=None, friction_N=None))
-    except FrictrackError:  # nothing slides, which the friction stage says
+    except FrictrackError:  # nothing slides, which the friction stage reports
         return None
     released = int(np.argmin(np.abs(motion.t - release)))
     speed = float(motion.v[released]), float(motion.sigma_v[released])

@@ -194,7 +194,7 @@ def _overruled_slip_notes(slips: Sequence[Slip]) -> tuple[str, ...]:
     """Return notes on faults of the times that the camera's own time stamps contradict."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
-    believed = "the camera's time stamps say otherwise and are believed"
+    believed = "the camera's time stamps disagree and are used"
     doubled = timing_note([s for s in slips if s.doubled])
     missing = timing_note([s for s in slips if not s.doubled])
     return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))

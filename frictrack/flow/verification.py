@@ -247,7 +247,7 @@ def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
     study = folder / "study.h5"
     if _history_has_models(folder) and not study.exists():
         yield Fault(
-            study, "", "the log tells of models that were tried, but this file is not there", RUN_AGAIN, "missing"
+            study, "", "the log lists models that were tried, but this file does not exist", RUN_AGAIN, "missing"
         )
     if study.resolve() in sound and "diagnosis" in store.names(study) and not (folder / "report.html").exists():
         yield Fault(folder / "report.html", "", "there is a diagnosis but no report", "frictrack report", "missing")

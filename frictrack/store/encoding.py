@@ -30,7 +30,7 @@ class Provenance:
 
     key: str = ""  # hash of the stage's name, the version, the settings and the inputs
     input_hash: str = ""  # hash of the inputs together
-    inputs: str = "[]"  # JSON: [name, key or hash] of each; ":/track" here, "v3.h5:/track" beside, or a file
+    inputs: str = "[]"  # JSON: [name, key or hash]; ":/track" (this file), "v3.h5:/track" (another file), or a path
     settings: str = "{}"  # JSON: keys of the study file, their values
     version: str = __version__  # of frictrack
 

@@ -56,7 +56,7 @@ class _Sandbox:
         if child.stdout is None or child.stdout.readline() != READY:
             self._stop()
             raise FrictrackError(
-                f"a file of somebody else is opened by a process of its own, but {sys.executable} begins none"
+                f"expected to open a file of another user in a separate process, but {sys.executable} starts none"
             )
         return child
 

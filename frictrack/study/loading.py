@@ -327,15 +327,15 @@ def _run_faults(run: RunTable) -> list[str]:
     if run.video and run.mass is None:
         faults.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
     if run.mass == "fit" and not (run.drive or run.table):
-        faults.append('expected a measured drive beside mass = "fit" but got none; give drive = "drive.csv"')
+        faults.append('expected a measured drive with mass = "fit" but got none; give drive = "drive.csv"')
     if run.template is not None and run.target is None:
-        faults.append("expected a target beside template, the frame in which it stands, but got none")
+        faults.append("expected a target with template (the number of its frame) but got none")
     if run.template is not None and isinstance(run.target, Path):
-        faults.append("expected no template beside a picture of the target: it is looked for in all frames")
+        faults.append("expected no template with a picture of the target: the picture is searched in all frames")
     if run.exclude and run.target is None:
-        faults.append("expected a target beside exclude, the areas of it that are no part of it, but got none")
+        faults.append("expected a target with exclude (areas that do not belong to the target) but got none")
     if (run.exclude or run.obstacles) and run.table:
-        faults.append("expected exclude and obstacles only beside a video")
+        faults.append("expected exclude and obstacles only with a video")
     if run.columns and run.video:
-        faults.append("expected columns only beside a table")
+        faults.append("expected columns only with a table")
     return faults

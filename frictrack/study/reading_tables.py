@@ -114,7 +114,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
-            f"{path.name}: expected a column {headers} beside t_s but got none; "
+            f"{path.name}: expected a column {headers} in addition to t_s but got none; "
             f'name it with {{table = "{path.name}", columns = {{{wanted[0]} = "..."}}}}'
         )
     return TableData(**values)

@@ -237,7 +237,7 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
         both = 'table = "drive.csv" or force = "2.5 N"' if "force" in keys else 'table = "acc.csv"'
         raise ValueError(f"expected {both} but got {came if 'force' in keys else 'none'}")
     if "force" in raw and (extra := [key for key in ("area", "columns", "offset") if key in raw]):
-        raise ValueError(f"expected no {extra[0]} beside a constant force: it belongs to a table")
+        raise ValueError(f"expected no {extra[0]} with a constant force: it belongs to a table")
     read = {
         "table": lambda value: _path(value, info),
         "force": lambda value: to_si(value, "N", "force")[0],
@@ -363,7 +363,7 @@ class StudyTable(Keys):
     mass: Mass | None = None
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
     output: str = ""
-    plausible: Literal["checked"] | None = None  # all numbers are right, whatever they look like
+    plausible: Literal["checked"] | None = None  # the user has checked all numbers
 
 
 class CameraTable(Keys):
@@ -385,13 +385,13 @@ class RunTable(Keys):
     scale: Scale | None = None
     lens: File | None = None  # camera matrix and distortion, calibrated before
     target: Target | None = None
-    reference: Reference = "auto"  # the fixed point that camera shake is told by
+    reference: Reference = "auto"  # a fixed point in the picture, for camera shake
     targets: Targets = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
     template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands
-    exclude: Areas = ()  # in that frame, moving with the target: no part of it
-    obstacles: Areas = ()  # fixed in the picture: the target passes behind
+    exclude: Areas = ()  # in that frame, moving with the target: not part of it
+    obstacles: Areas = ()  # fixed in the picture: the target passes behind them
     axis: Axis | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0
@@ -403,18 +403,18 @@ class RunTable(Keys):
     sensor: Sensor | None = None  # a path, or a table of `SENSOR` keys
     columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
     impact_energy: Energy | None = None
-    noise: Specification | None = None  # of the load cell, N, or of the position, m: white, rms
-    drift: Specification | None = None  # the same for what comes and goes slowly over the record, rms
+    noise: Specification | None = None  # white noise of the load cell, N, or of the position, m; rms
+    drift: Specification | None = None  # slowly varying error of the same, rms
     group: str = ""
     role: Literal["fit", "validation"] = "fit"
     note: str = ""
-    plausible: Literal["checked"] | None = None  # its numbers are right, whatever they look like
+    plausible: Literal["checked"] | None = None  # the user has checked the numbers of this run
 
     @property
     def source(self) -> Path | RemoteFile:
         """The film or the table."""
         path = self.video or self.table
-        assert path is not None  # `load` has seen to it
+        assert path is not None  # checked by `load`
         return path
 
 

@@ -16,56 +16,56 @@ TABLES = (".csv", ".xlsx")
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
-INTRO = """A study of frictrack: which runs were filmed, and what is known of them.
-Every length, mass and time is SI, or a text with its unit: 0.35 or "350 g" or "0.350 +/- 0.002 kg".
-Paths are relative to this file. Lines that begin with # are switched off.
-`frictrack run {name}` does everything and writes a report."""
+INTRO = """A study of frictrack: the runs that were filmed, and what is known about them.
+Lengths, masses and times are in SI units, or texts with a unit: 0.35 or "350 g" or "0.350 +/- 0.002 kg".
+Paths are relative to this file. Lines that begin with # are comments.
+`frictrack run {name}` runs the whole analysis and writes a report."""
 STUDY = {
-    "mass": ("0.350 +/- 0.002 kg", "the mass that slides; weigh it, friction goes with it"),
+    "mass": ("0.350 +/- 0.002 kg", "the sliding mass; weigh it: the friction force is proportional to it"),
     "model": ("tustin", "the first model: tustin, atm1:2, or a list such as ['coulomb', 'viscous']"),
 }
 CAMERA = {
-    "fps": (4000, "frames per second while filming (not what the file plays at); friction goes with its square"),
+    "fps": (4000, "frame rate while filming (not the playback rate); the friction force scales with its square"),
     "scale": (
         "0.500 +/- 0.002 mm/px",
-        """how large one pixel is on the course, with its uncertainty: forces go with it; or, instead of a number,
+        """size of a pixel on the course, with its uncertainty (forces are proportional to it); instead of a number:
 a ruler        scale = {points = [[100, 80], [900, 82]], length = "100.0 +/- 0.1 mm"}
-the target     scale = {target = "40 mm"}   its own length along the course
+the target     scale = {target = "40 mm"}   its length along the course
 a board        scale = {board = "board.png", squares = [9, 6], square = "10 mm"}   also several pictures, or a film
                of it; a ChArUco board adds dictionary = "DICT_4X4_50", marker = "7 mm"
 known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100, 50], [0, 50]], unit = "mm"}""",
     ),
-    "lens": ("lens.yml", "camera matrix and distortion, when the lens was calibrated before (OpenCV's yml or json)"),
+    "lens": ("lens.yml", "camera matrix and distortion, if the lens was calibrated before (OpenCV's yml or json)"),
 }
-RUN = """Keys that a run may have of its own:
-mass = "0.70 kg"            another mass than [study] says
-target = [410, 232, 96, 64] where the slider is in the first frame, when it is not found by itself (x, y, w, h);
-                            or a click on it [x, y], or a picture of it "slider.png"; template = 30: in that frame
-target = [[410, 232], [500, 236], [470, 290]]   its outline, corner by corner; then the same with parts left out:
-exclude = [[[430, 240], [450, 240], [450, 260]]]   polygons or rectangles in that frame that move with the target
+RUN = """Optional keys of a run:
+mass = "0.70 kg"            if it differs from the mass in [study]
+target = [410, 232, 96, 64] position of the slider in the first frame (x, y, w, h), if it is not found automatically;
+                            or a click on it [x, y], or a picture of it "slider.png"; template = 30: in frame 30
+target = [[410, 232], [500, 236], [470, 290]]   its outline, corner by corner
+exclude = [[[430, 240], [450, 240], [450, 260]]]   polygons or rectangles in that frame that are not part of the target
 obstacles = [[600, 0, 24, 400]]    polygons or rectangles fixed in the picture, behind which the target passes
-reference = [8, 80, 64, 32] something fixed that camera shake is told by, when the one found is wrong; or "none"
-axis = "track"              +x along the path itself, when the course is not level in the picture; or [dx, dy]
+reference = [8, 80, 64, 32] a fixed object to measure camera shake, if the automatic choice is wrong; or "none"
+axis = "track"              +x along the path itself, if the course is not level in the picture; or [dx, dy]
 incline = "22 deg"          the course rises toward +x; negative where it falls
-free = ["0.01 s", "0.2 s"]  the part of the run that is judged, when the one found is wrong
-cutoff = "120 Hz"           a plain low-pass, instead of trend, vibrations and events parted by themselves
-drive = "drive.csv"         what pushes it, with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
-                            {table = "p.csv", area = "3.14 cm^2", until = "release"}; then also mass = "fit"
-sensor = "acc.csv"          an accelerometer or load cell beside the camera (t_s, a_m_s2 or friction_N), its own clock
-impact_energy = "2 J"       of the hammer: more kinetic energy than that cannot be
-role = "validation"         not fitted, only predicted
-plausible = "checked"       its mass, scale, speed and incline are right, however unusual they look"""
+free = ["0.01 s", "0.2 s"]  the free section that is fitted, if the automatic choice is wrong
+cutoff = "120 Hz"           a plain low-pass, instead of separating trend, vibrations and events automatically
+drive = "drive.csv"         the drive force with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
+                            {table = "p.csv", area = "3.14 cm^2", until = "release"}; then mass = "fit" is possible
+sensor = "acc.csv"          an accelerometer or load cell with its own clock (t_s, a_m_s2 or friction_N)
+impact_energy = "2 J"       energy of the hammer: the kinetic energy at release must be smaller
+role = "validation"         predicted only, not fitted
+plausible = "checked"       mass, scale, speed and incline were checked, although they look implausible"""
 
-EFFECT = """What is known of an effect beside the runs, in every model that has it; `frictrack effects` lists them:
+EFFECT = """Settings of an effect, for every model that has it; `frictrack effects` lists the effects:
 [[effect]]
 effect = "vibration"
-fix = {frequency = 60}             held there; stribeck's fix = {delta = false} frees what is held at 1
-bounds = {amplitude = [0, 2]}      SI
-prior = {frequency = [60, 0.5]}    known from elsewhere: mean and standard deviation
-tie = {frequency = "2*vibration:2.frequency"}   the same unknown as another one, or a multiple
-per_run = ["amplitude"]            one in every run; {phase = false}: one for all
-An effect of your own, which `frictrack add` then puts into the model; t, x, v, s (direction), L (load) and mass are
-the run's, every other name is a parameter:
+fix = {frequency = 60}             fixed value; false frees a value that is fixed by default (stribeck's delta)
+bounds = {amplitude = [0, 2]}      in SI units
+prior = {frequency = [60, 0.5]}    known from another source: mean and standard deviation
+tie = {frequency = "2*vibration:2.frequency"}   equal to another parameter, or a multiple of it
+per_run = ["amplitude"]            one value per run; {phase = false}: one value for all runs
+A new effect, which `frictrack add` adds to the model. t, x, v, s (direction), L (load) and mass belong to the run;
+every other name is a parameter:
 [[effect]]
 effect = "magnet"
 formula = "F * s * exp(-((x - x_c)/w)^2)"
