@@ -31,7 +31,11 @@ from frictrack.records import (
 
 @dataclass(frozen=True, eq=False)
 class RecordingInfo(FrameTable):
-    """What is stored of a recording: its clock, its identity and its first frame."""
+    """What is stored of a recording: its clock, its identity and its first frame.
+
+    `fps` is the frame rate that is used, Hz. `t` are the times of the frames, s. `audit` lists every check of the time
+    base.
+    """
 
     t: Array = column("s")
     path: str = ""  # as the study file names it
@@ -48,7 +52,11 @@ class RecordingInfo(FrameTable):
 
 @dataclass(frozen=True, eq=False)
 class Sensors(FrameTable):
-    """Quantities that other instruments measured, on the camera's clock at the frames of the displacement."""
+    """Quantities that other instruments measured, on the camera's clock at the frames of the displacement.
+
+    A quantity that was not measured is None. `known_a` is the acceleration for the smoother: without gain and bias, and
+    only if it agrees with the camera.
+    """
 
     t: Array = column("s")
     drive: Array | None = column("N", default=None)
@@ -65,6 +73,7 @@ class RunResults:
     """The results of one run, with every stage that was computed.
 
     `film` and `track` are None for a table of positions, `friction` without a mass and without measured friction.
+    `quality` and `budget` are the summaries of `frictrack track` and `frictrack friction`.
     """
 
     name: str
@@ -96,7 +105,11 @@ class RunResults:
 
 @dataclass(frozen=True, eq=False)
 class ModelResults:
-    """The results of one model that was tried."""
+    """The results of one model that was tried.
+
+    `summary` is what `frictrack fit --json` prints: parameters, standard deviations, errors per run. `curves` and
+    `motion` hold, per run, the measurement beside the model and the motion by the model.
+    """
 
     name: str  # "1_tustin", the group's name in the store
     equation: str  # the printed model
@@ -110,7 +123,17 @@ class ModelResults:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The results of a study: runs, models in the order in which they were tried, comparison and diagnosis."""
+    """The results of a study: runs, models in the order in which they were tried, comparison and diagnosis.
+
+    Examples
+    --------
+    Print the parameters of the current model of a study that was run before::
+
+        from frictrack.flow import open_study, read_results
+        results = read_results(open_study("study.toml"))
+        print(results.current.summary["parameters"])
+
+    """
 
     name: str
     path: Path  # the study file

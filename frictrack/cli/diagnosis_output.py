@@ -1,4 +1,4 @@
-"""Print the evidence from auxiliary signals, and the misfit that no effect explains."""
+"""Print a diagnosis: verdict, evidence, candidates, misfit that no effect explains."""
 
 from __future__ import annotations
 
@@ -6,8 +6,104 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from frictrack.axes import AXES
+from frictrack.cli.findings_output import findings
+from frictrack.cli.fit_output import fails_at
+from frictrack.cli.plan_output import next_experiment
+from frictrack.cli.tables import table as _table
+from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.verdicts import describe_verdict
+
+
+def diagnose(out: Console, result: dict[str, Any]) -> None:
+    """Print the verdict, the candidates, and the next experiment.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack diagnose`.
+
+    """
+    out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
+    chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
+    key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
+    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
+    evidence(out, result.get("evidence") or [])
+    fails_at(out, result.get("fails_at") or [])
+    if result.get("repeats_words"):
+        out.print(escape(result["repeats_words"]))
+    findings(out, result.get("findings") or [])
+    for gap in result.get("undetermined") or []:
+        advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
+        out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
+    if result["candidates"]:
+        out.print(candidates([c for c in result["candidates"] if not c.get("implausible")]))
+    for c in result["candidates"]:
+        if c.get("implausible"):
+            out.print(escape(f"{c['effect']} imitates the misfit and is not plausible: {c['implausible']}"))
+    if result.get("importance"):
+        out.print(importance(result["importance"]))
+    unexplained(out, result.get("unexplained"))
+    for remark in result.get("remarks", []):
+        out.print(escape(remark))
+    next_experiment(out, result.get("next_experiment") or [])
+
+
+def candidates(found: list[dict[str, Any]]) -> Table:
+    """Return a table with one row per candidate, best first.
+
+    Parameters
+    ----------
+    found
+        "candidates" of the JSON of `frictrack diagnose`; their values per run are not shown.
+
+    """
+    table = _table("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from")
+    table.columns[0].no_wrap = True
+    for c in found:
+        shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
+        values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
+        unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
+        before, after = (format_plain(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
+        rivals = ", ".join(c["indistinguishable_from"])
+        known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
+        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
+        table.add_row(
+            c["effect"], "\n".join(values), format_plain(c["p"], 2), format_plain(c["delta_bic"], 3), held_out, rivals
+        )
+    return table
+
+
+def importance(rows: list[dict[str, Any]]) -> Table:
+    """Return a table with the share of the misfit that each effect explains, alone and in sequence.
+
+    Parameters
+    ----------
+    rows
+        "importance" of the JSON of `frictrack diagnose`.
+
+    """
+    table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
+    for row in rows:
+        shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
+        unit = "um" if "heldout_rms_after_um" in row else "N"
+        rms = row[f"heldout_rms_after_{unit}"]
+        after = "" if rms is None else f"{format_plain(rms)} {unit.replace('u', 'µ')}"
+        table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
+    return table
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
+
+
+def _with_unit(parameter: dict[str, Any]) -> str:
+    unit = "" if parameter["value"] is None or parameter["unit"] == "1" else parameter["unit"]
+    return f"{format_plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
+
+from frictrack.number_format import format_plain
 
 
 def table(*headers: str, **style: Any) -> Table:
@@ -22,3 +25,12 @@ def table(*headers: str, **style: Any) -> Table:
     for header in headers:
         new.add_column(header, overflow="fold")
     return new
+
+
+def cell(value: Any) -> str:
+    """Format a value of a dictionary for a table."""
+    if isinstance(value, float):
+        return format_plain(value)
+    if isinstance(value, list):
+        return escape(", ".join(str(v) for v in value))
+    return "" if value is None else escape(str(value))

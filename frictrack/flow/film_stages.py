@@ -38,7 +38,14 @@ NOTE_NO_REFERENCE = (
 
 
 def make_recording(pipeline: RunPipeline) -> RecordingInfo:
-    """Return what is stored of the recording: clock, identity, first frame, audit of the time base."""
+    """Return what is stored of the recording: clock, identity, first frame, audit of the time base.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+
+    """
     rec = pipeline.recording
     return RecordingInfo(
         t=rec.t,
@@ -59,6 +66,19 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """Track the target.
 
     The calibration is checked before, as far as it needs no track: a wrong one is reported before the film is read.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    film
+        The recording, by the stage before.
+
+    Returns
+    -------
+    Track
+        Positions of the target in px, one row per frame.
+
     """
     from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
@@ -212,6 +232,19 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
     """Compute the displacement from the first to the last frame that shows the target.
 
     Camera shake is subtracted, and the times are corrected where frames are missing or doubled.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    track, tracks
+        The track of the target, and the further tracks by name.
+
+    Returns
+    -------
+    Displacement
+        In m, without lens distortion, along the course.
+
     """
     from frictrack.tracking import aligned  # noqa: PLC0415
 

@@ -23,7 +23,14 @@ STUDY_FILE_COMMANDS = ("edit", "take_in", "leave_out", "define")  # their effect
 
 
 def replay_script(study: Study) -> str:
-    """Return a Python script that leads to the current model; commands that were undone are left out."""
+    """Return a Python script that leads to the current model; commands that were undone are left out.
+
+    Parameters
+    ----------
+    study
+        The study.
+
+    """
     history = CommandHistory(study.output)
     done, _ = history.undo_stacks()
     first = [change for change in history.changes if change.command == "fit" and not change.before][-1:]

@@ -201,7 +201,7 @@ class Session:
 
     @exclusive
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
-        """Fit the current model, or another one that becomes current: JSON of `fit`.
+        """Fit the current model, or another one that becomes current.
 
         Parameters
         ----------
@@ -213,6 +213,16 @@ class Session:
             Number of parametric bootstrap draws for 95 % intervals; 0 for none.
         **how
             `domain`, `search`, `over`, `seed`, `per`; None keeps the setting of the current model.
+
+        Returns
+        -------
+        dict
+            JSON of `frictrack fit`: "parameters", "errors", "per_run", "remarks", ...
+
+        Raises
+        ------
+        FrictrackError
+            If the model is unknown, or a run cannot be measured.
 
         """
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
@@ -270,7 +280,14 @@ class Session:
 
     @exclusive
     def compare(self) -> dict[str, Any]:
-        """Compare the errors of all models tried, and find where the current one fails: JSON of `compare`."""
+        """Compare the errors of all models tried, and find where the current one fails.
+
+        Returns
+        -------
+        dict
+            JSON of `frictrack compare`: "models" with their errors, and "fails_at".
+
+        """
 
         def make() -> dict[str, Any]:
             comparison = compare(self._fits(), self._current_index())
@@ -280,7 +297,14 @@ class Session:
 
     @exclusive
     def history(self) -> dict[str, Any]:
-        """List every model tried with its errors, in order: JSON of `history`."""
+        """List every model tried with its errors, in order.
+
+        Returns
+        -------
+        dict
+            JSON of `frictrack history`.
+
+        """
         return self._with_group_names(history(self._fits(), self._current_index()).summary())
 
     def _current_index(self) -> int:
@@ -294,7 +318,24 @@ class Session:
 
     @exclusive
     def diagnose(self, seed: int = 0) -> dict[str, Any]:
-        """Find the effect that the current model lacks: JSON of `diagnose`."""
+        """Find the effect that the current model lacks.
+
+        Parameters
+        ----------
+        seed
+            Seed of the random numbers.
+
+        Returns
+        -------
+        dict
+            JSON of `frictrack diagnose`: "verdict", "missing", "candidates", "next_experiment", ...
+
+        Raises
+        ------
+        FrictrackError
+            If a run cannot be measured.
+
+        """
         self.bring_up_to("friction")
         group, request = self.models.current()
 
@@ -321,12 +362,35 @@ class Session:
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:
-        """Add one effect to the current model and fit again: JSON of `add`."""
+        """Add one effect to the current model and fit again.
+
+        Parameters
+        ----------
+        effect
+            Name of the effect.
+        seed
+            Seed of the random numbers; None for that of the current model.
+
+        Raises
+        ------
+        FrictrackError
+            If the effect is unknown.
+
+        """
         return self._change_model("+", effect, seed)
 
     @exclusive
     def remove(self, effect: str, seed: int | None = None) -> ModelChange:
-        """Remove one effect from the current model and fit again: JSON of `remove`."""
+        """Remove one effect from the current model and fit again.
+
+        Parameters
+        ----------
+        effect
+            Name of the effect.
+        seed
+            Seed of the random numbers; None for that of the current model.
+
+        """
         return self._change_model("-", effect, seed)
 
     def _change_model(self, sign: str, effect: str, seed: int | None) -> ModelChange:
@@ -354,6 +418,13 @@ class Session:
     def attempt(self, effect: str, path: Path) -> dict[str, Any]:
         """Fit the current model with one more effect into a separate file; the study is not changed.
 
+        Parameters
+        ----------
+        effect
+            Name of the effect.
+        path
+            The file (.h5).
+
         Returns
         -------
         dict
@@ -366,7 +437,14 @@ class Session:
 
     @exclusive
     def run(self, seed: int = 0) -> StudySummary:
-        """Fit, compare, diagnose and report: JSON of `run`."""
+        """Fit, compare, diagnose and report.
+
+        Parameters
+        ----------
+        seed
+            Seed of the diagnosis.
+
+        """
         fit = self.fit()
         self.compare()
         diagnosis = self.diagnose(seed)
@@ -409,7 +487,14 @@ class Session:
 
     @exclusive
     def results(self, seed: int | None = None) -> Results:
-        """Bring everything up to date and return all results, for the report and the export."""
+        """Bring everything up to date and return all results, for the report and the export.
+
+        Parameters
+        ----------
+        seed
+            Seed of the diagnosis; None for that of the last one.
+
+        """
         notes = self._update_all(seed)
         return replace(read_results(self.study), notes=notes, warnings=self.findings.messages)
 

@@ -76,7 +76,14 @@ def _all_run_results(pipelines: list[RunPipeline]) -> tuple[RunResults, ...]:
 
 
 def read_attempt(path: Path) -> ModelResults:
-    """Read the model that `Session.attempt` wrote."""
+    """Read the model that `Session.attempt` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    """
     return model_results(path, store.names(path, "models")[0])
 
 

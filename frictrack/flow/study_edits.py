@@ -62,7 +62,21 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
 
 
 def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
-    """Add a run for each recording; paths are relative to the study file."""
+    """Add a run for each recording.
+
+    Parameters
+    ----------
+    opened
+        The study.
+    recordings
+        Paths relative to the study file.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a recording does not exist.
+
+    """
     folder = opened.study.folder
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
@@ -73,14 +87,32 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
-    """Remove a run from the study file; its recording and its results stay where they are."""
+    """Remove a run from the study file; its recording and its results stay where they are.
+
+    Parameters
+    ----------
+    opened
+        The study.
+    run
+        Name of the run.
+
+    """
     with opened.history.record("leave_out", run=run) as change:
         change.before, change.after = _rewrite(opened.study.path, lambda text: without_run(text, run))
     return {"run": run}
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Write an ``[[effect]]`` with the given keys into the study file; it replaces one of the same name."""
+    """Write an ``[[effect]]`` into the study file; it replaces one of the same name.
+
+    Parameters
+    ----------
+    opened
+        The study.
+    effect
+        The keys of the table, with "effect" for its name.
+
+    """
     keys = dict(effect)
     with opened.history.record("define", effect=keys) as change:
         change.before, change.after = _rewrite(opened.study.path, lambda text: with_effect(text, keys))
@@ -88,7 +120,21 @@ def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
-    """Make a model current that was tried before, by its name in the history."""
+    """Make a model current that was tried before.
+
+    Parameters
+    ----------
+    opened
+        The study.
+    model
+        Its name in the history, such as ``"2_tustin+texture"``.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If there is no such model.
+
+    """
     if model not in opened.models.groups:
         known = ", ".join(opened.models.groups) or "none"
         raise FrictrackError(f'expected a model that was tried but got "{model}"; there are {known}', usage=True)

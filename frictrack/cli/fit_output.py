@@ -1,0 +1,234 @@
+"""Print fits: parameters, errors, comparison of models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from frictrack.cli.tables import table as _table
+from frictrack.number_format import format_plain, format_plus_minus
+
+ERRORS = {
+    "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
+    "rms_N": ("friction force, rms", "F / N", 1.0),
+    "noise_N": ("noise of the measured force", "noise / N", 1.0),
+    "heldout_rms_um": ("held out, rms", "held out / µm", 1.0),
+    "heldout_rms_N": ("held out, rms, N", "held out / N", 1.0),
+    "free_run_rms_um": ("free run, rms", "free run / µm", 1.0),
+    "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
+    "relative_force_error": ("relative force error", "force / %", 100.0),
+    "reduced_chi2": ("reduced chi²", "chi²", 1.0),
+}  # key of `errors` -> description, column head with its unit, factor
+
+
+def fit(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters with standard deviations and units, then the errors.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack fit`.
+
+    """
+    out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
+    if "equation" in result:
+        out.print(escape(result["equation"]))
+    out.print(parameters(result["parameters"]))
+    if result.get("misfit"):
+        out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
+    for line in result.get("remarks", []):
+        out.print(escape(line))
+    if result.get("scale_error"):
+        out.print(
+            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, and so has every "
+            "force above that was computed from acceleration; this error is common to all runs of a camera and not "
+            "included in the ±"
+        )
+    own_motion(out, result)
+    out.print(errors([("", result["errors"])]))
+
+
+def own_motion(out: Console, result: dict[str, Any]) -> None:
+    """Print how precisely the model gives the motion of each run, and the collisions.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack fit`; of it "per_run" and "collisions" are used.
+
+    """
+    for row in result["per_run"]:
+        motion = row.get("motion")
+        if motion:
+            model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
+            text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
+            out.print(f"{escape(row['run'])}: {text}")
+            for note in motion["notes"]:
+                out.print(f"  {escape(note)}")
+    for c in result.get("collisions", []):
+        share = None if c["relative_std"] is None else 100 * c["relative_std"]
+        impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
+        out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
+
+
+def parameters(values: dict[str, Any]) -> Table:
+    """Return a table with one row per parameter: value ± standard deviation, unit, remark.
+
+    Parameters
+    ----------
+    values
+        "parameters" of the JSON of `frictrack fit`: "value", "std", "unit", "reason" by name.
+
+    """
+    has_intervals = any("interval" in p for p in values.values())
+    rejected = any("std_misfit" in p for p in values.values())
+    heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if has_intervals else [])]
+    table = _table("parameter", "value", *heads, "")
+    for name, p in values.items():
+        word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
+        cells = [interval(p)] if has_intervals else []
+        wider = [format_plain(p.get("std_misfit"), 2)] if rejected else []
+        table.add_row(escape(name), format_plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
+    return table
+
+
+def interval(p: dict[str, Any]) -> str:
+    """Format a 95 % interval; either end may be open.
+
+    Parameters
+    ----------
+    p
+        A parameter with the key "interval", if an interval was computed.
+
+    Examples
+    --------
+    >>> interval({"interval": [1.0, None]})
+    'above 1'
+
+    """
+    low, high = p.get("interval") or (None, None)
+    if low is None and high is None:
+        return "any" if "interval" in p else ""
+    if low is None:
+        return f"below {format_plain(high)}"
+    return f"above {format_plain(low)}" if high is None else f"{format_plain(low)} to {format_plain(high)}"
+
+
+def _mu(p: dict[str, Any]) -> str:
+    """Format the coefficient of friction, if the normal load is known."""
+    mu = p.get("mu")
+    return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
+
+
+def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
+    """Return a table with one row per error and one column per model.
+
+    Parameters
+    ----------
+    columns
+        Head of the column, and "errors" of the model.
+
+    """
+    columns = list(columns)
+    table = _table("error", *(title for title, _ in columns), "unit")
+    for key, cells in _errors([e for _, e in columns]).items():
+        words, head, _ = ERRORS[key]
+        table.add_row(words, *cells, head.partition(" / ")[2])
+    return table
+
+
+def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return the errors that any of the models has, as texts, one per model."""
+    cells = {}
+    for key, (*_, factor) in ERRORS.items():
+        values = [e.get(key) for e in models]
+        if any(v is not None for v in values):
+            cells[key] = [format_plain(None if v is None else v * factor) for v in values]
+    return cells
+
+
+def compare(out: Console, result: dict[str, Any]) -> None:
+    """Print the errors of every model, and where the current one fails.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack compare`.
+
+    """
+    history(out, result)
+    fails_at(out, result["fails_at"])
+
+
+def history(out: Console, result: dict[str, Any]) -> None:
+    """Print every model tried, in order, one row each.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack history`.
+
+    """
+    cells = _errors([model["errors"] for model in result["models"]])
+    table = _table("model", *(ERRORS[key][1] for key in cells))
+    for model, *values in zip(result["models"], *cells.values(), strict=True):
+        name = "\n  ".join([model["name"], *model.get("settings", [])])
+        table.add_row(escape(name), *values)
+    out.print(table)
+
+
+def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
+    """Print spans of time, position and velocity with their share of the misfit.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    spans
+        "fails_at" of the JSON of `frictrack compare`.
+
+    """
+    if not spans:
+        return
+    table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
+    for s in spans:
+        ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
+        p = s.get("p")
+        p_text = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
+        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", p_text)
+    out.print(table)
+
+
+def _reach(ends: list[float]) -> str:
+    """Format both ends of a span, with as many digits as distinguish them."""
+    size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
+    digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
+    return " to ".join(format_plain(end, digits) for end in ends)
+
+
+def edit(out: Console, result: dict[str, Any]) -> None:
+    """Print the errors before and after an effect was added or removed.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack add` or `remove`.
+
+    """
+    out.print(parameters(result["parameters"]))
+    out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))
