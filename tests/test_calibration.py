@@ -218,7 +218,7 @@ def test_the_axis_of_the_track(angle):
     assert np.sign(d.x[-1] - d.x[0]) == np.sign(direction[1] if steep else direction[0])
     assert np.ptp(d.x) == pytest.approx(300 * 5e-4, rel=1e-4)
     assert np.std(d.y) < 1.3 * 0.002 * 5e-4
-    assert "x runs along the path itself" in d.notes[0]
+    assert "x follows the path, whose direction is known to" in d.notes[0]
 
 
 def test_runs_in_both_directions_share_the_axis_of_the_track():

@@ -186,7 +186,7 @@ def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> Non
     series = SensorRecord(ts, SHAKE * np.sin(OMEGA * (ts - 2e-3)) + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
     aligned = align(problem(film(rng, x=lambda t: 3 * t - SHAKE / OMEGA**2 * np.sin(OMEGA * t)), series))
     assert abs(aligned.offset + 2e-3) < 4 * (aligned.sigma_offset or 0.0)
-    assert "nearest to 0 of those that explain the same" in aligned.reason
+    assert "nearest to 0 of several that agree equally well" in aligned.reason
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,11 @@ def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> Non
         (Sensor(gain=-1.0), None, "its axis points the other way: flip its sign"),
         (Sensor(gain=1e-3, noise=500.0), None, "it is in mm/s^2: say so"),
         (Sensor(bias=20.0), None, "its zero is off by 20"),
-        (Sensor(), lambda t, a: a + 20 * np.sin(2 * np.pi * 333 * t), "a line at 333 Hz: most likely its mounting"),
+        (
+            Sensor(),
+            lambda t, a: a + 20 * np.sin(2 * np.pi * 333 * t),
+            "one sinusoid at 333 Hz: most likely its mounting",
+        ),
         (Sensor(), lambda t, a: a + 60 * (t - 0.1), "they differ slowly: a sensor that drifts"),
         (
             Sensor(),
@@ -238,7 +242,7 @@ def test_a_given_offset_is_kept_and_refuted_where_it_is_wrong() -> None:
     assert (right.offset, right.sigma_offset) == (-DELAY, None)
     assert compare_with_camera(both, right).verdict == "consistent"
     said = " ".join(compare_with_camera(both, wrong).says)
-    assert "the offset of -3.87 ms is wrong, the data say -3.4" in said
+    assert "the offset of -3.87 ms is wrong, the data give -3.4" in said
     assert 'offset = "auto"' in said
 
 
@@ -306,7 +310,7 @@ def test_what_cannot_be_aligned_says_why() -> None:
     seen = film(rng)
     ts = np.arange(-0.05, 0.3, 1e-4)
     assert align(problem(seen, SensorRecord(ts, 0 * ts + 2))).reason == (
-        "it is constant, which looks the same at every offset; 0 is kept"
+        "it is constant, so that no offset can be determined; 0 is kept"
     )
     noise = align(problem(seen, SensorRecord(ts, rng.standard_normal(len(ts)))))
     assert noise.sigma_offset is None

@@ -66,7 +66,7 @@ def test_the_words_and_what_is_lost():
     assert np.flatnonzero(~steady.found).tolist() == [10]
     assert steady.reason[10] == "the reference is lost"
     assert notes[0] == "dim"
-    assert notes[1].startswith("camera shake of 0.35 px along x and 0.35 px along y (rms), strongest at 87 Hz, is told")
+    assert notes[1].startswith("camera shake of 0.35 px along x and 0.35 px along y (rms), strongest at 87 Hz, is seen")
     assert 'reference = "none"' in notes[1]
 
 
@@ -81,7 +81,8 @@ def test_what_is_too_short_is_not_judged():
     short = a_track(tone(1.0)[:20])
     assert not estimate_shake(short).detected
     assert (
-        "is seen in 20 frames, which are too few to tell camera shake from noise" in subtract_shake(short, short)[1][0]
+        "is seen in 20 frames, which are too few to separate camera shake from noise"
+        in subtract_shake(short, short)[1][0]
     )
     with pytest.raises(FrictrackError, match="expected a reference track of 10 frames but got 20"):
         subtract_shake(a_track(np.zeros(10)), a_track(np.zeros(20)))
@@ -96,7 +97,7 @@ def test_small_shake_may_be_left_in():
     steady, notes = subtract_shake(track, reference, min_rms=0.02)
     assert steady is track
     assert notes[0].startswith("camera shake of 0.01")  # 0.014 and its error
-    assert "is told by the fixed reference [8, 9, 32, 24] and left in" in notes[0]
+    assert "is seen in the fixed reference [8, 9, 32, 24] and left in" in notes[0]
     assert notes[0].endswith("reference = [8, 9, 32, 24] subtracts it")
 
 

@@ -27,7 +27,7 @@ N_INTRINSICS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 MAX_REPROJECTION_PX = 1.0  # a larger reprojection error is reported
 MIN_CORNER_SIGMA_PX = 0.02  # a corner is known no better than this (print, light, detection)
 TOO_FEW_VIEWS = (
-    "the pictures do not tell the camera (three and more are needed, tilted differently): only one of them is used"
+    "the pictures do not determine the camera (at least three are needed, tilted differently): only one is used"
 )
 
 
@@ -94,7 +94,7 @@ def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
     distortion = (
         f"radial distortion {1e2 * k:+.2f} ± {1e2 * std:.2g} % in the corners, from this one picture"
         if determined
-        else "without lens distortion, which this one picture does not tell; several, tilted, would"
+        else "without lens distortion, which one picture does not determine; several tilted pictures would"
     )
     used = (
         f"scale by a {board.kind}, {len(unit_sigma)} corners in {first.name}, {chosen.rms:.2g} px from the plane; "
@@ -124,7 +124,7 @@ def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
     used = (
         f"scale by a {board.kind} in {len(views)} pictures, {sum(len(v.points) for v in views)} corners, reprojected "
         f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
-        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's is {0.1 / depth:.2g} % of every length"
+        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target changes lengths by {0.1 / depth:.2g} %"
     )
     return PlaneMap(values, covariance, _points_on_plane, used=used, notes=_reprojection_note(best.rms))
 

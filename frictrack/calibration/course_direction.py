@@ -241,7 +241,7 @@ def direction_notes(line: PathLine | None, x: Array, axis: Axis) -> tuple[str, .
         )
     if isinstance(axis, str):
         notes.append(
-            f"x runs along the path itself, which is {np.degrees(line.std):.2g}° sure "
+            f"x follows the path, whose direction is known to {np.degrees(line.std):.2g}° "
             f"({50 * line.std**2:.1g} % of a length)"
         )
     bend = abs(line.bend)

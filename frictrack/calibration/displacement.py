@@ -184,6 +184,6 @@ def _scale_notes(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
     if 0 < plane.reach < MIN_RULER_SHARE * path_px:
         notes.append(
             f"the scale was read over {plane.reach:.0f} px but the path is {path_px:.0f} px long: a longer ruler, or "
-            "points farther apart, would give a surer scale"
+            "points farther apart, would give a more accurate scale"
         )
     return (*notes, *plane.notes)

@@ -60,8 +60,8 @@ def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
     motion_per_rad = _turned(np.array([-arm.at[1], arm.at[0]]), angle)  # px per rad
     sigma_angle = np.zeros(len(angle)) if track.sigma_angle is None else track.sigma_angle
     note = (
-        "the point of the turning target is followed that moves along a straight course, "
-        f"{length:.3g} ± {arm.std:.1g} px off the middle of what was cut out"
+        "the point of the rotating target that moves along a straight course is used: "
+        f"{length:.3g} ± {arm.std:.1g} px from the centre of its rectangle"
     )
     return replace(
         track,

@@ -249,18 +249,18 @@ def _nothing_subtracted(reference: Track, found: Shake) -> str:
     if np.count_nonzero(reference.found) < MIN_FRAMES:
         return (
             f"the fixed reference {_label(reference)} is seen in {np.count_nonzero(reference.found)} frames, which are "
-            "too few to tell camera shake from noise; nothing is subtracted"
+            "too few to separate camera shake from noise; nothing is subtracted"
         )
     if found.left_in:
         x, y, w, h = (round(v) for v in reference.target or (0, 0, 0, 0))
         return (
-            f"camera shake of {found.left_in:.2g} px (rms) is told by the fixed reference {_label(reference)} and "
-            f"left in: other films may not show so little; reference = [{x}, {y}, {w}, {h}] subtracts it"
+            f"camera shake of {found.left_in:.2g} px (rms) is seen in the fixed reference {_label(reference)} and "
+            f"left in: other films may not resolve so little; reference = [{x}, {y}, {w}, {h}] subtracts it"
         )
     x, y = found.floor
     return (
         f"no camera shake: the fixed reference {_label(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "
-        f"(rms), of which nothing stands out of its noise well enough to be subtracted"
+        f"(rms), which does not significantly exceed its noise"
     )
 
 
@@ -268,8 +268,8 @@ def _subtracted(reference: Track, found: Shake) -> str:
     (x, y), sigma, floor = found.size, float(np.max(found.sigma)), float(np.max(found.floor))
     return (
         f"camera shake of {x:.2g} px along x and {y:.2g} px along y (rms), strongest at {found.frequency:.0f} Hz, is "
-        f"told by the fixed reference {_label(reference)} and subtracted; this adds {sigma:.2g} px of uncertainty, and "
-        f'the reference keeps {floor:.2g} px of noise (reference = "none" leaves the shake in)'
+        f"seen in the fixed reference {_label(reference)} and subtracted; this adds {sigma:.2g} px of uncertainty, and "
+        f'{floor:.2g} px of noise remain in the reference (reference = "none" leaves the shake in)'
     )
 
 

@@ -229,7 +229,7 @@ def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
     if len(series.t) < MIN_DIFFERENCES:
         return f"expected at least {MIN_DIFFERENCES} samples but got {len(series.t)}"
     if series.constant:
-        return "it is constant, which looks the same at every offset"
+        return "it is constant, so that no offset can be determined"
     if given is not None and np.sum(problem.rows(given)) < MIN_DIFFERENCES:
         running = f"{series.t[0] + given.offset:.4g} s to {series.t[-1] + given.offset:.4g} s"
         return f"it was running from {running} but the film lasts from {t[0]:.4g} s to {t[-1]:.4g} s"
@@ -270,7 +270,7 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     lowest = float(np.min(misfit))
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if none - lowest < MIN_EXPLAINED_CHI2:
-        unseen = f"at no offset from {span} does it explain what the camera saw"
+        unseen = f"at no offset from {span} does it agree with the camera"
         return replace(_unaligned(frames), reason=f"{unseen}; 0 is kept")
     rivals = _minima(
         misfit, MAX_RIVAL_CHI2 + 4.0 * np.sqrt(4.0 * _sensor_dominated(problem, initial, level))
@@ -279,7 +279,7 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     rivals = rivals[np.argsort(np.abs(offsets[rivals]))]
     reason = f"best of {span}"
     if len(rivals) > 1:
-        reason = f"nearest to 0 of those that explain the same ({1e3 * offsets[rivals[1]]:.4g} ms would do, too)"
+        reason = f"nearest to 0 of several that agree equally well ({1e3 * offsets[rivals[1]]:.4g} ms does, too)"
     chosen = rivals[0]
     return replace(initial, offset=float(offsets[chosen]), gain=float(gains[chosen]), level=level, reason=reason)
 
@@ -520,11 +520,11 @@ def _score_covariance(regressors: Array, residual: Array) -> Array:
 def _accepted(problem: AlignmentProblem, initial: Alignment, found: Alignment) -> Alignment:
     """The alignment if its offset is significant, else 0 and the reason."""
     if found.gain is None or abs(found.gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
-        return replace(_unaligned(problem.frames), reason="at no offset does it explain what the camera saw; 0 is kept")
+        return replace(_unaligned(problem.frames), reason="at no offset does it agree with the camera; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)
     span = float(problem.frames.t[-1] - problem.frames.t[0])
     if found.sigma_offset is None or not 0.0 < found.sigma_offset < 0.1 * span:
-        return replace(_unaligned(problem.frames), reason="it looks the same at every offset; 0 is kept")
+        return replace(_unaligned(problem.frames), reason="its offset is not determined; 0 is kept")
     if abs(found.offset - initial.offset) > max(reach, 5.0 * found.sigma_offset):
-        return replace(_unaligned(problem.frames), reason="its offset could not be pinned down; 0 is kept")
+        return replace(_unaligned(problem.frames), reason="its offset did not converge; 0 is kept")
     return found

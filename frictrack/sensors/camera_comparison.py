@@ -181,8 +181,8 @@ def _offset_fault(problem: AlignmentProblem, alignment: Alignment) -> str:
         return ""
     found = f"{1e3 * better.offset:.4g} +/- {1e3 * better.sigma_offset:.2g} ms"
     return (
-        f"the offset of {1e3 * alignment.offset:.4g} ms is wrong, the data say {found}: correct it, or leave it to "
-        'the data with offset = "auto"'
+        f"the offset of {1e3 * alignment.offset:.4g} ms is wrong, the data give {found}: correct it, or estimate it "
+        'with offset = "auto"'
     )
 
 
@@ -195,7 +195,7 @@ def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Ar
     line_power = float(np.sum(excess[max(line - 2, 0) : line + 3]))
     if line_power > MIN_CAUSE_SHARE * total > 0.0 and line >= LOWEST_BAND_SIZE:
         return (
-            f"they differ by a line at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
+            f"they differ by one sinusoid at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
             "or the tracked target shakes; fix both to the slider"
         )
     moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, N_MOMENTS)])
@@ -203,16 +203,16 @@ def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Ar
     if moments[loudest] > MIN_CAUSE_SHARE * float(np.sum(moments)) > 0.0:
         at = np.array_split(frames.t[frames.centre], N_MOMENTS)[loudest]
         return (
-            f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: a blow beyond the sensor's range or bandwidth, "
-            "a mounting that gives, or a target lost; look at these frames"
+            f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: an impact beyond the sensor's range or bandwidth, "
+            "a loose mounting, or a lost target; look at these frames"
         )
     if float(np.sum(excess[: 2 * LOWEST_BAND_SIZE])) > MIN_CAUSE_SHARE * total > 0.0:
         return (
-            "they differ slowly: a sensor that drifts, does not go down to 0 Hz, or tilts on its way; or a scale that "
-            "changes along the course; check the sensor's lowest frequency"
+            "they differ slowly: a sensor that drifts, does not measure down to 0 Hz, or tilts on its way; or a scale "
+            "that changes along the course; check the sensor's lowest frequency"
         )
     return (
-        "they differ by more than their noises explain, at no one frequency and no one moment: the sensor feels more "
+        "they differ by more than their noises explain, but at no single frequency or moment: the sensor measures more "
         "than the slider's motion along the course; check its axis and its mounting"
     )
 
