@@ -194,7 +194,25 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
 
 
 def envelope(at: Array, values: Array, best: Any) -> tuple[Array, Array]:
-    """Sorted distinct values (k,) of `at`, and the largest or smallest (k,) of `values` at each of them."""
+    """Select the best value at each setting.
+
+    Parameters
+    ----------
+    at : Array
+        (n,) setting.
+    values : Array
+        (n,) values, at all combinations with other settings.
+    best : ufunc
+        `np.maximum` or `np.minimum`.
+
+    Returns
+    -------
+    places : Array
+        (k,) distinct settings, sorted.
+    out : Array
+        (k,) best value at each of them.
+
+    """
     places, which = np.unique(at, return_inverse=True)
     out = np.full(len(places), -np.inf if best is np.maximum else np.inf)
     best.at(out, which, values)

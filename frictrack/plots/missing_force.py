@@ -23,7 +23,14 @@ FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
 
 
 def has_missing_force(figures: Mapping[str, Mapping[str, Array]]) -> bool:
-    """Whether the stored diagnosis contains the missing force."""
+    """Whether the stored diagnosis contains the missing force.
+
+    Parameters
+    ----------
+    figures : mapping
+        Curves of the stored diagnosis.
+
+    """
     return "residual_force" in figures
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import panel as pn
 
 from frictrack.errors import FrictrackError
-from frictrack.number_format import format_number, format_unit
+from frictrack.number_format import format_quantity
 from frictrack.report import mark_equation
 from frictrack.units import parse_quantity
 from frictrack.workbench.page_state import PageState
@@ -210,7 +210,6 @@ def _value(value: dict[str, Any]) -> str:
     reason = f" ({value['reason']})" if value.get("reason") else ""
     if value["value"] is None:
         return escape(f"not determined{reason}")
-    std, mark = value.get("std_misfit"), " (†, with the misfit)"
+    std, mark = value.get("std_misfit"), " (†: ± with the misfit)"
     std, mark = (value.get("std"), "") if std is None else (std, mark)
-    error = f" ± {format_number(std, 2)}{mark}" if std else ""
-    return escape(f"{format_number(value['value'])}{error} {format_unit(value['unit'])}{reason}")
+    return escape(f"{format_quantity(value['value'], std, value['unit'])}{mark}{reason}")

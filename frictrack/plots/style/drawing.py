@@ -85,7 +85,14 @@ def unsmeared_frames(friction: Friction, guard: int) -> Mask:
 
 
 def panel_columns(n: int) -> int:
-    """Columns of a grid of n panels: at most three, and no panel alone in its row if two columns avoid it."""
+    """Columns of a grid of n panels: at most three, and two for four panels.
+
+    Examples
+    --------
+    >>> [panel_columns(n) for n in (1, 2, 3, 4, 7)]
+    [1, 2, 3, 2, 3]
+
+    """
     return 2 if n == 4 else min(3, n)
 
 

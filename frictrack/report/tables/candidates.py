@@ -86,10 +86,10 @@ def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
     if not passes(c):
         return "does not pass"
     if c is best:
-        return "passes, the best"
+        return "passes, the best candidate"
     if c["effect"] in best["indistinguishable_from"]:
         return "passes, as good as the best"
-    return f"passes, but {format_number(best['delta_bic'] - c['delta_bic'])} behind the best"
+    return f"passes, delta BIC {format_number(best['delta_bic'] - c['delta_bic'])} below the best"
 
 
 def _numbers(c: Mapping[str, Any]) -> list[Cell]:
