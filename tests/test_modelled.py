@@ -193,7 +193,7 @@ def test_collision_is_told_by_its_impulse():
     assert 0.003 < blow["relative_std"] < 0.005
     assert blow["resolved"] is False
     assert blow["width_at_most_s"] > 0.2176 * PULSE["length"]  # deviation of half a sine about its middle
-    assert blow["words"].endswith("the impulse is what these frames tell, a peak force they do not")
+    assert blow["words"].endswith("these frames determine the impulse, but not the peak force")
     inside = np.abs(told.t - PULSE["begin"] - PULSE["length"] / 2) < PULSE["length"] / 2
     assert np.all(told.blow[inside])
     assert np.sum(told.blow) < 30
@@ -203,7 +203,7 @@ def test_collision_is_told_by_its_impulse():
 
 def test_a_blow_that_was_none_is_said():
     (blow,) = fitted(COLLISION).collisions
-    assert blow["words"] == "no blow is told from none in this run"
+    assert blow["words"] == "no significant collision in this run"
 
 
 @pytest.mark.slow
@@ -373,6 +373,6 @@ def test_report_tells_the_impulse_and_no_peak_force():
     told = " ".join(report.fit_text.model_motion_sentences(model))
     assert "acceleration of the model 0.1" in told
     assert re.search(r"impulse \((19\.[89]|20\.[01])\d* ± 0\.07\) mN s, relative error 0\.3\d %", told)
-    assert "a peak force they do not" in told
+    assert "but not the peak force" in told
     rows = {str(row[0]): row for row in report.tables.parameter_table(model).rows}
     assert rows["<code>collision.width</code>"][-1] == "not resolved: the impulse is known, the peak force is not"

@@ -16,9 +16,9 @@ from frictrack.fit.segments import Piece
 from frictrack.fit.uncertainty import Estimates
 from frictrack.records import Array, Mask
 
-MAX_RELATIVE_STD = 0.3  # relative standard deviation of the width up to which a peak force is known at all
-MIN_IMPULSE_STD = 3.0  # standard deviations of the impulse below which there may have been no blow
-PULSE_HALF_WIDTHS = 3.0  # widths on either side that hold the pulse
+MAX_RELATIVE_STD = 0.3  # relative standard deviation of a resolved width
+MIN_IMPULSE_STD = 3.0  # standard deviations; a smaller impulse is not significant
+PULSE_HALF_WIDTHS = 3.0  # half length of a pulse in widths
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
@@ -108,10 +108,10 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: 
 
 def _width_remark(width: float, std: float, *, insignificant: bool) -> str:
     if insignificant:
-        return "no blow is told from none in this run"
+        return "no significant collision in this run"
     if std <= MAX_RELATIVE_STD * width:
         return "its width is resolved"
     return (
         f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * max_width(width, std):.2g} ms): "
-        "the impulse is what these frames tell, a peak force they do not"
+        "these frames determine the impulse, but not the peak force"
     )

@@ -30,12 +30,12 @@ from frictrack.models import Model, Values
 from frictrack.records import Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement
 
-FIRST_FRAMES = (20, 200)  # of a driven record that tell its first state, at least and at most
-FIRST_SHARE = 0.025  # of the record, in between
-MAX_STEPS = 4  # of Gauss-Newton for the first state; the law is smooth in it, and forgets it
-RELATIVE_TOLERANCE = 5e-4  # of the rms of the displacement, to which a free run is computed
+FIRST_FRAMES = (20, 200)  # frames of a driven record to which its first state is fitted: least, most
+FIRST_SHARE = 0.025  # share of the record, between these limits
+MAX_STEPS = 4  # Gauss-Newton steps; the motion depends smoothly on the first state
+RELATIVE_TOLERANCE = 5e-4  # accuracy of a free run, share of the rms displacement
 PATH_ARRAYS = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
-MIN_SINGULAR_VALUE = 1e-6  # relative singular value of a direction of the first state that the first frames do not tell
+MIN_SINGULAR_VALUE = 1e-6  # relative; smaller ones are not determined
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
 
     """
     mine = [r for r in solution.responses if r.piece.run == index]
-    if run.drive is None and len(mine) == 1:  # it was fitted as it slid from the release
+    if run.drive is None and len(mine) == 1:  # the fit is already a simulation from the release
         return FreeRun(mine[0].piece.t, mine[0].piece.y, mine[0].model_y)
     piece = whole_piece(run, index, reference)
     values, level = solution.problem.layout.values(solution.p, index)

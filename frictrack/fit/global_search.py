@@ -28,9 +28,9 @@ from frictrack.search import minimise
 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
 MAX_SEARCH_GENERATIONS = 1000  # of the first paper
-MAX_EVALUATIONS = 36 * MAX_SEARCH_GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
-FORCE_RANGE_FACTOR = 1.5  # times the largest friction measured: how far a force is searched
-MAX_SHIFT_SHARE = 0.01  # of the travelled span: how far the picture may be shifted
+MAX_EVALUATIONS = 36 * MAX_SEARCH_GENERATIONS  # population 40, generation gap 0.9
+FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
+MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
 def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:

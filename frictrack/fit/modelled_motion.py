@@ -28,9 +28,9 @@ from frictrack.records import Array, ModelledMotion, Run
 
 MotionFunction = Callable[[Array, Array, Array], tuple[Array, Array]]
 
-DIFFERENCE_STEP = 1e-6  # of a standard deviation, for differences
-ALPHA_UNMODELLED = 1e-3  # chance that white noise of one stretch looks like something that was missed
-EXCESS_STD = 4.0  # standard deviations of chi-squared per frame beyond which it is clearly above one
+DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations
+ALPHA_UNMODELLED = 1e-3  # false-alarm probability of unmodelled motion per run
+EXCESS_STD = 4.0  # standard deviations of chi-squared per frame: significantly above one
 
 
 def modelled_motion(
@@ -109,7 +109,7 @@ def _run_motion(solution: Solution, covariance: Array, index: int, run: Run) -> 
     parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
     columns = [f.name for f in fields(ModelledMotion) if f.metadata.get("column")]
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-    unique_frames = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
+    unique_frames = np.unique(whole["t"], return_index=True)[1]  # neighbouring segments share a frame
     whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
     return ModelledMotion(
         **{name: column[unique_frames] for name, column in whole.items()},
@@ -214,7 +214,7 @@ class UnmodelledMotion:
 
     rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
     factor: float = 1.0
-    hertz: float | None = None  # where it stands out most; None: nothing is missed
+    hertz: float | None = None  # frequency of the largest significant coefficient
 
 
 def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_UNMODELLED) -> UnmodelledMotion:

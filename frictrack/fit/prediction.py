@@ -16,7 +16,7 @@ from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, Reference, cut_into_segments, sections_of, segment_frames
 from frictrack.records import Array, Mask, Run
 
-TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # phases at which a swing of the run's own is tried
+TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # rad, start values of a per-run phase
 
 
 def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:

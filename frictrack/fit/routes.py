@@ -20,7 +20,7 @@ from frictrack.search import METHODS
 DOMAINS = ("displacement", "force")
 SEARCHES = ("varpro", *METHODS)
 SEARCH_SPACES = ("all", "nonlinear")
-BLOCK_PERIODS = 2.0  # of the cut-off: length of the blocks that are held out within a run
+BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _search_again(
         return search_parameters(
             population_misfit(problem, chains, route.over), route.search, np.random.default_rng(route.seed), p
         )[0][0]
-    assert chains is not None  # variable projection of the displacement has its own held-out error
+    assert chains is not None  # the default route has its own held-out error
     held = {piece.run for piece in problem.pieces} | {None}
     free = np.array([s.run in held for s in problem.layout.slots])
     starts = [found.solution.starts[i] for i in which]

@@ -26,11 +26,11 @@ from frictrack.fit.segments import Piece, cut_into_segments
 from frictrack.models import Model
 from frictrack.records import Array
 
-MAX_SETTINGS_TRIED = 600  # settings tried
-MIN_WINDOW_FRAMES = 32  # frames of a window: its start takes two numbers
-MAX_REFINEMENTS = 30  # settings tried beyond the grid, at most
-FIRST_SEGMENT_FRAMES = 128  # frames of the first stretches of a mass that swings
-STEPS_PER_LENGTH = 6  # of a refinement of one length
+MAX_SETTINGS_TRIED = 600  # grid points tried
+MIN_WINDOW_FRAMES = 32  # frames per window; its start uses two degrees of freedom
+MAX_REFINEMENTS = 30  # function evaluations beyond the grid
+FIRST_SEGMENT_FRAMES = 128  # frames of the first, shortest stretches
+STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
 
 
 def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
@@ -138,7 +138,7 @@ def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
     length, whole = FIRST_SEGMENT_FRAMES, max(len(piece.t) for piece in problem.pieces)
     while length < whole:
         part = _cut_problem(problem, length)
-        with suppress(FrictrackError):  # a longer stretch may lead on where this one does not
+        with suppress(FrictrackError):  # a longer stretch may converge where this one does not
             p = refine(part, p, part.first_starts(), max_steps=STEPS_PER_LENGTH).p
         length *= 2
     return p

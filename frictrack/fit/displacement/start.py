@@ -37,16 +37,10 @@ from frictrack.fit.stepwise import (
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
-STOP_MARGIN_FRAMES = 2.0  # frames before the stop that are left out
-GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame: a law that good needs no second way
-MAX_REVERSAL_SEGMENTS = (
-    16  # segments of a long record on which a law that passes reversals is settled before it sees all
-)
-COEFFICIENT_SHARES = (
-    0.5,
-    0.2,
-    0.0,
-)  # of the coefficients that a start keeps where no motion can be integrated under all
+STOP_MARGIN_FRAMES = 2.0  # frames left out before a stop
+GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame below which no second start is tried
+MAX_REVERSAL_SEGMENTS = 16  # segments used for the first fit of a long record with reversals
+COEFFICIENT_SHARES = (0.5, 0.2, 0.0)  # factors on start coefficients with which the motion diverges
 
 
 def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
@@ -77,14 +71,14 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
         If no effect is linear without a scan, or no motion can be integrated.
 
     """
-    pieces = [p.with_clock(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
+    pieces = [p.with_clock(1.0) for p in pieces]  # pieces drawn from a fit may have its clock rate
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, spans)
     found = []
-    with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
+    with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
         found.append(_by_variable_projection(model, pieces, names, spans))
-    can_grow = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
+    can_grow = not any(e.relaxed for e in model.effects)  # a relaxed effect has too many parameters for a scan
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         found += _by_adding_effects(model, pieces, names, spans, needed=not found)
     return refit_until_stop(min(found, key=lambda s: s.objective))
@@ -98,7 +92,7 @@ def _by_adding_effects(
     with nullcontext() if needed else suppress(FrictrackError):
         found.append(_from_scratch(model, pieces, names, spans))
     for other in reversed_ties(model):
-        with suppress(FrictrackError):  # the way that was asked for is there already
+        with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
             found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
     return found
 
@@ -114,7 +108,8 @@ def _by_variable_projection(
     if any(lacking):
         raise FrictrackError(next(filter(None, lacking)))
     _, scanned = entry_order(model)
-    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]  # a clock: for few runs, in simulation
+    # clock errors are found in simulation, for few runs
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
     first = Model(tuple(e for e in model.effects if e not in later))
     layout = ParameterLayout(first, names, spans)
     fine = max(e.fine for e in first.effects)
@@ -146,9 +141,9 @@ def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
     with suppress(FrictrackError):
         return fit_with_scatter(problem, p, starts)
     linear, found = np.array([s.linear for s in problem.layout.slots]), []
-    for unexplained_share in COEFFICIENT_SHARES:
+    for share in COEFFICIENT_SHARES:
         with suppress(FrictrackError):
-            found.append(fit_with_scatter(problem, np.where(linear, unexplained_share * p, p), starts))
+            found.append(fit_with_scatter(problem, np.where(linear, share * p, p), starts))
     if not found:
         raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
     return min(found, key=lambda s: s.objective)
@@ -283,7 +278,7 @@ def _frames_before_stop(response: PieceResponse) -> int:
     if piece.turns:
         return len(piece.t)
     speed = (piece.path.s[0] * motion.v_edge)[piece.at]
-    slowing = -np.gradient(speed, piece.t)  # a mass that sets out is slow, too, but gathers speed
+    slowing = -np.gradient(speed, piece.t)  # a mass that starts is slow too, but accelerates
     near_stop = np.flatnonzero((slowing > 0) & (speed < STOP_MARGIN_FRAMES * slowing * np.gradient(piece.t)))
     after = near_stop[near_stop >= MIN_FRAMES]
     return int(after[0]) if len(after) else len(piece.t)

@@ -12,10 +12,10 @@ from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
 from frictrack.motion.noise import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array
 
-NORMAL_QUANTILE_975 = 1.96  # standard deviations of a normal law that hold 95 %
-SCATTER_STEP = 1.05  # factor on the spread, to see which variances follow it
-MIN_BATCHES_PER_UNKNOWN = 2  # batches of segments per unknown at least
-MIN_SINGULAR_VALUE = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
+NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution
+SCATTER_STEP = 1.05  # factor on tau, to see which variances depend on it
+MIN_BATCHES_PER_UNKNOWN = 2  # least number of batches per unknown
+MIN_SINGULAR_VALUE = 1e-8  # relative; smaller singular values are not determined by the data
 
 
 def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:

@@ -31,14 +31,12 @@ from frictrack.fit.parameters import (
 )
 from frictrack.records import Array, Mask
 
-MAX_SCATTER_ESTIMATES = 4  # estimates of the spread of the levels, at most
-MAX_PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
+MAX_SCATTER_ESTIMATES = 4  # estimates of tau
+MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 FIRST_DAMPING, MAX_DAMPING = 1e-8, 1e8
-MIN_DAMPING = 1e-12  # damping with which a step is Gauss-Newton's
-MIN_CHI2_FALL = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
-MIN_CHI2_FALL_REVERSALS = (
-    0.01  # likewise for motions with reversals: each is a kink that slips from one node to the next
-)
+MIN_DAMPING = 1e-12  # below: Gauss-Newton steps
+MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
+MIN_CHI2_FALL_REVERSALS = 0.01  # the same for motions with reversals, which are not smooth between nodes
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class _Refinement:
     tau: float
     low: Array
     high: Array
-    all_free: bool  # every unknown may move
+    all_free: bool  # whether every unknown may change
 
     def at(self, p: Array, starts: list[Array]) -> Solution:
         """The solution at p, clipped to the bounds and brought to canonical form."""
@@ -237,7 +235,7 @@ def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, mi
             break
         try:
             trial = refinement.after_trial(state, step)
-        except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
+        except FrictrackError:  # the motion diverges: take a shorter step
             damping *= 100
             continue
         improved = state.objective - trial.objective
@@ -278,7 +276,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
         z = lsq_linear(
             damped, target, bounds=(np.minimum(low, -half_width), np.maximum(high, half_width)), method="bvls"
         ).x
-    # what a change of the starts alone would gain counts too: r_full against r
+    # the gain from the starts alone is included (r_full against r)
     start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
     gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + start_gain
     return z / norm, gain

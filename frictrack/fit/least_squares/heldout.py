@@ -26,11 +26,9 @@ from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.fit.segments import Piece
 from frictrack.records import Array, Mask
 
-HIDDEN_SIGMA_FACTOR = 1e9  # times sigma: a frame that does not count
-MAX_PREDICTION_VARIANCE = (
-    0.25  # variance of the prediction over the noise's, beyond which the others do not know the run
-)
-MIN_SINGULAR_VALUE = 1e-7  # singular value, over the largest, of a direction that is left as it stands
+HIDDEN_SIGMA_FACTOR = 1e9  # factor on sigma that removes a frame from the fit
+MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
+MIN_SINGULAR_VALUE = 1e-7  # relative; parameters keep their values along smaller ones
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> li
     """Residuals, m, at the odd frames of every run, the whole model fitted to the even ones."""
     layout, tau = solution.problem.layout, solution.tau or 0.03
     even_rows = []
-    for r in runs.values():  # a start is each piece's own: what it explains of the even frames goes first
+    for r in runs.values():  # project out the start of every piece first
         q, _ = np.linalg.qr(r.starts[~r.odd])
         even = np.column_stack([r.jac, r.residual])[~r.odd]
         even_rows.append(even - q @ (q.T @ even))

@@ -15,7 +15,7 @@ from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, solve_motion
 
-SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value per node
+SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # arrays of a path with one value per node
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ class LeastSquaresProblem:
         if extrapolated is not None:
             try:
                 return solve_motion(acceleration, piece.panels, initial, extrapolated, memory=memory)
-            except FrictrackError:  # too far to be foreseen: from where it was
+            except FrictrackError:  # the extrapolation failed: start from the previous motion
                 pass
         return solve_motion(acceleration, piece.panels, initial, previous.a, memory=memory)
 

@@ -19,8 +19,8 @@ from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.records import Array
 from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
-MIN_SINGULAR_VALUE = 1e-9  # of the largest singular value: directions of the law that the runs do not show
-MIN_SCATTER = 1e-3  # of the friction levels
+MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not determined by the runs
+MIN_SCATTER = 1e-3  # smallest scatter of the friction levels
 
 
 @dataclass(frozen=True)

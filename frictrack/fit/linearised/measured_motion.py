@@ -28,9 +28,8 @@ from frictrack.fit.segments import Piece
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, linearise_acceleration
 
-SMOOTHING_STRENGTHS = np.geomspace(
-    10.0, 1e9, 17
-)  # of the smoothing: its bandwidth from a tenth of the frame rate downwards
+# smoothing parameters; bandwidths from a tenth of the frame rate downwards
+SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
 
 
 def linearise_about_measurement(solution: Solution) -> Solution:

@@ -26,7 +26,7 @@ from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 
-MIN_SINGULAR_VALUE = 1e-9  # singular value, over the largest, of a direction in which a piece answers the law
+MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
 
 
 @dataclass(eq=False)
@@ -111,7 +111,7 @@ class LinearisedPiece:
         """
         piece = self.response.piece
         frames = piece.at // piece.per_frame
-        if is_measurement or self._rows is None:  # where friction itself is measured, a force is seen as it is
+        if is_measurement or self._rows is None:  # a measured friction shows the force directly
             return piece.whitened(rows_at_compared(raw, frames).T).T
         moved = self._rows(raw)[:, frames] * (-(1 + self.response.shift_slope) / piece.mass)
         return piece.whitened(moved.T).T
@@ -335,7 +335,7 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
 def columns_one_by_one(piece: LinearisedPiece, effect: Effect, points: Mapping[str, Array], count: int) -> Array:
     """Compute columns (count, k, m) one individual at a time; zero where a user's formula is not finite."""
     out = []
-    for i in range(count):  # one after the other: only some are wrong
+    for i in range(count):  # only some individuals are invalid
         try:
             out.append(piece.columns(effect, {k: _value_of(v, i) for k, v in points.items()}, 1)[0])
         except FrictrackError:

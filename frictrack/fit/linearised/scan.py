@@ -26,11 +26,11 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, columns_one_by_one
 from frictrack.records import Array
 
-MIN_UNEXPLAINED_SHARE = 1e-10  # share of a column's square that must remain beside the model for it to count
-MIN_COLUMN_SQUARE = 1e-20  # square of a whitened column per unit: a form that comes to where no run has been
+MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
+MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
 QUADRATURES = (0.0, np.pi / 2)
-MAX_FORMS_PROFILED = 200  # forms times coefficients up to which the spread of the levels is profiled inside each form
-MAX_SAMPLES_AT_ONCE = 60_000  # samples evaluated at once: what they need stays in the cache
+MAX_FORMS_PROFILED = 200  # grid points times coefficients up to which tau is estimated at every grid point
+MAX_SAMPLES_AT_ONCE = 60_000  # samples evaluated at once, so that they fit into the cache
 Float32Array = NDArray[np.float32]
 
 
@@ -69,7 +69,7 @@ class CandidateGrid:
     members: tuple[int, ...]
     block: tuple[int, ...]
     k: int
-    low: Array  # (K,), bounds of the coefficients; of quadratures none
+    low: Array  # (K,), bounds of the coefficients
     high: Array
 
     @property

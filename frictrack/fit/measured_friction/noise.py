@@ -26,19 +26,15 @@ from frictrack.fit.segments import Piece, Rows
 from frictrack.fit.smooth_functions import correlation_time_frames
 from frictrack.records import Array
 
-FRAMES_PER_CORRELATION = 4  # frames kept of those that are alike
-MAX_FRAMES = 1500  # over all runs, beyond which a white series is averaged over short blocks
-MIN_STROKES = 3  # over the same places that tell what does not repeat
-MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
-MIN_REVERSAL_SHARE = 0.25  # of the range of a coordinate by which it must go back to turn
+FRAMES_PER_CORRELATION = 4  # frames kept per correlation time
+MAX_FRAMES = 1500  # longer white series are averaged over short blocks
+MIN_STROKES = 3  # strokes over the same positions
+MIN_SHARE = 0.5  # shortest comparable stroke over the longest one
+MIN_REVERSAL_SHARE = 0.25  # smallest reversal over the range of the coordinate
 MAX_SPEED_DIFFERENCE = 0.1  # relative difference of the median speeds of strokes that are compared
-STROKE_END_SHARE = (
-    0.005  # of a stroke at either end, where a frame more or less decides on which side of a reversal it is
-)
-STROKE_POINTS = 128  # places at which strokes are compared
-MIN_SLOW_NOISE_RATIO = (
-    1.3  # times the white noise beyond which what does not repeat is more: means of few strokes scatter, too
-)
+STROKE_END_SHARE = 0.005  # share left out at either end, next to the reversals
+STROKE_POINTS = 128  # positions at which strokes are compared
+MIN_SLOW_NOISE_RATIO = 1.3  # ratio to the white noise; means of few strokes scatter as well
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
-MIN_NOISE_SHARE = 1e-9  # of the largest friction: less noise than that is none
+MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
 PATH_ARRAYS = (
     "t",
     "s",
@@ -34,9 +34,9 @@ PATH_ARRAYS = (
     "angle",
     "travelled",
     "begins",
-)  # what a path has frame by frame beside x and v
-MIN_HELD_SHARE = 0.5  # of the median friction: what a mass at rest must hold to be on one side
-MIN_CREEP_STD = 3.0  # standard deviations by which a stuck mass must have crept to have moved
+)  # arrays of a path besides x and v
+MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
+MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
 
 
 class FrameNodes(Panels):
@@ -251,7 +251,7 @@ def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
     rows = np.flatnonzero(free & np.isfinite(series))
-    rows = rows[rows > 0]  # the first frame says on which side friction held before
+    rows = rows[rows > 0]  # the first frame only gives the sign of the held friction
     known = np.flatnonzero(np.isfinite(series))
     full_series = np.interp(np.arange(len(series)), known, series[known])
     context = run_context(run, Reference(run.mass or 1.0, 1.0))

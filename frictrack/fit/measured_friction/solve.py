@@ -42,10 +42,10 @@ from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 MAX_GRID_STARTS = 3  # points of a grid that are refined
-MAX_GRID_POINTS = 200  # points of a grid over what reshapes dry friction, at most
-BLOCK_CORRELATION_TIMES = 2.0  # times the likeness of the residual: length of a block
-MIN_BLOCKS = 8  # blocks that a run is cut into at least
-MIN_BLOCKS_PER_UNKNOWN = 2  # blocks per unknown at least
+MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
+BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
+MIN_BLOCKS = 8  # least number of blocks per run
+MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
 NORMAL_QUANTILE_975 = 1.96
 
 

@@ -14,9 +14,10 @@ from frictrack.fit.measured_friction.problem import MeasuredFrictionPiece
 from frictrack.fit.measured_friction.solve import correlated_frames
 from frictrack.records import Array, Curve, Run
 
-MIN_RANK_CORRELATION = 0.99  # rank correlation with time from which a series goes one way
-MIN_DRIFT_RATIO = 1.5  # times the white noise from which slow misfit is worth a remark
-DISPLACEMENT_ERRORS = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
+MIN_RANK_CORRELATION = 0.99  # rank correlation with time from which a series counts as monotonic
+MIN_DRIFT_RATIO = 1.5  # ratio to the white noise from which slow misfit is reported
+# not defined without mass and film
+DISPLACEMENT_ERRORS = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")
 
 
 def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:

@@ -16,7 +16,7 @@ from frictrack.effects import Effect, Parameter, Tie
 from frictrack.errors import FrictrackError
 from frictrack.models import Model
 
-MASS = "mass"  # pseudo-effect: unit of mass over the mass, less one
+MASS = "mass"  # pseudo-effect; its parameter is the unit of mass over the mass, minus one
 Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; numbers, or arrays of a population
 
 

@@ -14,7 +14,7 @@ from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
-MIN_RUNS_FOR_SCATTER = 4  # fewer cannot tell how levels scatter: theirs are free about a mean of one
+MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class ParameterLayout:
 
     model: Model
     run_names: tuple[str, ...]
-    spans: tuple[Span, ...]  # how far each run reaches
+    spans: tuple[Span, ...]  # duration, places and speeds of each run
     absent: frozenset[tuple[str, int]] = frozenset()
-    levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
+    levels_free: bool = False  # no penalty on the levels (for a run predicted by the others)
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
     constraints: tuple[Constraint, ...] = field(init=False)
@@ -198,7 +198,7 @@ class ParameterLayout:
                 level = float(p[i])
             else:
                 out[slot.effect][slot.parameter] = float(p[i])
-        for e in self.model.effects:  # a cause that this run does not show
+        for e in self.model.effects:  # an event that this run does not show
             if (e.name, run) in self.absent:
                 out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}
         apply_constraints(self.model, self.constraints, out)

@@ -22,7 +22,7 @@ from frictrack.fit.parameters.constraints import MASS
 from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.records import Array
 
-SCATTER_BOUNDS = (1e-4, 0.5)  # where the relative spread of the level is looked for
+SCATTER_BOUNDS = (1e-4, 0.5)  # range of the relative standard deviation of the levels
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class JacobianBasis:
     u: Array  # (N, P')
     prior: Array  # (P', P'), to be divided by tau^2
     n_levels: int
-    random: bool  # the level is a random effect; otherwise free up to its mean
-    prior_precision: Array | float = 0.0  # (P', P'), what priors of parameters add
+    random: bool  # whether the levels are a random effect; otherwise only their mean is held
+    prior_precision: Array | float = 0.0  # (P', P'), from priors of parameters
 
     def shrink(self, tau: float) -> Array:
         """Compute the shrinkage matrix (I + prior/tau^2)^-1 of the basis coordinates, (P', P')."""

@@ -22,7 +22,7 @@ from frictrack.fit.parameters.layout import ParameterLayout
 from frictrack.models import Model
 from frictrack.records import Array, Run
 
-MIN_MASS_RATIO = 1e-6  # q at the heaviest mass that is looked for
+MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -27,16 +27,12 @@ from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run
 
-MIN_SEGMENT_FRAMES = 2 * MIN_FRAMES  # frames: shorter ones spend a quarter of what they hold on their start
-EXCESS_STD = 2.33  # standard deviations of chi-squared, 1 %
-MIN_SINGULAR_VALUE = 1e-6  # of the largest singular value, below which a direction of the law is left out
-REVERSAL_SEGMENT_FRAMES = (
-    512  # frames per segment of a long record that is followed through its reversals: the price grows faster
-)
-MIN_HISTORY_FRAMES = (
-    100  # first frames of one that began before: what a law remembers there is not known, they only tell it
-)
-SCAN_QUANTILES = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter is held
+MIN_SEGMENT_FRAMES = 2 * MIN_FRAMES  # frames; in shorter segments the start uses up a quarter of the information
+EXCESS_STD = 2.33  # standard deviations of chi-squared: one-sided 1 % level
+MIN_SINGULAR_VALUE = 1e-6  # relative; smaller singular values are left out
+REVERSAL_SEGMENT_FRAMES = 512  # frames; computing time grows faster than the length
+MIN_HISTORY_FRAMES = 100  # first frames of a record without known history; they determine the states of memory
+SCAN_QUANTILES = (0.25, 0.5, 0.75)  # quantiles of a scan at which a non-linear parameter is held
 
 
 def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
@@ -58,7 +54,7 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
 
     """
     whole = max(len(p.t) for p in sections)
-    if any(p.slack for p in sections):  # only the loss over many swings tells the friction of a mass that swings
+    if any(p.slack for p in sections):  # friction of a swinging mass follows from the loss over many swings
         return 0
     if any(p.turns for p in sections):
         return REVERSAL_SEGMENT_FRAMES if whole > 2 * REVERSAL_SEGMENT_FRAMES else 0
@@ -158,7 +154,7 @@ def _log_covariance(
         for cut in _cut_rows(len(piece.t), n)
     ]
     gram = np.sum([b.T @ b for b in blocks], axis=0)
-    # chi-squared from a triangular factor: normal equations would lose it beside a displacement of many sigma
+    # QR, because normal equations lose chi-squared to rounding beside a large displacement
     upper = np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     k = len(gram) - 1
     chi2, frames = float(upper[k, k] ** 2), sum(len(b) for b in blocks)

@@ -23,7 +23,7 @@ from frictrack.simulate.dynamics import Panels
 
 Rows = NDArray[np.int_]
 
-MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
+MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,19 @@ class Piece:
     v_hat: Array
     a_hat: Array
     known: Array  # acceleration by drive and incline at the nodes, m/s^2
-    path: Path  # what is known of the run; its arrays are replaced by the motion at hand
+    path: Path  # load, drive and further series of the run; its motion is replaced by the simulated one
     mass: float
     way: Array = field(default_factory=lambda: np.empty((3, 0)))  # t, x, v of the run's smoothed motion since release
     angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a segment of a longer stretch
-    turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
+    turns: bool = False  # followed through stops and reversals; the direction is that of the simulated motion
     slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
-    systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
-    correlated: tuple[float, ...] = ()  # noise beside the white `sigma`: rms in m, correlation time in s
-    step: float = 0.0  # m, to which the places are rounded
-    shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
-    locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
-    clock: float = 1.0  # its times are recorded ones times this
+    systematic: float = 0.0  # m rms of slow systematic errors
+    correlated: tuple[float, ...] = ()  # correlated noise: rms in m, correlation time in s
+    step: float = 0.0  # resolution of the positions, m
+    shake: tuple[float, ...] = ()  # remaining camera shake: frequency in Hz, rms in m
+    locked: float = 0.0  # share of the noise variance that the tracker does not state; it may be peak locking
+    clock: float = 1.0  # factor on the recorded times
 
     @cached_property
     def _whitening(self) -> Whitening | None:
@@ -252,7 +252,8 @@ def pieces_of(
     disp = run.displacement
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
-    digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
+    # rounding error of doubles: no table is more accurate
+    digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))
     white = float(noise_level(disp.x, use, noise)[0])
     noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
     context = run_context(run, reference)

@@ -11,8 +11,8 @@ from frictrack.calibration import significant_motion
 from frictrack.friction import MIN_MOTION_SIGMAS, MIN_MOVING_SIGMAS, is_moving, release_time
 from frictrack.records import GRAVITY, Array, Run
 
-MIN_KNOWN_SHARE = 0.5  # share of frames in which a series must be known to count
-MAX_REST_SPEED_SHARE = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
+MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
+MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RunContext:
     way: Array  # t, x, v (3, k)
     slid: Array  # m since release, (k,)
     per_frame: int
-    angle: Array | None  # rad in every frame of the run, as far as it stands out of its noise
+    angle: Array | None  # rad, per frame; the significant part
 
 
 def run_context(run: Run, reference: Reference) -> RunContext:
@@ -65,7 +65,7 @@ def _motion_since_release(run: Run) -> tuple[float, Array, Array]:
         since[:rest] = True
     way = way[:, since]
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
-    if rest:  # it rested before the record, too
+    if rest:  # the rest began before the record
         earlier = np.array([2 * way[0, 0] - way[0, 1], way[1, 0], 0.0])
         way, slid = np.column_stack([earlier, way]), np.append(0.0, slid)
     return release, way, slid

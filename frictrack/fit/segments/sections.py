@@ -40,7 +40,7 @@ def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals:
     ]
     unstated = [
         not run.noise and not run.displacement.resolution for run in runs
-    ]  # neither stated nor that of a rounding
+    ]  # noise neither stated nor due to rounding
     estimated = [i for i, own in enumerate(unstated) if own]
     found = correlated_noise([_longest_gapless(sections[i]) for i in estimated])
     if found is not None:

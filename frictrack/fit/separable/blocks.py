@@ -18,11 +18,9 @@ from frictrack.effects import Path
 from frictrack.fit.segments import AccelerationChain, Piece
 from frictrack.records import Array
 
-PASSBAND_FACTOR = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
-SCAN_BAND_FACTOR = 2.0  # times the cut-off: beyond, it leaves less than a sixtieth, too little to look for
-MIN_SAMPLES_PER_COMPARED = (
-    2  # samples of a path for each that is compared, from which these are worth a path of their own
-)
+PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
+SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
+MIN_SAMPLES_PER_COMPARED = 2  # samples per compared frame from which a separate path is worth its cost
 Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 
 

@@ -23,18 +23,16 @@ from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
 
-SCAN_PLACES_FROM_END = (3, 6, 8)  # steps from the end of the scan of what parts share: where waves are looked for
-LAST_VALUES = 10  # the last ones of that scan, at all of which slow waves are looked for
-MAX_WAVE_SETS = 4  # sets of waves that are tied, at most
-MAX_RELAXED_MISFIT_RATIO = (
-    1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
-)
-MAX_SLOW_PLACES = 5  # places of two slow waves that are followed down
-MAX_SLOW_PLACES_AGAIN = 8  # the same beside the best law
-FIRST_STEPS, MAX_STEPS = 4, 30  # steps before a law may be given up, and in all
-MAX_MISFIT_RATIO = 4.0  # times the best misfit: given up after the first steps
-ROUGH_MIN_FALL = 1e-4  # of the misfit that a step must promise while laws are compared
-SAME_WAVE_PERIODS = 0.25  # periods in a run within which two waves are one
+SCAN_PLACES_FROM_END = (3, 6, 8)  # grid points from the end of the shared parameter's scan at which waves are searched
+LAST_VALUES = 10  # last grid points of that scan, at which slow waves are searched
+MAX_WAVE_SETS = 4  # sets of waves that are refined with common amplitudes
+MAX_RELAXED_MISFIT_RATIO = 1.5  # times the best misfit; relaxed fits beyond have the wrong waves
+MAX_SLOW_PLACES = 5  # start positions of two slow waves
+MAX_SLOW_PLACES_AGAIN = 8  # the same beside the best fit
+FIRST_STEPS, MAX_STEPS = 4, 30  # steps before a trial may be given up, and in all
+MAX_MISFIT_RATIO = 4.0  # times the best misfit beyond which a trial is given up
+ROUGH_MIN_FALL = 1e-4  # predicted fall of a step, share of the misfit, during comparisons
+SAME_WAVE_PERIODS = 0.25  # periods per run; closer waves count as the same
 
 
 def variable_projection(separable: SeparableModel) -> VariableProjection | ConstrainedVariableProjection:

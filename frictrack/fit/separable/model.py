@@ -116,7 +116,7 @@ class SeparableModel:
         self._tiled: dict[tuple[int, int, int], Path] = {}
         self._fixed_and_free_cache: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
 
-    # --- where numbers stand
+    # --- positions of parameters
 
     def _group(self, effects: list[Effect]) -> EffectGroup:
         """The group of some effects, with the positions of its non-linear parameters."""
@@ -304,7 +304,7 @@ class SeparableModel:
             self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **repeated)
         return self._tiled[b, p, n]
 
-    # --- the law in the layout's own unknowns
+    # --- conversion to the unknowns of the layout
 
     def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
         """Convert a separable solution to the unknowns of the layout.

@@ -24,10 +24,10 @@ from frictrack.fit.parameters import LEVEL, penalty_jacobian
 from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
 from frictrack.records import Array, Mask
 
-RELATIVE_STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns
-RIDGE = 1e-12  # of the columns' mean square, where two of them are alike
+RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
+RIDGE = 1e-12  # relative; keeps nearly equal columns solvable
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
-MAX_PROMISE_FACTOR = 3.0  # times what a step promises: the most that a law is trusted to fall yet
+MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
 
 Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m) per unit of a number
 
@@ -151,7 +151,7 @@ class ProjectedProblem:
         is_phase = [
             s.effect != LEVEL and effects[s.effect].parameter(s.parameter).role == "phase" for s in self.layout.slots
         ]
-        self.low[is_phase], self.high[is_phase] = -np.inf, np.inf  # a phase goes round
+        self.low[is_phase], self.high[is_phase] = -np.inf, np.inf  # phases are periodic
         self._prior_rows, self._prior_target = self._prior_equations(tau)
         width = self.high - self.low
         self._min_step = RELATIVE_STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
@@ -396,7 +396,7 @@ class ProjectedProblem:
         unit = normal / size / size[:, None]
         unit.flat[:: len(size) + 1] += damping + RIDGE
         step = np.clip(0.0, low, high)
-        # the number that would leave its box first is set to the bound, and the others are solved again
+        # the first parameter to leave its bounds is set to the bound; the others are solved again
         while not fixed_steps.all():
             movable = ~fixed_steps
             target = gradient[movable] / size[movable] - unit[np.ix_(movable, fixed_steps)] @ (

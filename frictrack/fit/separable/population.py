@@ -17,9 +17,9 @@ from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
 from frictrack.records import Array
 
-MAX_AT_ONCE = 20  # laws evaluated at once: what they need stays in the cache
-RIDGE = 1e-9  # of the columns' mean square, where two of them are alike
-MAX_PIVOT_ROUNDS = 6  # of putting coefficients on their bounds and releasing them
+MAX_AT_ONCE = 20  # individuals evaluated at once, so that they fit into the cache
+RIDGE = 1e-9  # relative; keeps nearly equal columns solvable
+MAX_PIVOT_ROUNDS = 6  # rounds of block pivoting
 
 
 class PopulationMisfit:

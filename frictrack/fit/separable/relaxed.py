@@ -17,13 +17,14 @@ from frictrack.fit.separable.varpro import ROUGH_STEPS, VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
 
-MAX_SLOW_PERIODS = 2.1  # periods in a run up to which a wave counts as slow
-MAX_PAIR_PLACES = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
-RELATIVE_STEP = 0.1  # periods between the frequencies of a slow wave
-PHASE_COUNT = 16  # round the circle
+MAX_SLOW_PERIODS = 2.1  # periods per run up to which a wave is slow
+MAX_PAIR_PLACES = 3.0  # periods per run within which waves of two sums may be confused
+RELATIVE_STEP = 0.1  # periods per run between the scanned frequencies
+PHASE_COUNT = 16  # phases around the circle
 TRIAL_PHASES = np.arange(PHASE_COUNT) * 2 * np.pi / PHASE_COUNT - np.pi
-MIN_DIFFERENCE_SHARE = 1e-5  # of their squares: what must be left of two sums for both to count
-PHASE_ROTATIONS = np.array([np.cos(TRIAL_PHASES), np.sin(TRIAL_PHASES)])  # a wave of any phase from its two quadratures
+MIN_DIFFERENCE_SHARE = 1e-5  # smallest remaining share of two sums
+# coefficients of the two quadratures at these phases
+PHASE_ROTATIONS = np.array([np.cos(TRIAL_PHASES), np.sin(TRIAL_PHASES)])
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class RelaxedWaves:
                 phase = next(p for p in own_parameters if p.role == "phase")
                 yield Wave(g, names[part.effect.linear[0].name], names[frequency.name], names[phase.name])
 
-    # --- every wave with an amplitude of its own
+    # --- free amplitudes
 
     def free_amplitude_fits(self, data: Array) -> list[tuple[float, Array]]:
         """Fit data (M,) with free amplitudes, as found and with waves of two sums exchanged.
@@ -104,7 +105,7 @@ class RelaxedWaves:
                 known[self.effect.name, names[slot.parameter]] = float(value)
         return np.array([known.get((s.effect, s.parameter), 1.0) for s in self.full_model.layout.slots])
 
-    # --- waves that share their amplitudes
+    # --- common amplitudes
 
     def fast_periods(self, p: Array) -> Array:
         """Return the periods per run of the fast waves, sum after sum, (f,); slow ones count as zero."""

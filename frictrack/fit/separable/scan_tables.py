@@ -16,9 +16,9 @@ from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import SeparableSolution
 from frictrack.records import Array, Mask
 
-MIN_UNEXPLAINED_SHARE = 1e-6  # share of a column's square that must remain beside the law for it to count
-MIN_GRID_STEPS_APART = 3  # steps of the grid within which a second pick is the same one
-MAX_AT_ONCE = 64  # forms evaluated at once
+MIN_UNEXPLAINED_SHARE = 1e-6  # smallest share of a column outside the model
+MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
+MAX_AT_ONCE = 64  # grid points evaluated at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +58,11 @@ class ScanTable:
     at: list[NDArray[np.int_]]
     gram: Array  # (G, C, C)
 
-    law_products: dict[int, tuple[int, Array]] = field(default_factory=dict)  # by group: stamp, products with its rows
-    data_products: list[Array] = field(default_factory=list)  # the last data and the products with them
-    neighbour_gram: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
+    # by group: version, products with its rows
+    law_products: dict[int, tuple[int, Array]] = field(default_factory=dict)
+    data_products: list[Array] = field(default_factory=list)  # the previous data and the products with them
+    # Gram matrices of neighbouring points, computed on first use
+    neighbour_gram: list[Array] = field(default_factory=list)
 
     def inner_products(self, separable: SeparableModel, state: SeparableSolution, data: Array) -> tuple[Array, Array]:
         """Compute the inner products of the table with a solution.
@@ -100,7 +102,7 @@ class ScanTable:
             g, c = self.gram.shape[:2]
             across = np.zeros((g - 1, c, c))
             for mine, at in zip(self.rows, self.at, strict=True):
-                cube = mine.reshape(g, len(at), mine.shape[-1])  # of another run there is none
+                cube = mine.reshape(g, len(at), mine.shape[-1])  # empty for blocks of other runs
                 across[np.ix_(np.arange(g - 1), at, at)] += cube[:-1] @ cube[1:].transpose(0, 2, 1)
             upper = np.concatenate([self.gram[:-1], across], axis=2)
             lower = np.concatenate([across.transpose(0, 2, 1), self.gram[1:]], axis=2)
@@ -167,7 +169,7 @@ class ScanItem:
     run: int | None = None
 
 
-MAX_SCAN_AXES = 3  # numbers of one effect that are scanned together
+MAX_SCAN_AXES = 3  # parameters of one effect that are scanned together
 
 
 def is_scannable(effect: Effect) -> bool:

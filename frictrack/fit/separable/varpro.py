@@ -30,15 +30,15 @@ from frictrack.fit.separable.scan_tables import (
 )
 from frictrack.records import Array
 
-MAX_PLACES = 3  # places of one scan that are tried
-MAX_PAIR_PLACES = 2  # places of two lines side by side that are tried
-ROUGH_STEPS = 3  # steps while the law is incomplete
-MAX_LAG_SHARE = 0.1  # of what an effect explains: how far behind a place may look before it is refined
-MAX_LAG_CHI2 = 12.0  # the same in units of the noise
-MIN_COUPLING = 0.1  # share of each other that two effects explain, for them to be sought anew together
-LARGE_GAIN_CHI2 = 30.0  # in units of the noise: more than the best of a thousand forms gains by chance
-SHORT_SCAN_POINTS = 64  # places of a scan that costs nothing
-MIN_GAIN_SHARE = 1e-6  # of the misfit that a trial must gain to be kept
+MAX_PLACES = 3  # grid points of one scan that are refined
+MAX_PAIR_PLACES = 2  # pairs of neighbouring lines that are refined
+ROUGH_STEPS = 3  # steps while effects are still missing
+MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
+MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
+MIN_COUPLING = 0.1  # least shared variance of two effects that are searched again together
+LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
+SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
+MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
 
 
 class VariableProjection:
@@ -105,7 +105,7 @@ class VariableProjection:
         """
         problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
         without_item = {i: problem.without(state, self.item_coefficients[i]) for i in self.items if i.run is not None}
-        if problem.levels:  # these take over what they can
+        if problem.levels:  # friction levels may explain part of it
             without_item = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in without_item.items()}
         gains = {i: law.misfit - state.misfit for i, law in without_item.items()}
         best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}

@@ -17,9 +17,9 @@ from frictrack.fit.stepwise.trial import EVENT_PENALTY, CandidateTrial, deepen_t
 from frictrack.models import Model
 from frictrack.records import Array
 
-TRIAL_MIN_CHI2_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
-TRIAL_MIN_EXCESS_SHARE = 1e-3  # likewise of the chi-squared beyond the noise, where a law leaves much
-TRIAL_MAX_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
+TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking
+TRIAL_MIN_EXCESS_SHARE = 1e-3  # the same as a share of the chi-squared beyond noise
+TRIAL_MAX_STEPS = 8  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
 
 
 def guess_coefficients(problem: LeastSquaresProblem) -> Array:
@@ -164,7 +164,7 @@ def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solut
     tau, min_fall = about_measurement.tau or 0.03, _trial_min_fall(trial.misfit, problem.n_frames)
     try:
         return fit_with_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
-    except FrictrackError:  # the law is no motion yet: without the effect it was one
+    except FrictrackError:  # the motion diverges with the effect: start without it
         known_values = dict(zip(about_measurement.problem.layout.names, about_measurement.p, strict=True))
         trial_slots = [s.linear and s.effect == trial.effect.name for s in layout.slots]
         kept = zip(layout.names, trial.p, trial_slots, strict=True)

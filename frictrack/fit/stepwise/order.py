@@ -12,7 +12,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import reported_value
 from frictrack.models import Model
 
-PRIOR_HALF_WIDTH_STD = 4.0  # standard deviations of a prior, beyond which nothing is looked for
+PRIOR_HALF_WIDTH_STD = 4.0  # range of a scan about a prior, standard deviations
 
 
 def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:

@@ -19,15 +19,16 @@ from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableS
 from frictrack.models import Model
 from frictrack.records import Array
 
-EVENT_PENALTY = 2.0  # times log(frames): what a run's own event must gain to be kept there
-ALPHA_SHARED_AMPLITUDE = 0.01  # one amplitude for all runs is kept unless it is worse at this level
-MAX_STARTS = 4  # places of one scan that are tried
-MIN_GRID_STEPS_APART = 3  # steps of the grid within which a second pick is the same one
-MIN_GAIN_SHARE = 0.5  # of the best rise that a place must promise
-MAX_EXCESS_CHI2_SHARE = 0.02  # beyond chance, of chi-squared, for something to stand wrong
-STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame of a law that may stand far from the true one
-ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps of a refinement: of every place, and of the best two
-ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # share of the misfit that a step must promise
+# times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
+EVENT_PENALTY = 2.0
+ALPHA_SHARED_AMPLITUDE = 0.01  # significance level at which amplitudes per run replace a common one
+MAX_STARTS = 4  # grid points of one scan that are refined
+MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
+MIN_GAIN_SHARE = 0.5  # share of the best gain
+MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
+STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
+ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps for every grid point, and for the best two
+ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # predicted fall of a step, share of the misfit
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
@@ -305,7 +306,7 @@ def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, i
     """Coefficients of a scan without phases, for every run and for all."""
     amplitudes = [p for p in effect.parameters if p.linear or p.role == "depth"]
     out: dict[tuple[str, int | None], float] = {}
-    if not amplitudes:  # a modifier without a size, such as a lag
+    if not amplitudes:  # a modifier without amplitude, such as a lag
         return out
     for p, column in zip(amplitudes, c.reshape(-1, len(amplitudes)).T, strict=True):
         out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}

@@ -14,8 +14,8 @@ from frictrack.fit.uncertainty.identifiability import correlated_partners, ident
 from frictrack.fit.uncertainty.reported_values import reported_gradient, reported_slots, reported_values_and_jacobian
 from frictrack.records import Array
 
-NEGATIVE_STD = 3.0  # standard deviations below zero from which a coefficient is clearly negative
-MIN_CORRELATION = 0.95  # correlation from which two parameters are told to trade places
+NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
+MIN_CORRELATION = 0.95  # stronger correlations are reported
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Estimate:
     unit: str
     at_bound: bool = False
     reason: str | None = None
-    interval: tuple[float | None, float | None] | None = None  # 95 %, of a profile or a bootstrap; None: an open end
-    std_misfit: float | None = None  # with the force that a rejected law misses; None where it misses none
+    interval: tuple[float | None, float | None] | None = None  # 95 %, from a profile or bootstrap; None: unbounded
+    std_misfit: float | None = None  # including the missing force of a rejected model
 
     @property
     def reported_std(self) -> float | None:

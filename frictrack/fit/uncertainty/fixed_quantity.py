@@ -13,9 +13,9 @@ from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solu
 from frictrack.fit.uncertainty.reported_values import Quantity
 from frictrack.records import Array, Mask
 
-MAX_NEWTON_STEPS = 12  # steps for the pivot at most; one where the quantity is linear in it
-MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest at which the derivative is that of rounding
-MIN_DISTANCE_TO_BOUNDS_STD = 20.0  # standard deviations to its bounds that make an unknown a good pivot
+MAX_NEWTON_STEPS = 12  # one suffices where the quantity is linear in the pivot
+MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest; smaller derivatives are rounding errors
+MIN_DISTANCE_TO_BOUNDS_STD = 20.0  # a pivot should be at least this far from its bounds
 
 
 class FixedQuantityProblem(LeastSquaresProblem):
@@ -78,7 +78,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
             return self.inner.evaluate(law, starts)
         gradient = self.quantity.gradient(self.inner, law)
         derivative = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
-        derivative[self.pivot] = -1.0  # and its own column vanishes
+        derivative[self.pivot] = -1.0  # so that its own column vanishes
         return [self._with_pivot_derivative(r, derivative) for r in self.inner.evaluate(law, starts)]
 
     def _with_pivot_derivative(self, r: PieceResponse, derivative: Array) -> PieceResponse:
@@ -91,7 +91,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
             "jac": r.jac + np.outer(r.jac[:, at], share),
             "on_start": r.on_start + np.outer(r.on_start[:, at], share),
         }
-        displacement = getattr(r, "plain", None)  # of one seen through a chain, the displacement's own
+        displacement = getattr(r, "plain", None)  # the displacement response behind an acceleration chain
         return replace(
             r,
             **changed
@@ -124,7 +124,7 @@ def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
     if only_one and np.isclose(quantity.value(solution.problem, p), p[quantity.slot], rtol=1e-9, atol=1e-12):
         return None
     priors = [q.slot for q in solution.problem.layout.priors if q.slot not in (None, quantity.slot)]
-    matters[priors] = False  # what is known of it is held by its own place
+    matters[priors] = False  # an unknown with a prior must not be the pivot
     distance_to_bounds = np.where(matters, np.minimum(p - low, high - p) / np.maximum(std, 1e-300), -1.0)
     if (
         distance_to_bounds[quantity.slot] >= MIN_DISTANCE_TO_BOUNDS_STD

@@ -15,13 +15,11 @@ from frictrack.fit.uncertainty.reported_values import parse_quantity, reported_s
 from frictrack.models import Model
 from frictrack.records import Array
 
-MIN_EVIDENCE, MIN_DISTANCE_STD = (
-    8.0,
-    20.0,
-)  # standard deviations of an effect's size from zero, of a parameter from its bounds: no question
-UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad, deviation of a phase whose interval goes all the way round
-MAX_INFLATION = 300.0  # times worse than alone: from here on a law as a whole is called nearly unidentifiable
-MAX_NAMES_LISTED = 6  # told of one group
+# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
+MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
+UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
+MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable
+MAX_NAMES_LISTED = 6  # parameters listed of one group
 
 
 def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str]:
@@ -70,7 +68,7 @@ def _undetermined_stribeck(solution: Solution, covariance: Array, effect: Effect
     ):
         return None
     whole_address = f"{effect.name}.F_s"
-    has_coulomb_level = layout.are_shared_unknowns("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
+    has_coulomb_level = layout.are_shared_unknowns("coulomb", "F_c")  # a fixed Coulomb level is not an unknown
     search = ProfileSearch(
         solution,
         parse_quantity(layout, f"{whole_address} - coulomb.F_c" if has_coulomb_level else whole_address),

@@ -9,7 +9,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.uncertainty.estimates import Estimates, estimate_parameters, estimates_from_covariance
 from frictrack.records import Array
 
-MIN_STD = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
+MIN_STD = 1.96  # standard deviations by which F_s - F_c and v_s must differ from zero
 
 
 def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:

@@ -36,14 +36,14 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.smooth_functions import correlation_time_frames, linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
-KNOTS = {"x": 60, "v": 40}  # of a force that all runs have in common
-MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # of forces of single runs: over all pieces; of each
-CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # over which a force is alike, of its axis
-PROCESS_SIZES = np.geomspace(1e-4, 1e4, 81)  # of the process, over what a unit of chi-squared asks for
-MIN_EVIDENCE_SHARE = 0.5  # of the best evidence that a force over another axis must reach to have a say
+KNOTS = {"x": 60, "v": 40}  # knots of a force that all runs share
+MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # knots of independent forces: over all pieces; per piece
+CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # correlation lengths of the force, share of the axis
+PROCESS_SIZES = np.geomspace(1e-4, 1e4, 81)  # variances to try, relative to one unit of chi-squared
+MIN_EVIDENCE_SHARE = 0.5  # share of the best evidence; less plausible axes are ignored
 MIN_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
 JITTER = 1e-8
-MIN_AXIS_RANGE = 1e-6  # of an axis' largest value: a narrower one holds no knots
+MIN_AXIS_RANGE = 1e-6  # share of the largest value; narrower axes are ignored
 REJECTION_REMARK = (
     "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
     "holds for a missing force of the size that the residual shows"

@@ -38,10 +38,10 @@ from frictrack.fit.uncertainty.reported_values import reported_slots, reported_v
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-MIN_DRAWS = 20  # draws for a standard deviation
-WHITE_LIMIT = 4.0  # of 1/sqrt(frames): autocorrelation below which a residual is white
-MAX_LAG_FRAMES = 40  # frames over which correlation is looked for
-MIN_BLOCKS = 8  # of a correlated residual at least
+MIN_DRAWS = 20  # fewer give no standard deviation
+WHITE_LIMIT = 4.0  # times 1/sqrt(frames): a smaller autocorrelation counts as white
+MAX_LAG_FRAMES = 40  # largest lag at which correlation is computed
+MIN_BLOCKS = 8  # least number of blocks of a correlated residual
 
 Progress = Callable[[int, int, str], None]
 
@@ -256,7 +256,7 @@ def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solut
 
 def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:
     """Noise of every piece in units of sigma: white, or its own residual with random signs of its blocks."""
-    if any(r.piece.cut for r in solution.responses):  # neighbouring segments miss alike
+    if any(r.piece.cut for r in solution.responses):  # unmodelled forces are correlated between neighbouring segments
         count = batch_count(solution)
         sizes = [len(part) for part in np.array_split(np.arange(len(blocks)), count)]
         signs = np.repeat(rng.choice([-1.0, 1.0], count), sizes)
@@ -270,7 +270,7 @@ def _wild_residual(response: PieceResponse, block: int, rng: np.random.Generator
     n = len(response.r_full)
     if not block:
         return rng.standard_normal(n)
-    first = rng.integers(block)  # blocks begin elsewhere in every draw
+    first = rng.integers(block)  # random block boundaries in every draw
     block_of_frame = (np.arange(n) + first) // block
     inflation = np.sqrt(n / max(n - len(response.active) - 2, 1))
     return np.asarray(inflation * rng.choice([-1.0, 1.0], block_of_frame[-1] + 1)[block_of_frame] * response.r_full)

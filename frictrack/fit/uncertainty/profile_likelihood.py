@@ -32,14 +32,14 @@ from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-QUANTILE_TOLERANCE = 5e-3  # of the quantile: how near an end is sought
-MAX_REFINEMENTS, MAX_PROBES = 14, 6  # refinements on either side: for an interval, to see whether there is an end
+QUANTILE_TOLERANCE = 5e-3  # share of the quantile: accuracy of an end
+MAX_REFINEMENTS, MAX_PROBES = 14, 6  # fits per side: to locate an end; to test whether there is one
 MAX_STEP_FACTOR = 3.0  # factor by which a step outward may grow
-PROFILE_MARGIN = 1.25  # of the end: how far out the picture of a profile goes
-MIN_BETTER_CHI2 = 0.1  # fall of chi-squared that makes another law a better one
-PROBE_STD = 4.0  # standard deviations out where a profile has passed the quantile, if it ever does
-SAME_VALUE_STD = 1e-3  # standard deviations between two values that are one
-UNLIMITED_RATIO = 1e6  # of the quantity's own size and deviation, whichever is larger: beyond, it is called unlimited
+PROFILE_MARGIN = 1.25  # the plot of a profile extends this far, relative to its ends
+MIN_BETTER_CHI2 = 0.1  # fall of chi-squared from which another optimum counts as better
+PROBE_STD = 4.0  # standard deviations at which a bounded profile has passed the quantile
+SAME_VALUE_STD = 1e-3  # standard deviations; closer values count as equal
+UNLIMITED_RATIO = 1e6  # times the larger of value and standard deviation: unbounded
 
 Progress = Callable[[int, int, str], None]
 
@@ -137,7 +137,7 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
     if not hasattr(result, "solution"):
         raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
     solution = result.compared
-    if not result.is_default_route:  # a search may have stopped short
+    if not result.is_default_route:  # a global search may not have reached the optimum
         solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
     wanted = parse_quantity(solution.problem.layout, address)
     return ProfileSearch(solution, wanted, result.covariance, level).profile()

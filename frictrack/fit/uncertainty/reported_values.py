@@ -12,7 +12,7 @@ from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import LEVEL, ParameterLayout, mass_ratio
 from frictrack.records import Array
 
-DIFFERENCE_SEPARATOR = " - "  # of two addresses: their difference
+DIFFERENCE_SEPARATOR = " - "  # separates two addresses whose difference is meant
 
 
 def reported_slots(layout: ParameterLayout) -> list[int]:
@@ -92,7 +92,7 @@ class Quantity:
     address: str
     unit: str
     slot: int
-    weights: Array  # (A,) on the quoted unknowns
+    weights: Array  # (A,), of the reported parameters
 
     def value(self, problem: LeastSquaresProblem, p: Array) -> float:
         """Compute its value for unknowns p (P,)."""
