@@ -51,7 +51,7 @@ __all__ = [*_MODULE_OF, *_MODULES]  # noqa: PLE0604 - they are strings
 
 
 class _Package(ModuleType):
-    """The package itself; a function keeps its name although the module it lives in has the same one."""
+    """The package: imports names when they are first used; a function hides the module of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (name in _MODULE_OF and isinstance(value, ModuleType)):

@@ -111,7 +111,14 @@ class FrameTable:
         return len(self.t)  # type: ignore[attr-defined]
 
     def rows(self, part: slice) -> Self:
-        """Return the record with some of its rows."""
+        """Return the record with some of its rows.
+
+        Parameters
+        ----------
+        part
+            The rows; at least two remain.
+
+        """
         columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]
 
@@ -301,7 +308,14 @@ class CutoffTradeOff:
         return np.asarray(np.hypot(self.noise, self.lost))
 
     def at(self, frequency: float) -> tuple[float, float]:
-        """Return noise and lost signal at a cut-off (Hz), m/s^2."""
+        """Interpolate noise and lost signal at one cut-off, m/s^2.
+
+        Parameters
+        ----------
+        frequency
+            The cut-off, Hz.
+
+        """
         place = np.log(frequency), np.log(self.frequency)
         return float(np.interp(*place, self.noise)), float(np.interp(*place, self.lost))
 

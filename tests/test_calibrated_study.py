@@ -165,7 +165,7 @@ def test_measured_friction_does_not_go_with_the_scale():
     [
         ("0.5 mm/px", "0.5 mm/px"),
         ({"points": [[0, 0], [1, 1]], "length": "100 mm"}, "ruler of 100 mm"),
-        ({"points": [[0, 0]] * 5, "plane": [[0, 0]] * 5}, "5 points of known place"),
+        ({"points": [[0, 0]] * 5, "plane": [[0, 0]] * 5}, "5 points at known positions"),
         (["0.5 mm/px", {"target": "40 mm"}], "0.5 mm/px, checked against the target's size, 40 mm"),
         ({"board": ["a.png", "b.png"], "squares": [9, 6], "square": 1}, "board in a.png, b.png: 9 x 6 squares of 1"),
     ],

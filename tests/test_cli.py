@@ -22,6 +22,7 @@ from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, film_stages
 from frictrack.number_format import format_plus_minus
+from frictrack.version import __version__
 
 
 @pytest.fixture(autouse=True)
@@ -156,6 +157,10 @@ def test_add_and_remove_print_the_error_before_and_after(capsys: pytest.CaptureF
     assert code == 0
     assert "before" in out
     assert "drag.c" in out
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--version")[:2] == (0, f"frictrack {__version__}\n")
 
 
 def test_effects_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,7 +63,21 @@ class StudyStarted:
 
 
 def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
-    """Measure the first film, which defines the tracked point of all others; finish a study that has only one."""
+    """Measure the first film, which defines the tracked point of all others; finish a study that has only one.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    seed
+        Seed of the diagnosis.
+
+    Returns
+    -------
+    StudyStarted or StudyOutcome
+        The films that remain, or the outcome of a study without further films.
+
+    """
     try:
         study = open_study(path)
     except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
@@ -80,7 +94,23 @@ def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
 
 
 def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
-    """Measure one film; return the reason if that fails, else None."""
+    """Measure one film.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    run
+        Name of the run.
+    failed
+        Reasons of the runs that failed before.
+
+    Returns
+    -------
+    str or None
+        The reason if it fails.
+
+    """
     try:
         study = without_runs(open_study(path), failed)
     except Exception as e:  # noqa: BLE001
@@ -89,7 +119,18 @@ def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
 
 
 def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
-    """Fit, diagnose and report a study without the runs that failed."""
+    """Fit, diagnose and report a study without the runs that failed.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    seed
+        Seed of the diagnosis.
+    failed
+        Reasons of the runs that failed.
+
+    """
     start, failed = time.perf_counter(), dict(failed)
     try:
         study = open_study(path)
