@@ -91,7 +91,19 @@ def differentiate(filtered: Filtered) -> Motion:
 
 
 def derivatives(filtered: Filtered) -> Array:
-    """Compute x (m), v (m/s) and a (m/s^2), (3, n), without the standard deviations, which take most of the time."""
+    """Compute x, v and a without their standard deviations, which take most of the time.
+
+    Parameters
+    ----------
+    filtered
+        Displacement of n frames, smoothed by `low_pass`.
+
+    Returns
+    -------
+    Array
+        x (m), v (m/s) and a (m/s^2), (3, n).
+
+    """
     return Derivatives.of_x(filtered).values()
 
 
@@ -219,7 +231,21 @@ class Derivatives:
         return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
-        """Rms errors of x, v and a, (3, n), by a sinusoidal displacement of a frequency (Hz), an rms (m), any phase."""
+        """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
+
+        Parameters
+        ----------
+        frequency
+            Frequency, Hz.
+        size
+            Rms displacement, m.
+
+        Returns
+        -------
+        Array
+            Rms errors, (3, n).
+
+        """
         angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
         apparent_motion = self.apparent_motion(
             size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
@@ -227,7 +253,19 @@ class Derivatives:
         return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
 
     def apparent_motion(self, ghosts: Array) -> Array:
-        """Response of x, v and a, (3, n, k), to apparent displacements (n, k), m."""
+        """Compute the response of x, v and a to apparent displacements.
+
+        Parameters
+        ----------
+        ghosts
+            Displacements that the measurement adds, m, (n, k).
+
+        Returns
+        -------
+        Array
+            Their contribution to x, v and a, (3, n, k).
+
+        """
         whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
         if self.smoother.method is not None:
             return self._apply_method(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
@@ -236,7 +274,21 @@ class Derivatives:
         return np.asarray(result[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
-        """Covariance (m, m) of the derivative of one order among rows (m,)."""
+        """Compute the covariance of one derivative among rows.
+
+        Parameters
+        ----------
+        order
+            0 for x, 1 for v, 2 for a.
+        rows
+            Rows of the record, (m,).
+
+        Returns
+        -------
+        Array
+            Covariance, (m, m).
+
+        """
         if self.smoother.method is not None:
             passed = [b[order, self.grid.frames[rows]] * s for b, s in self.unit_responses(self.smoother.method)]
             factors = np.concatenate(passed, axis=1)

@@ -393,9 +393,22 @@ def _without_cubic(y: Array, w: Array) -> tuple[Array, Array]:
 
 
 def sensor_weights(sigma: Array, square: float, level: float) -> Array:
-    """Weights of second differences of accelerations with standard deviations sigma (inf where unknown).
+    """Compute the weights of second differences of the position from a sensor's accelerations.
 
-    They are relative to a frame with the standard deviation `level` (m); `square` is the squared frame interval (s^2).
+    Parameters
+    ----------
+    sigma
+        Standard deviations of the accelerations, m/s^2; inf where unknown.
+    square
+        Squared frame interval, s^2.
+    level
+        Standard deviation of a position of weight 1, m.
+
+    Returns
+    -------
+    Array
+        Weights relative to a frame of weight 1, shape of `sigma`.
+
     """
     return np.asarray((level / (sigma * square)) ** 2)
 
@@ -433,7 +446,25 @@ def frame_weights(sigma: Array, known: Mask) -> Array:
 
 
 def describe_structure(structure: Structure, n: int, interval: float, colour: NoiseColour | None = None) -> str:
-    """Describe the components of a record in words."""
+    """Describe the components of a record in words.
+
+    Parameters
+    ----------
+    structure
+        Trend, lines and events.
+    n
+        Number of frames.
+    interval
+        Frame interval, s.
+    colour
+        Colour of the noise.
+
+    Returns
+    -------
+    str
+        Cut-offs of the trend, lines, events and correlated noise.
+
+    """
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
     span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"

@@ -74,7 +74,25 @@ class Butterworth:
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> Butterworth:
-        """Choose the lowest cut-off that removes no more than the noise (residual analysis; Winter 2009, ch. 3)."""
+        """Choose the lowest cut-off that removes no more than the noise (residual analysis).
+
+        Parameters
+        ----------
+        y
+            Positions, (n,).
+        noise
+            Standard deviation of the noise, in the unit of y.
+
+        Returns
+        -------
+        Butterworth
+            The filter.
+
+        References
+        ----------
+        Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3.
+
+        """
         for low in CUTOFFS:
             made = cls(float(low))
             rest = y - made._smooth(y)
@@ -103,7 +121,25 @@ class SavitzkyGolay:
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> SavitzkyGolay:
-        """Choose window and degree by generalised cross-validation (Craven & Wahba 1979, Numer. Math. 31)."""
+        """Choose window and degree by generalised cross-validation.
+
+        Parameters
+        ----------
+        y
+            Positions, (n,).
+        noise
+            Not used.
+
+        Returns
+        -------
+        SavitzkyGolay
+            The filter.
+
+        References
+        ----------
+        Craven & Wahba 1979, Numer. Math. 31, 377-403.
+
+        """
         del noise
         tried = [cls(int(w), d) for d in DEGREES for w in WINDOW_FRAMES if d + 1 < w <= len(y)]
         return min(tried, key=lambda m: m._cross_validation_score(y))
@@ -150,7 +186,30 @@ class GaussianProcess:
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> GaussianProcess:
-        """Choose length and size by marginal likelihood, on every k-th frame."""
+        """Choose length and size by marginal likelihood, on every k-th frame.
+
+        Parameters
+        ----------
+        y
+            Positions, (n,).
+        noise
+            Standard deviation of the noise, in the unit of y.
+
+        Returns
+        -------
+        GaussianProcess
+            The process.
+
+        Raises
+        ------
+        FrictrackError
+            For more than `MAX_FRAMES` frames.
+
+        References
+        ----------
+        Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, ch. 5.
+
+        """
         if len(y) > MAX_FRAMES:
             raise FrictrackError(
                 f"low_pass: expected at most {MAX_FRAMES} frames for a Gaussian process but got {len(y)}; "
@@ -180,7 +239,26 @@ METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, Ga
 
 
 def interpolate_missing(y: Array, known: Mask) -> Array:
-    """Columns (n, ...) with missing frames interpolated linearly."""
+    """Interpolate missing frames linearly.
+
+    Parameters
+    ----------
+    y
+        Columns, (n, ...).
+    known
+        Measured frames, (n,).
+
+    Returns
+    -------
+    Array
+        The columns without gaps, (n, ...).
+
+    Examples
+    --------
+    >>> interpolate_missing(np.array([0.0, 9.0, 4.0]), np.array([True, False, True])).tolist()
+    [0.0, 2.0, 4.0]
+
+    """
     if known.all():
         return y
     n = np.arange(len(y))

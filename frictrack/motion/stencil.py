@@ -41,7 +41,26 @@ def stencils(n: int, interval: float) -> tuple[NDArray[np.int64], Array]:
 
 
 def stencil_derivatives(y: Array, interval: float) -> Array:
-    """Derivatives of order 0, 1 and 2, (3, n), of a series (n,) with a frame interval (s)."""
+    """Compute derivatives of order 0, 1 and 2.
+
+    Parameters
+    ----------
+    y
+        Series, (n,).
+    interval
+        Frame interval, s.
+
+    Returns
+    -------
+    Array
+        Derivatives, (3, n).
+
+    Examples
+    --------
+    >>> stencil_derivatives(np.arange(8.0) ** 2, 1.0)[2].round(9).tolist()
+    [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
+
+    """
     start, table = stencils(len(y), interval)
     out: Array = np.sum(table * y[start[:, None] + np.arange(STENCIL_FRAMES)], axis=-1)
     return out

@@ -72,7 +72,19 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
 
 
 def run_sections(*, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
-    """Run all sections without writing them; parameters as in `reproduce`. Without `quick` they run in parallel."""
+    """Run all sections without writing them.
+
+    Parameters
+    ----------
+    quick, seed, progress
+        As in `reproduce`. Without `quick` the sections run in parallel.
+
+    Returns
+    -------
+    Reproduction
+        All sections.
+
+    """
     effort = QUICK if quick else FULL
     steps: tuple[Callable[[], Section], ...] = (
         time_units,

@@ -43,7 +43,19 @@ def eq8(x: Array) -> Array:
 
 
 def maximum() -> tuple[float, float]:
-    """Place and value of the maximum of Eq. 8: the root of its derivative on the highest hump."""
+    """Find the maximum of Eq. 8: the root of its derivative on the highest hump.
+
+    Returns
+    -------
+    tuple of float
+        Place and value.
+
+    Examples
+    --------
+    >>> [round(z, 4) for z in maximum()]
+    [1.8505, 3.8503]
+
+    """
     w = 10 * np.pi
     x = float(brentq(lambda x: np.sin(w * x) + w * x * np.cos(w * x), 1.84, 1.86, xtol=1e-14))
     return x, x * float(np.sin(w * x)) + 2

@@ -63,7 +63,19 @@ class Identification:
         return self.found[int(np.argmin(self.errors))]
 
     def acceleration(self, p: Array) -> Array:
-        """Acceleration (n,), m/s^2, of the law with parameters p (d,) along the series."""
+        """Acceleration of the law along the series.
+
+        Parameters
+        ----------
+        p
+            Parameters, (d,).
+
+        Returns
+        -------
+        Array
+            Acceleration, m/s^2, (n,).
+
+        """
         out: Array = -self.law.force(p[None], self.data.v, self.data.t)[0] / self.data.mass
         return out
 
@@ -101,7 +113,14 @@ def identify(
 
 
 def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
-    """Model and values of neither law: the beam's vibration modulates dry friction, and there is a collision."""
+    """Build a mechanism of neither law: the beam's vibration modulates dry friction, and there is a collision.
+
+    Returns
+    -------
+    tuple
+        Model, and parameter values by effect.
+
+    """
     p = dict(zip(laws.tustin().names, printed.ATM1["low"].values[:4], strict=True))
     model = models.of(["coulomb", "stribeck", "viscous", "load_modulation", "collision"])
     return model, {
@@ -114,7 +133,21 @@ def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
 
 
 def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, SyntheticRecording]:
-    """Recordings of one speed group: from the ATM1 tables, from the ATM2 tables, and from neither model."""
+    """Simulate the recordings of one speed group.
+
+    Parameters
+    ----------
+    group
+        "low" or "high".
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    dict
+        Recordings from the ATM1 tables, from the ATM2 tables, and from neither model.
+
+    """
     speed = printed.ATM1[group].speed or 0.0
     return {
         "ATM1 tables": recordings.record_printed(printed.ATM1[group], TIME_UNITS["ATM1"], BEAM, rng),
@@ -124,7 +157,21 @@ def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, Syntheti
 
 
 def fit_with_frictrack(law: str, run: Run) -> Any:
-    """Fit a law to one run in the displacement domain; return None if the fit fails."""
+    """Fit a law to one run in the displacement domain.
+
+    Parameters
+    ----------
+    law
+        Name of the law, such as "atm1:2".
+    run
+        The run.
+
+    Returns
+    -------
+    Fit or None
+        None if the fit fails.
+
+    """
     try:
         return fit(law, [replace(run, name="r")])
     except FrictrackError:

@@ -90,7 +90,19 @@ def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, An
 
 
 def render_page(reproduction: Reproduction) -> str:
-    """Render the page as HTML."""
+    """Render the page as HTML.
+
+    Parameters
+    ----------
+    reproduction
+        What to show.
+
+    Returns
+    -------
+    str
+        A page that needs no other file.
+
+    """
     draw = SvgEmbedder()
     return page_template("page.html.j2", "reproduce").render(
         parts=reproduction.parts,
@@ -112,7 +124,24 @@ def numeric_columns(table: ResultTable) -> set[int]:
 
 
 def format_cell(cell: Cell) -> str:
-    """Text of a cell; numbers get four digits."""
+    """Format a cell; numbers get four digits.
+
+    Parameters
+    ----------
+    cell
+        Number, text or None.
+
+    Returns
+    -------
+    str
+        Text of the cell.
+
+    Examples
+    --------
+    >>> format_cell(12.0), format_cell("a")
+    ('12', 'a')
+
+    """
     if cell is None:
         return "\N{EN DASH}"
     if isinstance(cell, str):
@@ -129,7 +158,19 @@ def _write_csv(table: ResultTable, path: Path) -> None:
 
 
 def tables_html(tables: Sequence[ResultTable]) -> Markup:
-    """Render tables as HTML, for a notebook."""
+    """Render tables as HTML, for a notebook.
+
+    Parameters
+    ----------
+    tables
+        Tables of a section.
+
+    Returns
+    -------
+    Markup
+        HTML.
+
+    """
     out = Markup("")
     for t in tables:
         right = numeric_columns(t)

@@ -124,7 +124,21 @@ def misfit(law: PaperLaw, series: AccelerationSeries) -> Callable[[Array], Array
 
 
 def squared_error(law: PaperLaw, p: Array, series: AccelerationSeries) -> float:
-    """Sum of squared acceleration residuals of one parameter set (d,), m^2/s^4, in double precision."""
+    """Compute the papers' error of one parameter set, in double precision.
+
+    Parameters
+    ----------
+    law, series
+        The law, and the series to explain.
+    p
+        Parameters, (d,).
+
+    Returns
+    -------
+    float
+        Sum of squared acceleration residuals, m^2/s^4.
+
+    """
     residual = series.a + law.force(p[None], series.v, series.t)[0] / series.mass
     return float(residual @ residual)
 
@@ -226,7 +240,21 @@ def _full_parameters(reduction: Reduction, series: AccelerationSeries, q: Array)
 
 
 def refine_parameters(law: PaperLaw, series: AccelerationSeries, start: Array) -> Array:
-    """Refine parameters (d,) to the next minimum of the error within the bounds, by least squares."""
+    """Refine parameters to the next minimum of the error within the bounds, by least squares.
+
+    Parameters
+    ----------
+    law, series
+        The law, and the series to explain.
+    start
+        Parameters to start from, (d,).
+
+    Returns
+    -------
+    Array
+        Refined parameters, (d,).
+
+    """
     low, high = search_bounds(law).T
     width = high - low
     inside = np.clip(start, low + 1e-6 * width, high - 1e-6 * width)

@@ -82,7 +82,25 @@ def record_printed(
 def record_with_dither(
     static: PrintedLaw, sines: PrintedLaw, share: float, speed: float, rng: np.random.Generator
 ) -> SyntheticRecording:
-    """Simulate a recording of a printed Tustin model plus a share of printed sines (frequencies per sample)."""
+    """Simulate a recording of a printed Tustin model plus a share of printed sines.
+
+    Parameters
+    ----------
+    static, sines
+        Printed Tustin model, and printed law with sines (frequencies per sample).
+    share
+        Share of the amplitudes of the sines.
+    speed
+        Start speed, m/s.
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    SyntheticRecording
+        Measured run and true motion.
+
+    """
     p = laws.read_printed(sines, "sample")
     p[:4] = static.values
     p[4::3] *= share

@@ -22,7 +22,14 @@ MIN_STRAIGHTNESS = 0.99  # share of a law's variation that a straight line in v 
 
 
 def time_units() -> Section:
-    """Which time unit behind the printed "rad/s" gives curves of the described kind (NOTES: none is stated)."""
+    """Test which time unit behind the printed "rad/s" gives curves as the papers describe them.
+
+    Returns
+    -------
+    Section
+        Table and claims.
+
+    """
     sources = [*printed.ATM1.values(), *printed.ATM2.values(), printed.WITH_FILTER]
     rows: list[list[Any]] = []
     fits: dict[str, list[str]] = {}
@@ -97,7 +104,23 @@ def time_units() -> Section:
 
 
 def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
-    """Figs. 4-7 and 8, section 3.1: the Tustin model identified on the low- and the high-speed group apart."""
+    """Reproduce Figs. 4-8: identify the Tustin model on the low-speed and on the high-speed group.
+
+    Parameters
+    ----------
+    effort
+        Seeds and evaluations.
+    seed
+        Seed of the recordings.
+    progress
+        Called with steps done, all steps and a text.
+
+    Returns
+    -------
+    Section
+        Table, figures and claims.
+
+    """
     rng = np.random.default_rng([seed, 31])
     law = laws.tustin()
     synthetic: dict[str, list[SyntheticRecording]] = {}
@@ -149,7 +172,19 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = sil
 
 
 def fit_by_group(runs: Sequence[Run]) -> dict[str, Any]:
-    """Our own route, group by group; no more than a reason where a fit cannot be had."""
+    """Fit the Tustin model to each group in the displacement domain.
+
+    Parameters
+    ----------
+    runs
+        Runs of all groups.
+
+    Returns
+    -------
+    dict
+        Fit by group; only a "reason" if the fit fails.
+
+    """
     try:
         return dict(fit("tustin", runs, per="group").fits)
     except FrictrackError as e:
@@ -171,7 +206,21 @@ def _force_curves(law: PaperLaw, results: Identification) -> list[tuple[str, Arr
 
 
 def straightness(law: PaperLaw, p: Array, v: Array) -> float:
-    """Share of a law's variation over the speeds seen that a straight line in v explains."""
+    """Share of a law's variation over measured speeds that a straight line in v explains.
+
+    Parameters
+    ----------
+    law, p
+        The law and its parameters, (d,).
+    v
+        Speeds, m/s, (n,).
+
+    Returns
+    -------
+    float
+        Share, at most 1.
+
+    """
     force = law.force(p[None], v, v)[0]
     rest = force - np.polyval(np.polyfit(v, force, 1), v)
     return float(1 - rest.var() / max(force.var(), 1e-30))

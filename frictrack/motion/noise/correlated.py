@@ -105,9 +105,20 @@ def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
 
 
 def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
-    """Find correlated noise that the full spectrum of one stretch (n,) suggests; None if white noise explains it.
+    """Find correlated noise that the full spectrum of one stretch suggests.
 
     At low frequencies a motion can look like such noise; the likelihood of the smoother has to confirm it.
+
+    Parameters
+    ----------
+    stretch
+        Evenly spaced positions, m, (n,).
+
+    Returns
+    -------
+    CorrelatedNoise or None
+        None if white noise explains the spectrum.
+
     """
     smooth = _longest_undisturbed(stretch)
     shapes = _shapes(len(smooth))

@@ -34,9 +34,20 @@ CORRELATION_COST = correlation_cost(DIFFERENCE_ORDER)  # 2.91
 
 
 def slow_spectrum(n: int) -> Array:
-    """Amplitudes of a slow error of unit rms in the first cosines of n frames (orthonormal, without the constant).
+    """Amplitudes of a slow error of unit rms in the first cosines of n frames.
 
     The error has equal power in each octave from a few frames to the whole piece.
+
+    Parameters
+    ----------
+    n
+        Number of frames.
+
+    Returns
+    -------
+    Array
+        Amplitudes of the orthonormal cosines, without the constant, (k,).
+
     """
     k = np.arange(1, max(n // MIN_HALF_WAVE_FRAMES, 2))
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
@@ -86,7 +97,24 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[A
 
 
 def difference_order(many: int, few: int) -> int:
-    """Order of differences to use, from the numbers of complete ones of `DIFFERENCE_ORDER` and `FALLBACK_ORDER`."""
+    """Choose the order of differences.
+
+    Parameters
+    ----------
+    many, few
+        Numbers of complete differences of `DIFFERENCE_ORDER` and `FALLBACK_ORDER`.
+
+    Returns
+    -------
+    int
+        `FALLBACK_ORDER` if missing frames leave too few differences of the higher order.
+
+    Examples
+    --------
+    >>> difference_order(100, 102), difference_order(10, 60)
+    (5, 3)
+
+    """
     return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
 
 

@@ -180,7 +180,19 @@ class FactoredSmoother:
         return np.asarray(self.unknowns()[self.layout.multiplier[0]])
 
     def smooth(self, y: Array) -> Array:
-        """Smooth columns y (n, ...) with the weights of the data, without the sensor."""
+        """Smooth columns with the weights of the data, without the sensor.
+
+        Parameters
+        ----------
+        y
+            Columns, (n, ...); values in missing frames do not count.
+
+        Returns
+        -------
+        Array
+            Trend plus lines, (n, ...).
+
+        """
         return self.signal(self.unknowns_of(y))
 
     def unknowns_of(self, y: Array) -> Array:
@@ -192,7 +204,19 @@ class FactoredSmoother:
         return self.signal(self._solve(frames, self.layout.frame))
 
     def covariance(self, rows: Index) -> Array:
-        """Posterior covariance (n, m) of the signal in all frames with that in frames `rows`, for unit noise."""
+        """Posterior covariance of the signal for unit noise.
+
+        Parameters
+        ----------
+        rows
+            Frames, (m,).
+
+        Returns
+        -------
+        Array
+            Covariance of all frames with those frames, (n, m).
+
+        """
         unit = np.zeros((self.layout.n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self.posterior_covariance_times(unit)
@@ -251,9 +275,20 @@ class FactoredSmoother:
         return self.posterior_and_noise_variance(start, stencils)[1]
 
     def posterior_and_noise_variance(self, start: Index, stencils: Array) -> tuple[Array, Array]:
-        """Posterior variances, and the part of them that is noise let through; arguments as in `variances`.
+        """Posterior variances, and the part of them that is noise let through.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
+
+        Parameters
+        ----------
+        start, stencils
+            As in `variances`.
+
+        Returns
+        -------
+        tuple of arrays
+            Both variances for unit noise, (..., n) each.
+
         """
         neighbours = (self._stiffer(np.exp(d)) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP))
         posterior, up, down = variances_of([self, *neighbours], start, stencils)
@@ -270,7 +305,21 @@ class FactoredSmoother:
 
 
 def variances_of(factors: Sequence[FactoredSmoother], start: Index, stencils: Array) -> Array:
-    """Variances (F, ...) as by `FactoredSmoother.variances`, of F smoothers of the same frames at once."""
+    """Posterior variances of several smoothers of the same frames at once.
+
+    Parameters
+    ----------
+    factors
+        F smoothers with the same layout.
+    start, stencils
+        As in `FactoredSmoother.variances`.
+
+    Returns
+    -------
+    Array
+        Variances for unit noise, (F, ..., n).
+
+    """
     s = factors[0].layout
     m = stencils.shape[-1]
     place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)

@@ -71,7 +71,19 @@ def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -
 
 
 def weighted_cubic(y: Array, w: Array) -> Array:
-    """Weighted least-squares cubic (n,) through y; smoothers leave it unchanged, but it would cost digits."""
+    """Fit a weighted least-squares cubic; smoothers leave it unchanged, but it would cost digits.
+
+    Parameters
+    ----------
+    y, w
+        Values and their weights, (n,) each.
+
+    Returns
+    -------
+    Array
+        The cubic, (n,).
+
+    """
     u, information = np.linspace(-1.0, 1.0, len(y)), w > 0
     fit = np.polynomial.Polynomial.fit(
         u[information], y[information], TREND_ORDER - 1, domain=[-1, 1], w=np.sqrt(w[information])

@@ -75,7 +75,21 @@ def _windows(data: SmootherData) -> Iterator[RecordWindow]:
 
 
 def window_data(data: SmootherData, first: int, stop: int) -> SmootherData | None:
-    """Frames first to stop of the data, without their own cubic; None if too few of them were measured."""
+    """Cut a window out of the data and subtract its own cubic.
+
+    Parameters
+    ----------
+    data
+        Measurements.
+    first, stop
+        First frame and stop (exclusive).
+
+    Returns
+    -------
+    SmootherData or None
+        None if fewer than `MIN_MEASURED_FRAMES` were measured.
+
+    """
     y, w = data.y[first:stop], data.w[first:stop]
     if np.sum(w > 0) < MIN_MEASURED_FRAMES:
         return None

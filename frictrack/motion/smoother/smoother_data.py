@@ -85,7 +85,19 @@ class NoiseColour:
         return float((n - 1) * np.log(self.shocks) + np.log(self.share) + measured * np.log(1.0 - self.share))
 
     def sample(self, white: Array, driving: Array) -> Array:
-        """Such noise (n, ...) from two white series (n, ...) of unit variance."""
+        """Generate such noise.
+
+        Parameters
+        ----------
+        white, driving
+            Two white series of unit variance, (n, ...) each.
+
+        Returns
+        -------
+        Array
+            Noise of unit variance, (n, ...).
+
+        """
         innovations = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
         return np.asarray(
             np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)
@@ -124,7 +136,19 @@ class SmootherData:
         return self.colour.sample(white, rng.choice([-1.0, 1.0], white.shape)) if self.colour else white
 
     def apply_inverse_covariance(self, y: Array) -> Array:
-        """Inverse covariance of unit noise (n, n) times columns y (n, ...)."""
+        """Multiply columns by the inverse covariance of unit noise.
+
+        Parameters
+        ----------
+        y
+            Columns, (n, ...).
+
+        Returns
+        -------
+        Array
+            Products, (n, ...).
+
+        """
         weighted = weighted_columns(self.precision, y)
         if not self.colour:
             return weighted

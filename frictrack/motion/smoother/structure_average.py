@@ -186,7 +186,23 @@ def _fade(group: ChangeGroup, n: int) -> Array:
 
 
 def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) -> Array:
-    """Change (n,) of the signal of the best structure by the average."""
+    """Change of the signal of the best structure by the average.
+
+    Parameters
+    ----------
+    data
+        Measurements of n frames.
+    s
+        Best structure.
+    groups
+        Weighted changes by `alternatives`.
+
+    Returns
+    -------
+    Array
+        Change, in the unit of the data, (n,).
+
+    """
     out = np.zeros(len(data.w))
     for g in groups:
         out[g.first : g.stop] += np.array([c.weight for c in g.changes]) @ _signal_changes(data, s, g)
@@ -194,7 +210,23 @@ def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) 
 
 
 def added_variance(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup], interval: float) -> Array:
-    """Variance (3, n) of x, v and a that the average adds, for data in units of the noise."""
+    """Variance of x, v and a that the average adds.
+
+    Parameters
+    ----------
+    data
+        Measurements of n frames, in units of the noise.
+    s, groups
+        As in `mean_shift`.
+    interval
+        Frame interval, s.
+
+    Returns
+    -------
+    Array
+        Variance, (3, n).
+
+    """
     out = np.zeros((3, len(data.w)))
     for g in groups:
         out[:, g.first : g.stop] += _group_variance(data, s, g, interval)

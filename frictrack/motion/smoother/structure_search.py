@@ -104,7 +104,14 @@ class StructureSearch:
         return self.refine(ScoredStructure(best, self.loss(best))).structure
 
     def search(self) -> Structure:
-        """Add the change that gains most until nothing gains more than it costs."""
+        """Add the change that gains most until nothing gains more than it costs.
+
+        Returns
+        -------
+        Structure
+            The structure, with all continuous parameters refined.
+
+        """
         knotted = self._best(self._with_more_knots(self.stiff))
         state = self.refine(
             knotted if np.isfinite(knotted.loss) else ScoredStructure(self.stiff, self.loss(self.stiff)), TRIAL_STEPS
@@ -241,7 +248,21 @@ class StructureSearch:
                 yield replace(s, events=(*s.events, Event(first, first + width - 1, boost + stiffer)))
 
     def refine(self, g: ScoredStructure, steps: int = MAX_STEPS) -> ScoredStructure:
-        """Refine all continuous parameters to the next maximum of the likelihood."""
+        """Refine all continuous parameters to the next maximum of the likelihood (L-BFGS-B).
+
+        Parameters
+        ----------
+        g
+            Structure to start from.
+        steps
+            Iterations at most.
+
+        Returns
+        -------
+        ScoredStructure
+            The refined structure and its loss.
+
+        """
         if not np.isfinite(g.loss):
             return g
         s, limits = g.structure, self._bounds(g.structure)
