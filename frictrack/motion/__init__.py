@@ -5,8 +5,9 @@
 
 from frictrack.motion.cutoff_trade import trade
 from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate
-from frictrack.motion.filter import METHOD_NAMES, MISSING_SIGMA, Smoother, frame_weights, low_pass
+from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.motion.filter_methods import FilterMethod
+from frictrack.motion.filter_settings import METHOD_NAMES, Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.motion.noise import CorrelatedNoise, correlated_noise, noise_level

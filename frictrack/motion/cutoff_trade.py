@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, low_pass
+from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
+from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.smoother import (
     TREND_ORDER,

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, sensor_weights
+from frictrack.motion.filter import MISSING_SIGMA, frame_weights, sensor_weights
 from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
+from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.smoother import (
     MAX_WHOLE_FRAMES,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -12,6 +10,14 @@ from scipy.special import expit, logit
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.filter_methods import METHODS, FilterMethod, interpolate_missing
+from frictrack.motion.filter_settings import (
+    KALMAN,
+    METHOD_NAMES,
+    STRUCTURAL,
+    Smoother,
+    describe_given_cutoff,
+    describe_structure,
+)
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.motion.noise import CorrelatedNoise, suspected_noise
@@ -35,7 +41,6 @@ from frictrack.motion.stencil import stencil_derivatives
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING_SIGMA = float("inf")  # m, of a frame that was not measured
-MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it more signal is lost than sigma covers
 VIOLENT_RATIO = 10.0  # acceleration of a push or an impact over the median of the moving mass
 MIN_SPEED_SHARE = 0.05  # of the highest speed, from which the mass counts as moving
 MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
@@ -43,56 +48,6 @@ MAX_CORRELATED = 0.999  # largest share and correlation of coloured noise
 MAX_COLOUR_TRIALS = 40  # evaluations to fit correlation and share
 MIN_FRAMES = 8  # valid frames from which noise can be estimated
 MIN_TRAVEL_M = 1e-15  # of a moving target
-STRUCTURAL, KALMAN = "structural", "kalman"
-METHOD_NAMES = (STRUCTURAL, KALMAN, *METHODS)
-
-
-@dataclass(frozen=True, eq=False)
-class Smoother:
-    """What low-passed a coordinate; `str` writes it as JSON.
-
-    Attributes
-    ----------
-    structure
-        Structure of the structural smoother.
-    method
-        Another filter method.
-    alternatives
-        Changes of the structure over which the signal was averaged.
-    colour
-        Colour of the noise.
-
-    """
-
-    structure: Structure | None = None
-    method: FilterMethod | None = None
-    alternatives: tuple[ChangeGroup, ...] = ()
-    colour: NoiseColour | None = None
-
-    def __str__(self) -> str:
-        if self.method:
-            return json.dumps({"method": self.method.name, **vars(self.method)})
-        if self.structure is None:
-            return ""
-        more: dict[str, Any] = {}
-        if self.alternatives:
-            more["alternatives"] = [asdict(g) for g in self.alternatives]
-        if self.colour:
-            more["noise"] = asdict(self.colour)
-        return json.dumps({"method": STRUCTURAL, **asdict(self.structure), **more})
-
-    @classmethod
-    def read(cls, text: str) -> Smoother:
-        """Read a smoother from its JSON."""
-        settings = json.loads(text)
-        name = settings.pop("method")
-        if name != STRUCTURAL:
-            return cls(method=METHODS[name](**settings))
-        events = tuple(Event(**e) for e in settings["events"])
-        lines = tuple((float(f), float(m)) for f, m in settings["lines"])
-        groups = tuple(ChangeGroup.read(g) for g in settings.get("alternatives", ()))
-        colour = NoiseColour(**settings["noise"]) if "noise" in settings else None
-        return cls(Structure(tuple(settings["stiffness"]), lines, events), alternatives=groups, colour=colour)
 
 
 def low_pass(
@@ -443,50 +398,6 @@ def frame_weights(sigma: Array, known: Mask) -> Array:
     usual = float(np.median(sigma[stated])) if np.any(stated) else 1.0
     w = np.where(known, np.where(stated, sigma, usual), np.inf) ** -2.0
     return np.asarray(w / np.mean(w[known]))
-
-
-def describe_structure(structure: Structure, n: int, interval: float, colour: NoiseColour | None = None) -> str:
-    """Describe the components of a record in words.
-
-    Parameters
-    ----------
-    structure
-        Trend, lines and events.
-    n
-        Number of frames.
-    interval
-        Frame interval, s.
-    colour
-        Colour of the noise.
-
-    Returns
-    -------
-    str
-        Cut-offs of the trend, lines, events and correlated noise.
-
-    """
-    cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
-    low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
-    span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
-    parts = [f"a trend cut off at {span}"]
-    parts += [f"a line at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
-    centres = [1e3 * interval * 0.5 * (e.first + e.last + TREND_ORDER) for e in structure.events]
-    if centres:
-        parts.append("events at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
-    if colour:
-        parts.append(
-            f"noise of which {100 * colour.share:.0f} % of the variance is correlated "
-            f"({colour.correlation:.2g} from frame to frame)"
-        )
-    return ", ".join(parts) + ", by maximum likelihood"
-
-
-def describe_given_cutoff(used: float, best: float) -> str:
-    """Describe a given cut-off; say if it is too low."""
-    reason = f"cut-off {used:.3g} Hz as given"
-    if used < MIN_CUTOFF_RATIO * best:
-        reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
-    return reason
 
 
 def _check_position(x: Array, n: int) -> None:
