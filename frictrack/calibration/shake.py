@@ -188,7 +188,7 @@ def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[A
     gain = _wiener_gain(spectrum**2, noise)
     movement = tones + idct(gain * spectrum, norm="ortho")
     variance = noise * (float(gain.mean()) + 3 * count / len(x))
-    # Shake that is half known, half subtracted, is neither a tone any more nor gone.
+    # Partly subtracted shake would no longer be a tone, which later steps could detect.
     is_known = float(np.std(movement)) > MIN_SHAKE_SIGMAS * np.sqrt(variance)
     return (movement, variance) if is_known else (np.zeros(len(x)), 0.0)
 

@@ -119,14 +119,14 @@ def _median_picture(track: Track, film: Recording) -> Array:
 
 
 def _spread_rows(at: Array) -> np.ndarray:
-    """Rows spread over the path that is travelled."""
+    """Rows spread over the path travelled."""
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(at, axis=0).T))])
     path = 0.9 * path / max(path[-1], 1e-9) + 0.1 * np.linspace(0, 1, len(path))
     return np.searchsorted(path, np.linspace(0, path[-1], N_FRAMES)).clip(0, len(at) - 1)
 
 
 def _lines(picture: Array, course: Array, size: tuple[float, ...]) -> Array:
-    """Readings (lines, n) along the course, through the middle of the picture, `READINGS_PER_PX` per px."""
+    """Profiles (lines, n) along the course through the middle of the picture, `READINGS_PER_PX` per px."""
     across = np.array([-course[1], course[0]])
     middle = (np.array(picture.shape[::-1]) - 1) / 2
     high = READ_SHARE * float(np.abs(across) @ np.array(size)) / 2
@@ -141,18 +141,14 @@ def _lines(picture: Array, course: Array, size: tuple[float, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Edge:
-    """Where lines coming from the left leave the background: reading number `at` (lines,), and its deviation, px."""
+    """Edge of the target on lines from the left: reading number `at` (lines,) and its deviation, px."""
 
     at: Array
     std: float
 
 
 def _edge(lines: Array) -> _Edge:
-    """The outline on the left of the lines (n, m): found on each, then refined on groups of lines laid over each other.
-
-    Texture moves the edge of a single line; over many lines it averages out, and half-way between the levels outside
-    and inside is the edge.
-    """
+    """Find the left edge on each of the lines (n, m), then refine it on groups of aligned lines."""
     rough = _first_edges(lines)
     good = np.flatnonzero(np.isfinite(rough))
     if len(good) < max(MIN_LINES, 0.6 * len(lines)):
@@ -172,6 +168,7 @@ def _edge(lines: Array) -> _Edge:
 
 
 def _no_outline() -> FrictrackError:
+    """Error for a target whose outline does not contrast with the background."""
     return FrictrackError(
         "the target's outline does not stand out from the background on both sides, so its size gives no scale; "
         "give target = [x, y, w, h] round all of it, or a ruler: "
@@ -180,7 +177,7 @@ def _no_outline() -> FrictrackError:
 
 
 def _half_level(profile: Array) -> tuple[float, float]:
-    """Shift, in readings, of the place half-way between outside and inside from the middle of a profile; the step."""
+    """Shift of the half-level point from the middle of a profile, in readings; and the grey-value step."""
     flat = EDGE_ZONE_PX * READINGS_PER_PX
     middle = len(profile) // 2
     outside, inside = float(np.mean(profile[: middle - flat])), float(np.mean(profile[middle + flat :]))
@@ -193,7 +190,7 @@ def _half_level(profile: Array) -> tuple[float, float]:
 
 
 def _first_edges(lines: Array) -> Array:
-    """Reading number (lines,) at which each line first differs from its background; NaN where that is not clear."""
+    """Reading number (lines,) at which each line first differs from its background; NaN where this is unclear."""
     rim = max(3 * READINGS_PER_PX // 2, 4)
     outside = np.median(lines[:, :rim], axis=1)
     noise = max(1.5 * float(np.median(np.abs(lines[:, :rim] - outside[:, None]))), 1.0)
@@ -204,7 +201,7 @@ def _first_edges(lines: Array) -> Array:
 
 
 def _width_and_shape(chords: Array) -> tuple[float, str]:
-    """The width, px, and the shape that it was read from."""
+    """Width of the target, px, and the shape from which it was read."""
     u = np.linspace(-1.0, 1.0, len(chords))
     c, b, a = np.polyfit(u, chords**2, 2)
     left = chords**2 - np.polyval([c, b, a], u)

@@ -160,7 +160,7 @@ def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDAr
     places = np.frombuffer(file.read(8 * most), "<i8")
     if not most or not 0 <= places[0] <= size - 4:
         return np.empty(0, np.int64)
-    # Before each picture stands its annotation, whose first number is the length of the two; it is the same throughout.
+    # An annotation precedes each picture; its first number is its length, which is the same for all pictures.
     annotation = _number(file, int(places[0]), "<I")
     whole = (places >= 0) & (places <= size - picture - annotation)
     if size < picture + annotation or annotation < 8:

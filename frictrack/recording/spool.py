@@ -197,7 +197,7 @@ class _DiskStore:
 
     def __init__(self, n: int, shape: tuple[int, int], bits: int) -> None:
         self._frame = picture_bytes(shape, bits)
-        # Cannot be unlinked while open on every system, so it has a name and goes in `close`.
+        # Not every system can unlink an open file: it has a name and is deleted in `close`.
         self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", buffering=0, delete=False)  # noqa: SIM115
         self._file.truncate(n * self._frame)
         path = Path(self._file.name)

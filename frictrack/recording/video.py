@@ -67,7 +67,7 @@ class Video(Recording):
             yield cast(Frame, frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
 
     def _capture(self) -> cv2.VideoCapture:
-        # A name such as "concat:a|b.avi" would be a command; that of a whole path cannot be.
+        # FFmpeg takes a name such as "concat:a|b.avi" for a command, but never an absolute path.
         """Open the container; luma is read as stored where possible."""
         capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():

@@ -25,7 +25,18 @@ Ticks = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MissingFrames:
-    """So many frames are `missing` before the frame `at`; how many standard deviations the step is too long."""
+    """Missing frames in one step.
+
+    Attributes
+    ----------
+    at : int
+        Frame before which they are missing.
+    missing : int
+        Number of missing frames.
+    significance : float
+        Standard deviations by which the step is too long.
+
+    """
 
     at: int
     missing: int
@@ -69,10 +80,7 @@ def missing_frames(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) ->
 
 
 def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
-    """Frames missing within a step, and the significance of that; 0 where it is no whole multiple of its neighbours.
-
-    `ratio` (n,) are the steps over usual ones.
-    """
+    """Number of frames missing in a step and its significance; 0 where it is no whole multiple of its neighbours."""
     single = np.abs(ratio - 1) < SINGLE_STEP_TOLERANCE
     near = np.arange(max(i - REACH_STEPS, 0), min(i + REACH_STEPS + 1, len(steps)))
     used = near[single[near] & (near != i)]
@@ -90,5 +98,5 @@ def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
 
 
 def _neighbours_advance(ratio: Array, i: int) -> bool:
-    """Whether the steps on both sides pass an interval or more: a sample that is off makes a long step and a short."""
+    """Whether both neighbouring steps are at least one interval: an outlier makes one long and one short step."""
     return bool(ratio[i - 1] > 1 - SINGLE_STEP_TOLERANCE and ratio[i + 1] > 1 - SINGLE_STEP_TOLERANCE)

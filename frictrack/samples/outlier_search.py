@@ -40,7 +40,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _BurstRule:
-    """Rows on either side by which a burst is judged, the fewest of them, and how far off it must lie."""
+    """Rows on either side that judge a burst, the fewest of them, and the least deviation."""
 
     side: int
     fewest: int
@@ -56,7 +56,18 @@ MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
-    """Rows that are outliers, how far each lies off the course of its neighbours, m, and the noise of a row, m."""
+    """Outliers of a displacement.
+
+    Attributes
+    ----------
+    rows : array of int (k,)
+        Rows that are outliers.
+    off : array (k,)
+        Distance from the path of their neighbours, m.
+    noise : float
+        Noise of a row, m.
+
+    """
 
     rows: Rows
     off: Array
@@ -153,7 +164,7 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
 
 
 def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
-    """Outliers of rows without long gaps, and how far they lie off, m."""
+    """Outliers in rows without long gaps, and their deviations, m."""
     bad = np.zeros(len(series.x), dtype=bool)
     if len(bad) < 2 * HALF_WIDTH_ROWS + 1:
         return NO_OUTLIERS.rows, NO_OUTLIERS.off
@@ -169,13 +180,13 @@ def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
 
 
 def _level(x: Array, frames: Array) -> float:
-    """White noise by the median of the fourth differences of rows whose frames follow each other."""
+    """White noise from the median fourth difference of consecutive frames."""
     difference, whole = _fourth(x, frames)
     return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference[whole]))) / np.sqrt(70.0) if whole.any() else 0.0
 
 
 def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:
-    """Fourth differences (n - 4,), and where their frames follow each other."""
+    """Fourth differences (n - 4,), and where their frames are consecutive."""
     return np.convolve(x, FOURTH_DIFFERENCE, mode="valid"), np.asarray(frames[4:] - frames[:-4] == 4)
 
 
@@ -200,7 +211,7 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
 
 
 def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
-    """The burst of a few rows that lies farthest off, each tried with few rows on its sides."""
+    """The burst of a few rows with the largest deviation, tested with few rows on its sides."""
     nobody = np.zeros(len(kept.x), dtype=bool)
     difference, whole = _fourth(kept.x / kept.scale, kept.frames)
     out = np.pad(np.where(whole, np.abs(difference), 0.0), 2, mode="edge")
@@ -214,7 +225,7 @@ def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
 
 
 def _outliers_at_ends(kept: _Positions) -> Rows:
-    """The first or last rows where they lie off: fourth differences, which they hardly enter, do not show them."""
+    """Outliers among the first and last rows, which have little weight in fourth differences."""
     n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
     first = [np.arange(start, start + m) for m in range(1, MAX_ROWS_AT_END + 1) for start in range(MAX_ROWS_AT_END + 1)]
     for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
@@ -224,7 +235,7 @@ def _outliers_at_ends(kept: _Positions) -> Rows:
 
 
 def _near_outliers(series: _Positions) -> Mask:
-    """Rows near a fourth difference that stands out."""
+    """Rows near a large fourth difference."""
     difference, whole = _fourth(series.x / series.scale, series.frames)
     limit = np.full(len(difference), SCREEN_SIGMAS)
     limit[[0, 1, -2, -1]] = SCREEN_SIGMAS_AT_END
@@ -234,7 +245,7 @@ def _near_outliers(series: _Positions) -> Mask:
 
 
 def _robust_residuals(series: _Positions, rows: Rows) -> Array:
-    """Deviations (m,) of rows from the cubic of least absolute deviations through their neighbours."""
+    """Residuals (m,) of rows about the cubic of least absolute deviations through their neighbours."""
     n = len(series.x)
     start = np.clip(rows - HALF_WIDTH_ROWS, 0, n - 2 * HALF_WIDTH_ROWS - 1)
     index = start[:, None] + np.arange(2 * HALF_WIDTH_ROWS + 1)
@@ -253,7 +264,7 @@ def _robust_residuals(series: _Positions, rows: Rows) -> Array:
 
 
 def _local_noise(away: Array, rows: Rows) -> Array:
-    """Deviations (n,) that rows (m,) have in their neighbourhood, by their median; 1 at the least."""
+    """Noise (n,) of the neighbourhood of each row over the typical noise, from a median; at least 1."""
     out = np.ones(len(away))
     out[rows] = np.maximum(
         MEDIAN_TO_SIGMA * median_filter(np.abs(away[rows]), size=2 * NOISE_REACH_ROWS + 1, mode="reflect"), 1.0
@@ -262,7 +273,7 @@ def _local_noise(away: Array, rows: Rows) -> Array:
 
 
 def _bursts(suspects: Mask) -> Iterator[Rows]:
-    """Suspects with few good rows between them, together."""
+    """Group suspects with few good rows between them."""
     rows = np.flatnonzero(suspects)
     if len(rows):
         for part in np.split(rows, np.flatnonzero(np.diff(rows) > MAX_BRIDGED_ROWS + 1) + 1):
@@ -270,7 +281,7 @@ def _bursts(suspects: Mask) -> Iterator[Rows]:
 
 
 def _burst_offsets(series: _Positions, burst: Rows, suspects: Mask, judge: _BurstRule) -> Array | None:
-    """How far the rows of a burst lie off their course, m, if it is one."""
+    """Deviations of the rows of a burst, m, if it is one."""
     before = np.flatnonzero(~suspects[: burst[0]])[-2 * SIDE_ROWS :]
     after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[: 2 * SIDE_ROWS]
     at_end = min(len(before), len(after)) < judge.fewest
@@ -292,10 +303,7 @@ def _burst_offsets(series: _Positions, burst: Rows, suspects: Mask, judge: _Burs
 
 
 def _leaps_beyond_motion(series: _Positions, burst: Rows, good: Mask) -> bool:
-    """Whether the first or last rows are farther from their neighbour than the mass ever moves from frame to frame.
-
-    No course beyond them shows whether they return; a push before the second frame or a blow at the last is real.
-    """
+    """Whether the first or last rows are further from their neighbour than the mass ever moves in one frame."""
     rows = np.flatnonzero(good)
     steps = np.abs(np.diff(series.x[rows]) / np.diff(series.frames[rows]))
     next_to = rows[np.argmin(np.abs(rows - burst[0]))]

@@ -43,12 +43,12 @@ def quantum(x: Array) -> float:
 
 
 def _max_parts(count: int) -> int:
-    """How many parts of the smallest of some gaps may be tried, so that the others fit none of them by chance."""
+    """Largest divisor of the smallest gap that is tested, so that the other gaps do not fit by chance."""
     return max(min(MAX_PARTS, int(MAX_CHANCE * (2 * MAX_STEP_ERROR) ** (1 - min(count, FIRST_GAPS)))), 1)
 
 
 def _refine_step(gaps: Array, near: float) -> float:
-    """The step close to a guess of which all rising gaps are whole multiples; 0 where they are not."""
+    """Refine a step of which all rising gaps are whole multiples; 0 where they are not."""
     step = near
     for some in (
         gaps[:FIRST_GAPS],

@@ -29,7 +29,16 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class RepeatedFrames:
-    """Frames `first` to `last` repeat the one before; `ticks` intervals pass from that to the frame after them."""
+    """Frames that repeat the one before them.
+
+    Attributes
+    ----------
+    first, last : int
+        First and last repeated frame.
+    ticks : int
+        Frame intervals from the original frame to the one after the last repeat.
+
+    """
 
     first: int
     last: int
@@ -78,7 +87,7 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
 
 
 def _runs_of_repeats(still: Mask) -> Iterator[slice]:
-    """Consecutive steps that are none, few enough."""
+    """Short runs of consecutive steps of zero."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False]))))
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
         if stop - first <= MAX_REPEATS:
@@ -86,7 +95,7 @@ def _runs_of_repeats(still: Mask) -> Iterator[slice]:
 
 
 def _moves_on_both_sides(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
-    """Whether the mass moves at full speed, the same way, before and after; at the `ends` of the record on one side."""
+    """Whether the mass moves at full speed in one direction before and after; at the `ends` on one side."""
     near = [steps[i] for i in (run.start - 1, run.stop) if 0 <= i < len(steps)]
     if len(near) < (1 if ends else 2) or not np.all(np.isfinite(near)):
         return False
@@ -94,7 +103,7 @@ def _moves_on_both_sides(steps: Array, run: slice, usual: Array, *, ends: bool) 
 
 
 def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:
-    """Noise of a step when the repeats are left out: at least what is stated."""
+    """Noise of a step without the repeats; at least the stated one."""
     keep = np.array(good)
     for run in found:
         keep[run.start + 1 : run.stop + 1] = False
@@ -105,14 +114,14 @@ def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:
 
 
 def _undisturbed_steps(steps: Array, still: Mask) -> Array:
-    """Steps that pass between two frames neither of which repeats another; NaN elsewhere."""
+    """Steps between frames of which neither repeats another; NaN elsewhere."""
     after = np.concatenate(([False], still[:-1]))
     before = np.concatenate((still[1:], [False]))
     return np.where(still | after | before, np.nan, steps)
 
 
 def _classify(steps: Array, run: slice, clean: Array, *, held: bool) -> RepeatedFrames | None:
-    """How many frame intervals pass over a run of repeats; None where the step after it is no whole number of them."""
+    """Frame intervals over a run of repeats; None where the step after it is no whole number of intervals."""
     count = run.stop - run.start
     if run.stop == len(steps):
         return RepeatedFrames(run.start + 1, run.stop, count + 1)

@@ -64,9 +64,9 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
 
 
 def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
-    """Variance at rest and its slope over squared speeds, the deviation of that slope, and chi-squared.
+    """Fit the variance at rest and its slope over squared speed; also the slope's deviation and chi-squared.
 
-    `size` (k, 2) are variances and the numbers of their rows, which tell their deviations.
+    `size` (k, 2) are variances and the numbers of their rows, which determine their deviations.
     """
     design = np.stack([np.ones_like(squares), squares], axis=1)
     variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
@@ -103,7 +103,7 @@ def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
 
 
 def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
-    """Mean squared speed (k,) of bins, and of each the variance of a position and its number of rows, (k, 2)."""
+    """Mean squared speed (k,) of bins; variance of a position and number of rows in each, (k, 2)."""
     if len(x) < 5:
         return np.zeros(0), np.zeros((0, 2))
     difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid") / np.sqrt(70.0)
@@ -122,6 +122,6 @@ def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
 
 
 def _clipped_variance(difference: Array) -> float:
-    """Mean square without the tails: as good as that of a Gaussian, and not moved by outliers (Huber 1981)."""
+    """Variance from clipped squares, consistent for Gaussian noise and robust against outliers (Huber 1981)."""
     most = CLIP_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
     return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / CLIPPED_MEAN_SQUARE

@@ -151,7 +151,7 @@ class BatchTracker:
         path, n = _PathPredictor(int(order[-1] >= order[0]) * 2 - 1), len(order)
         path.restart(int(order[0]), np.asarray(start, dtype=np.float64))
         self._follow_batch(order[:1], path, result)
-        path.restart(int(order[0]), path.position[-1])  # one place tells no velocity
+        path.restart(int(order[0]), path.position[-1])  # one position gives no velocity
         i, batch = 1, BATCH_FRAMES[0]
         while i < n:
             if progress:

@@ -72,7 +72,7 @@ def correlate(frame: Patch, patch: Patch, included: Mask | None = None) -> Patch
         frame, patch = frame.astype(np.float32), patch.astype(np.float32)
     mask = None if included is None else included.astype(np.float32)
     scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
-    # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
+    # In flat regions the norm is a rounding error, and OpenCV may return any value, infinity included.
     scores[~(np.abs(scores) <= 1.0001)] = 0
     return np.asarray(scores)
 

@@ -159,7 +159,7 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
         return None
     slope = (dm / n - mean * level) / scatter
     residual = np.maximum(dd / n - level**2 - slope**2 * scatter, 0.0)
-    # Only what explains itself stands still: a hand that passes leaves more about the line than noise.
+    # A moving object, such as a hand, scatters more about the line than noise and is no fixed pattern.
     covered &= residual * n < MAX_RESIDUAL_RATIO * noise * np.maximum(n - 2, 1)  # the line has taken two of the n terms
     if not covered.any() or not _is_significant(
         level[covered], (slope**2 * scatter)[covered], noise / n[covered], n[covered]

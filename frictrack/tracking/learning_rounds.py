@@ -270,7 +270,7 @@ def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> Fix
     pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - np.float32(template.level)
     difference = (pixels - offset) / gain - model
     typical_misfit = float(np.median(template.weight[template.weight > 0]))
-    # What shows behind the target's edge is the scene, not something before the target.
+    # Differences at the target's edge come from the scene behind it and not from an obstacle.
     inside = np.asarray(template.weight > 0.5 * typical_misfit, dtype=np.float64)
     sums.add(corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
     return fit_fixed_pattern(sums, 1 / typical_misfit)

@@ -71,7 +71,7 @@ def measure_frames(
     if len(suspect):
         share = np.ones(cuts.shape, np.float32) if share is None else share
         better, kept_share = refine_robust(cuts[suspect], guess[suspect], template, share[suspect], typical_misfit)
-        # Where the rest is no better, the whole picture stands, with the larger deviation that its misfit tells.
+        # Where the robust fit fails, the fit to all pixels is kept, with the larger deviation of its misfit.
         refitted = suspect[better.converged]
         share[refitted] = kept_share[better.converged]
         fit.put(refitted, better[better.converged])
@@ -260,7 +260,7 @@ def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
             0,
             1,
         )
-        # Among many that do not fit, one that does is there by chance.
+        # A fitting pixel among many outliers fits by chance.
         neighbour_share = cv2.blur(weights[k] * (initial_share[k] > 0), (5, 5)) / np.maximum(
             cv2.blur(initial_share[k], (5, 5)), 0.1
         )

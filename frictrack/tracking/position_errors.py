@@ -58,7 +58,7 @@ def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Pa
         count = sums.shape[2]
         if count < MIN_BLOCKS:
             break
-        # Gauss-Newton has made the sum over each frame zero: one of `count` draws is lost.
+        # The fit makes the sum over each frame zero: one of `count` degrees of freedom is lost.
         ratio = np.sum(sums**2, axis=(0, 2)) / white_variance * count / (count - 1)
         significant = ratio - 1 > MIN_SIGNIFICANCE * np.sqrt(2 / (len(cuts) * count))
         factor = np.where(significant, np.maximum(factor, ratio), factor)

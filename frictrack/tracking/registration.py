@@ -92,7 +92,7 @@ def target_offset(picture: Array | None, reference: Array | None) -> TargetOffse
     if score < MIN_SAME_BODY_SCORE:
         return None
     at, sigma = _refine_corner(core, reference_image, np.array(corner, dtype=np.float64))
-    # The core's centre is the picture's centre, whatever was cut off.
+    # The core has the same centre as the picture from which it was cut.
     middle = at + 0.5 * (np.array(core.shape[::-1]) - 1)
     centre_offset = 0.5 * (np.array(reference_image.shape[::-1]) - 1) - middle
     return TargetOffset(float(centre_offset[0]), float(centre_offset[1]), float(sigma[0]), float(sigma[1]))
@@ -106,11 +106,11 @@ def _refine_corner(core: NDArray[np.float32], reference_image: NDArray[np.float3
     inverse = np.linalg.pinv(design.T @ design)
     start, residuals = at.copy(), np.zeros(design.shape[0])
     for _ in range(MAX_STEPS):
-        # The whole moved so that what lies at `at` comes to the origin; OpenCV moves by 1/32 px only.
+        # Shift the reference such that the point `at` comes to the origin; OpenCV shifts by 1/32 px only.
         shifted = shift(reference_image, -at[::-1], order=5, mode="nearest")[: shape[0], : shape[1]].ravel()
         solution = inverse @ (design.T @ shifted)
         residuals = shifted - design @ solution
-        # The whole read at `at` shows the core moved by -step, in its own light.
+        # The reference read at `at` is the core shifted by -step, with its own gain and offset.
         step = solution[:2] / max(float(solution[2]), 1e-3)
         at = np.clip(at - step, start - 1.5, start + 1.5)
         if np.max(np.abs(step)) < 1e-3:

@@ -270,6 +270,6 @@ def _correlation(data: TemplateProducts, right: Array, normal: Array) -> Array:
     both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
     frame = data.power - right[:, 1] ** 2 / weight
     picture = normal[:, 0, 0] - normal[:, 0, 1] ** 2 / weight
-    # Where nothing is left of frame or picture, rounding errors are no match.
+    # The variance of a flat frame or template is a rounding error and must not give a score.
     size = np.maximum(frame, 1e-9 * data.power) * np.maximum(picture, 1e-9 * normal[:, 0, 0])
     return np.clip(both / np.sqrt(np.maximum(size, 1e-12)), -1.0, 1.0)

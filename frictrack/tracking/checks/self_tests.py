@@ -58,7 +58,7 @@ def key_frame_notes(change: Array, x: Array, y: Array) -> tuple[str, ...]:
 def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
     """Median step of the track on entering the frames `at`, and its standard error, px."""
     at = at[(at >= 2) & (at < len(x) - 1)]
-    # A step of 1 between two frames leaves 2/3 after the mean slope of the frames around is taken off.
+    # A step of 1 between two frames leaves 2/3 after the mean slope of the surrounding frames is subtracted.
     steps = np.stack([1.5 * (q[at] - q[at - 1] - (q[at + 1] - q[at - 2]) / 3) for q in (x, y)])
     steps = steps[:, np.all(np.isfinite(steps), axis=0)]
     if steps.shape[1] < MIN_REPEATS:

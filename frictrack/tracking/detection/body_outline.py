@@ -113,7 +113,7 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
     )  # a plain background far brighter than the body must not leak in
     spread = _typical_square(stack - picture)
     member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
-    # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
+    # The scene is visible through a moving shadow: it changes more than the body does in the same light.
     normalised = _normalise_light(stack, picture, member)
     spread = _typical_square(normalised - picture)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px

@@ -242,7 +242,7 @@ def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
             if best > MIN_SCORE and moves:
                 corner[k], score[k], last = at, best, at
     axes_known = _textured_axes(patch)
-    # Along a stripe nothing can be told: a find far along it is another stripe.
+    # The position along a stripe is undetermined: a find far along it is another stripe.
     stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
     corner[stray], score[stray] = np.nan, np.nan
     merit = 0.0 if _is_shading(patch) else _merit(scene, box, corner, score, axes_known)

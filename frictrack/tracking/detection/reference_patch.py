@@ -64,7 +64,7 @@ def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
         frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
     away = np.abs(np.stack([frame - light_ratio(frame, still) * still for frame in frames]))
-    # Bright parts are noisier than dark ones, and where the sensor is full there is no noise at all.
+    # Bright parts are noisier than dark ones, and saturated pixels have no noise.
     noise = np.maximum(1.4826 * cv2.blur(np.median(away, axis=0), (15, 15)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
     moved = cv2.blur(away.max(axis=0) - MAX_SHAKE_ERROR_PX * slope, (3, 3)) > MIN_CHANGE_SIGMAS * noise
@@ -100,7 +100,7 @@ def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[
             continue
         xx, yy, xy, blocked = (_box_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, excluded.astype(np.float64)))
         weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-        # What the noise left in the median has of gradient is no texture.
+        # The gradient of the noise that remains in the median is no texture.
         weakest -= 0.1 * h * w
         sigma = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
         found.append((float(sigma.min()), (0, 0, w, h), sigma))

@@ -225,7 +225,7 @@ def _pick_frames(recording: Recording, also: Iterable[int]) -> tuple[list[int], 
     count = min(recording.n_frames, int(np.clip(MAX_SAMPLE_BYTES // size, 9, MAX_SAMPLES)))
     spread = np.linspace(0, recording.n_frames - 1, count).astype(int)
     index = np.unique([*spread, *also]).astype(int).tolist()
-    # A file that breaks off gives fewer frames; one that is spoilt comes as one grey.
+    # A truncated file gives fewer frames; a damaged frame is uniformly grey.
     pairs = zip(index, recording.pick(index), strict=False)
     usable = [(i, frame) for i, frame in pairs if int(np.ptp(frame[::2, ::2])) >= 2]
     if not usable:
@@ -335,7 +335,7 @@ def light_ratio(picture: Picture, background: Picture) -> float:
 def _foreground(difference: Picture, noise: float) -> Mask:
     """Pixels that differ from the background by more than noise, as closed regions."""
     energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
-    # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
+    # Smoothed squared noise scatters by about a quarter of its mean: noise never reaches nine times the mean.
     return clean_mask(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
 
 
