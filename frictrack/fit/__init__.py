@@ -265,7 +265,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "uses_measured_friction": is_measured_friction(result.solution.problem),
+        "measured": is_measured_friction(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,
@@ -300,7 +300,7 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
-    by_cell = bool(saved.get("uses_measured_friction", False))
+    by_cell = bool(saved.get("measured", False))
     law = _law(str(saved["law"]), bool(saved["weighed"]))
     lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
     if by_cell:
