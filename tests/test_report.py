@@ -237,7 +237,9 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, mon
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(FrictrackError, match=r"cannot write .*report\.html: No space left on device; the old file is unchanged"):
+    with pytest.raises(
+        FrictrackError, match=r"cannot write .*report\.html: No space left on device; the old file is unchanged"
+    ):
         report.write(results(), path)
     assert path.read_text() == "the old one"
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]

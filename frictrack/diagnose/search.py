@@ -18,30 +18,27 @@ from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
     Evidence,
     KnownFindings,
-    assess_accelerometer,
-    assess_auxiliary_signals,
     evidence_curves,
 )
 from frictrack.diagnose.detection_limits import detection_limit
-from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import explained_shares, nested_models, simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repeatability import find_failure_pattern
-from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, review_found, run_round
+from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
+from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, run_round
 from frictrack.diagnose.simpler_model import find_simpler_model
-from frictrack.diagnose.subsampling import subsample_frames, subsample_pieces
+from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit, GroupFits, measured_friction
-from frictrack.fit.least_squares import Solution, heldout_rms
+from frictrack.fit import Fit, GroupFits
+from frictrack.fit.least_squares import Solution
 from frictrack.fit.stepwise import refine_to_end
-from frictrack.fit.uncertainty import Estimates, estimate_parameters, linear_estimates
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -111,12 +108,11 @@ def diagnose(
             return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, [remark])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
-    start, omitted = (measured_friction.weight_by_noise(start)[0], "") if fit.measured else subsample_pieces(start)
-    start, remark = (start, "") if fit.measured else subsample_frames(start)
+    start, remarks = residual_kind(start.problem).prepare(start)
     found = _search(fit, start, (own, auxiliary), (np.random.default_rng(seed), notify))
     diagnosis = _conclude_search(fit, found, auxiliary, notify)
     notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
-    return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, [omitted, remark])])
+    return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, remarks)])
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,8 @@ def _search(
     """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, progress)."""
     (own, auxiliary), (rng, notify) = signals, means
     generators = rng.spawn(2)
-    sensor = None if fit.measured else assess_accelerometer(start, fit.runs, auxiliary or {})
+    kind = residual_kind(start.problem)
+    sensor = kind.accelerometer(start, fit.runs, auxiliary)
     first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what))
     found: list[RefinedCandidate] = []
     for done in range(1, MAX_ROUNDS + 1):
@@ -152,16 +149,14 @@ def _search(
             found.append(
                 replace(best, indistinguishable_from=find_rivals(best, _consistent_with_sensor(last.tried, sensor)))
             )
-        elif fit.measured:
-            break
         else:
             before = [t.effect.name for t in found]
-            found = review_found(start, found, own, notify_round)
+            found = kind.review(start, found, own, notify_round)
             if [t.effect.name for t in found] == before:
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_round(measured_friction.weight_by_noise(law)[0] if fit.measured else law, own, rng, notify_round)
+        last = run_round(kind.before_round(law), own, rng, notify_round)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return _Search(start, first, last, found, generators)
 
@@ -181,11 +176,12 @@ def _conclude_search(fit: Fit, search: _Search, auxiliary: AuxiliarySignals | No
     findings = (
         KnownFindings(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else KnownFindings()
     )
-    evidence = [] if fit.measured else assess_auxiliary_signals(start, fit.runs, generators[0], auxiliary, findings)
+    kind = residual_kind(start.problem)
+    evidence = kind.auxiliary_evidence(start, fit.runs, generators[0], auxiliary, findings)
     pattern = find_failure_pattern(start, generators[1])
     figures = concluded.figures | pattern.figures | evidence_curves(evidence)
     concluded = replace(concluded, evidence=evidence, repeats=pattern.repeats, figures=figures)
-    if found and not fit.measured and not last.leaves_misfit:
+    if found and kind.imitates and not last.leaves_misfit:
         concluded = _compare_with_formulas(concluded, start, last.solution)
     progress("planning the next experiment")
     return replace(concluded, next_experiment=_plan_next(concluded, first, last, found, progress))
@@ -233,7 +229,8 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]
     else:
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
-    noise, misfit = _noise(fit)
+    kind = residual_kind(fit.solution.problem)
+    noise, misfit = kind.noise(fit)
     undetermined = find_undetermined(fit, first, curves)
     unclear = misfit < 1 or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], undetermined))
     if undetermined and (complete or unclear):
@@ -242,8 +239,8 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]
         model=fit.model.names,
         verdict=verdict,
         missing=[t.effect.name for t in found if not t.objection],
-        noise_um=None if fit.measured else 1e6 * noise,
-        noise_N=noise if fit.measured else None,
+        noise_um=1e6 * noise if kind.unit == "um" else None,
+        noise_N=noise if kind.unit == "N" else None,
         reduced_chi2=misfit,
         p_lack_of_fit=first.tests.p_lack_of_fit,
         fails_at=[] if complete else _fails_at(fit, found),
@@ -273,7 +270,7 @@ def _importance(
 ) -> list[Importance]:
     """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
     alone = explained_shares(first, first.tried)
-    unit = "um" if first.solution.problem.simulates else "N"
+    unit = residual_kind(first.solution.problem).unit
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
     out: list[Importance] = []
     chi2, error = first.solution.chi2, None
@@ -305,16 +302,6 @@ def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
     return [replace(row, stop=False) for row in rows]
 
 
-def _noise(fit: Fit) -> tuple[float, float]:
-    """Return the noise of a frame (m, or N for measured friction) and the reduced chi-squared."""
-    if not fit.measured:
-        noise = float(np.sqrt(np.mean(np.concatenate([r.piece.noise for r in fit.solution.responses]) ** 2)))
-        return noise, fit.reduced_chi2
-    noise = measured_friction.weight_by_noise(fit.solution)[1].rms
-    residual = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
-    return noise, float(np.sum(residual**2) / noise**2 / max(len(residual) - len(fit.solution.p), 1))
-
-
 def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _HeldOutErrors) -> list[Candidate]:
     """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
     chosen = {t.effect.name: t for t in found}
@@ -331,7 +318,8 @@ def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _
         refined = chosen.get(name, t)
         indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
         shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
-        out.append(_candidate(shown, heldout if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None))
+        held = heldout if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None
+        out.append(_candidate(shown, held, residual_kind(first.solution.problem)))
     return out
 
 
@@ -360,7 +348,7 @@ class _HeldOutErrors:
     def __init__(self, bare: Solution) -> None:
         self._bare = bare
         self._bare_errors: dict[str, float] = {}
-        self._heldout_rms = heldout_rms if bare.problem.simulates else measured_friction.heldout_rms
+        self._heldout_rms = residual_kind(bare.problem).heldout_rms
 
     def __call__(self, solution: Solution) -> tuple[float, float, str]:
         """Return the held-out errors of the bare model and of this one, and the hold-out method."""
@@ -370,7 +358,7 @@ class _HeldOutErrors:
         return self._bare_errors[how], after, how
 
 
-def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None) -> Candidate:
+def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None, kind: ResidualKind) -> Candidate:
     """Convert a refined candidate to its entry in the diagnosis."""
     effect, solution = tried.effect, tried.solution
     before = after = how = None
@@ -380,10 +368,9 @@ def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None) -> Candi
             before, after, how = heldout(solution)
         parameters = {
             name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-            for name, e in _parameter_estimates(solution).parameters.items()
+            for name, e in kind.estimates(solution).parameters.items()
             if name.rsplit(".", 1)[0] == effect.name
         }
-    measured = solution is not None and not solution.problem.simulates
     return Candidate(
         effect=effect.name,
         acts_on=effect.acts_on,
@@ -395,16 +382,9 @@ def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None) -> Candi
         heldout=how,
         indistinguishable_from=tried.indistinguishable_from,
         implausible=tried.objection,
-        words=describe_effect(effect, None if measured else solution),
-        unit="N" if measured else "um",
+        words=kind.describe(effect, solution),
+        unit=kind.unit,
     )
-
-
-def _parameter_estimates(solution: Solution) -> Estimates:
-    """Return parameters with standard deviations; those of measured friction come from blocks of the residual."""
-    if measured_friction.is_measured_friction(solution.problem):
-        return linear_estimates(solution, measured_friction.block_covariance(solution))
-    return estimate_parameters(solution, profile=False)
 
 
 def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
@@ -435,20 +415,4 @@ def _plural(why: str, count: int) -> str:
 
 def _remarks(fit: Fit, excluded: dict[str, str]) -> list[str]:
     """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
-    out = _describe_excluded(excluded)
-    if fit.measured:
-        return out + measured_friction.remarks(
-            fit.solution, fit.runs, measured_friction.weight_by_noise(fit.solution)[1]
-        )
-    if len(fit.runs) == 1:
-        out.append("single run: slope, a cable and Coulomb friction cannot be distinguished")
-    if any(run.has_incline for run in fit.runs):
-        out.append(
-            "on an incline, Coulomb friction and gravity act alike while the mass slides one way: with a nominal "
-            "scale, mass or angle, only changes of the force along the run are meaningful"
-        )
-    out.append(
-        "a constant error of scale, frame rate or mass is absorbed exactly: "
-        "forces go with mass and scale, and with fps^2"
-    )
-    return out
+    return _describe_excluded(excluded) + residual_kind(fit.solution.problem).remarks(fit)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit import measured_friction
 from frictrack.fit.free_run import free_errors
-from frictrack.fit.result import Fit, errors_of
+from frictrack.fit.result import Fit
 from frictrack.models import Model
 from frictrack.records import Curve, ModelledMotion, Run
 
@@ -56,20 +55,13 @@ class GroupFits:
         share = frames / frames.sum()
         ways = {f.heldout[1] for f in group_fits}
         heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in group_fits]) ** 2))
-        measured = group_fits[0].measured
-        return self._errors() | {
-            "heldout_rms_um": None if measured else 1e6 * heldout,
-            "heldout_rms_N": heldout if measured else None,
+        objective = group_fits[0].objective
+        return objective.errors(group_fits, self.curves) | {
+            **objective.heldout_summary(heldout),
             "heldout": "run" if ways == {"run"} else "frames",
             "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in group_fits])),
             **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),
         }
-
-    def _errors(self) -> dict[str, Any]:
-        group_fits = list(self.fits.values())
-        if group_fits[0].measured:
-            return measured_friction.errors_of([r for f in group_fits for r in f.solution.responses])
-        return errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
