@@ -159,7 +159,7 @@ def continue_search(found: LocalForces) -> LocalForces:
 
 
 def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
-    """Refit the model beside the bumps found, then put their traces back into the residual."""
+    """Refit the model together with the bumps found, then put their traces back into the residual."""
     solution = found.law.solution
     pieces = []
     for i, (piece, at) in enumerate(zip(bare.pieces, found.nodes, strict=True)):
@@ -254,7 +254,7 @@ def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool
 
 
 def _fit_bumps(found: LocalForces, steps: int = 6) -> LocalForces:
-    """Refine sizes, centres and widths of all bumps together beside the model (Levenberg-Marquardt)."""
+    """Refine sizes, centres and widths of all bumps together with the model (Levenberg-Marquardt)."""
     bumps = found.bumps
     columns = bump_columns(found, bumps)
     sizes, chi2 = solve_sizes(found.law, columns[:, :, 0])
@@ -275,7 +275,7 @@ def _fit_bumps(found: LocalForces, steps: int = 6) -> LocalForces:
 
 
 def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
-    """Fit sizes of columns beside the model by least squares.
+    """Fit sizes of columns together with the model by least squares.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def _damped_step(found: LocalForces, bumps: Sequence[Bump], columns: Array, size
 
 
 def _with_sizes(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
-    """Return the bumps with their sizes and their significance beside all others."""
+    """Return the bumps with their sizes and their joint significance."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean)
     deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))

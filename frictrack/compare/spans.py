@@ -309,7 +309,7 @@ def _partial_trace(law: ModelProjection, i: int, rows: Rows, solution: Solution,
 
 
 def _joint_significance(law: ModelProjection, columns: Array) -> Array:
-    """Significance of each column (N + m, k) beside the model and all other columns, in standard deviations."""
+    """Significance of each column (N + m, k) with model and other columns free, in standard deviations."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
     deviation = np.sqrt(np.diag(inverse))

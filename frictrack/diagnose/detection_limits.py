@@ -103,7 +103,7 @@ def _wave_gain(schur: Array, full: Array) -> tuple[Array, Array]:
 
 
 def _first_coefficient_gain(schur: Array, full: Array) -> tuple[Array, Array]:
-    """Gain (G,) per unit of the first coefficient beside the others, and the square of its column."""
+    """Gain (G,) per unit of the first coefficient with the others free, and the square of its column."""
     rest = schur[:, 1:, 1:]
     if not rest.shape[1]:
         return schur[:, 0, 0], full[:, 0]

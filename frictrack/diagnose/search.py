@@ -201,7 +201,7 @@ def _compare_with_formulas(concluded: Diagnosis, start: Solution, law: Solution)
 
 
 def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:
-    """Keep the candidates that agree with the accelerometer: it tells a moving mass from a moving picture."""
+    """Keep the candidates that agree with the accelerometer, which separates a moving mass from a moving picture."""
     return [t for t in tried if sensor is None or t.effect.acts_on == sensor.acts_on]
 
 
@@ -343,7 +343,7 @@ def _fails_at(fit: Fit, found: list[RefinedCandidate]) -> list[dict[str, Any]]:
 
 
 class _HeldOutErrors:
-    """Held-out errors of models beside that of the bare model, which is computed once per hold-out method."""
+    """Held-out errors of models and of the bare model; the latter is computed once per hold-out method."""
 
     def __init__(self, bare: Solution) -> None:
         self._bare = bare

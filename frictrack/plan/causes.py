@@ -50,7 +50,7 @@ class Cause:
 
 
 def list_causes(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
-    """List the effects that a plan examines beside a friction law.
+    """List the effects that a plan examines in addition to a friction law.
 
     Parameters
     ----------

@@ -214,7 +214,7 @@ class ModelDiscrimination:
 
 
 class _LinearisedRuns(LeastSquaresProblem):
-    """A planned run beside the present runs, which answer linearly about a fit and are not simulated again."""
+    """A planned run and the present runs; the latter answer linearly about a fit and are not simulated again."""
 
     def __init__(self, fitted_rival: Solution, layout: ParameterLayout, piece: Piece) -> None:
         super().__init__(layout.model, layout, [*fitted_rival.problem.pieces, piece])

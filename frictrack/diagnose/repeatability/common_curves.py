@@ -99,7 +99,7 @@ class _Runs:
         return max(self.run) + 1
 
     def normal_equations(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Gram matrices and data by run of columns (n_i, k) with the shared columns beside them."""
+        """Gram matrices and data by run of columns (n_i, k) and the shared columns."""
         k = columns[0].shape[1] + self.shared[0].shape[1]
         gram, data = np.zeros((self.count, k, k)), np.zeros((self.count, k, self.series[0].shape[1]))
         for i, run in enumerate(self.run):
@@ -307,7 +307,7 @@ def _best_wave_gains(projected: _Runs) -> tuple[Array, float]:
 
 
 def _best_wave(total: _WaveProducts, law: Array, data: Array) -> float:
-    """Fall of chi-squared of the data with the best of all waves beside the model (S, S)."""
+    """Fall of chi-squared of the data with the best of all waves, model included (S, S)."""
     absorbed = np.einsum("st,git->sgi", np.linalg.pinv(law, rcond=1e-10, hermitian=True), total.cross)
     pairs = total.pairs - np.einsum("gis,sgj->gij", total.cross, absorbed)
     right_side = total.data[:, :, 0] - np.einsum("sgi,s->gi", absorbed, data[:, 0])
