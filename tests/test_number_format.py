@@ -1,13 +1,11 @@
 """Numbers as text: every form that the report, the figures and the terminal use."""
 
-import doctest
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from frictrack import number_format
 from frictrack.number_format import (
     format_change,
     format_concise,
@@ -22,10 +20,6 @@ from frictrack.number_format import (
 )
 
 MINUS, THIN = "\N{MINUS SIGN}", "\N{NARROW NO-BREAK SPACE}"
-
-
-def test_the_examples_of_the_module_run():
-    assert doctest.testmod(number_format).failed == 0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,14 @@
+"""The examples in the docstrings run and print what they say."""
+
+import doctest
+import pkgutil
+from importlib import import_module
+
+import frictrack
+
+
+def test_the_examples_of_all_modules_run():
+    names = [m.name for m in pkgutil.walk_packages(frictrack.__path__, "frictrack.") if not m.name.endswith("__main__")]
+    results = {name: doctest.testmod(import_module(name)) for name in names}
+    assert [name for name, result in results.items() if result.failed] == []
+    assert sum(result.attempted for result in results.values()) > 100
