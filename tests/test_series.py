@@ -264,7 +264,7 @@ class TestRefused:
                 {"domain": "force"},
                 "expected friction_N of all runs or of none but film of 2 runs has none; give these a study",
             ),
-            (lambda: [swing()], {"model": "coulomb,lens"}, "since friction itself was measured, but lens acts on the"),
+            (lambda: [swing()], {"model": "coulomb,lens"}, "friction itself was measured, but got lens, which acts"),
             (lambda: [swing()], {"model": "coulomb,drive_error"}, "drive_error needs a measured drive of every run"),
             (lambda: [swing()], {"domain": "displacement"}, "expected a mass for a fit of the displacement"),
             (lambda: [swing(), swing(1)], {}, "expected every run to have its own name but got swing twice"),

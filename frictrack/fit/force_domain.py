@@ -119,7 +119,25 @@ def fit_accelerations(solution: Solution, runs: Sequence[Run]) -> Solution:
 
 
 def fit_starts(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
-    """Fit only the starts of given unknowns p (P,), in the displacement domain."""
+    """Fit only the starts, in the displacement domain.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The displacement problem.
+    p : array of shape (P,)
+        The unknowns, which stay as they are.
+    starts : sequence of array of shape (2,)
+        First starts.
+    tau : float
+        Relative standard deviation of the friction levels.
+
+    Returns
+    -------
+    Solution
+        The same unknowns with fitted starts.
+
+    """
     return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool))
 
 

@@ -86,7 +86,26 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
 
 
 def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dict[str, Any]:
-    """Compute the errors of free runs as JSON; None if one of them could not be simulated."""
+    """Compute the errors of free runs.
+
+    Parameters
+    ----------
+    found : sequence of FreeRun or None
+        Free runs; None for one that could not be simulated.
+    role : str, optional
+        Role of the runs, "fit" or "validation", to be included.
+
+    Returns
+    -------
+    dict
+        JSON: rms in um, and relative to the displacement; None if a run could not be simulated.
+
+    Examples
+    --------
+    >>> free_errors([FreeRun(np.arange(2.0), np.array([0.0, 2.0]), np.array([0.0, 2.0]))])
+    {'free_run_rms_um': 0.0, 'free_run_relative': 0.0}
+
+    """
     known = [f for f in found if f is not None]
     if not found or len(known) < len(found):
         rms = relative = None

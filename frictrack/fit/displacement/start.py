@@ -102,7 +102,7 @@ def _by_variable_projection(
 ) -> Solution:
     """The fit that variable projection starts; effects that it cannot scan are added afterwards.
 
-    Raises FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
+    FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
     """
     lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
     if any(lacking):

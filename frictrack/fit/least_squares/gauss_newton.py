@@ -196,7 +196,27 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
 def refine_further(
     solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, min_fall: float = MIN_CHI2_FALL
 ) -> Solution:
-    """Continue the refinement of a solution at another scatter of the levels, without simulating it again."""
+    """Continue the refinement of a solution at another scatter of the levels, without simulating it again.
+
+    Parameters
+    ----------
+    solution : Solution
+        Where to start.
+    tau : float
+        Relative standard deviation of the friction levels.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all.
+    max_steps : int
+        Largest number of steps.
+    min_fall : float
+        See `refine`.
+
+    Returns
+    -------
+    Solution
+        The refined unknowns.
+
+    """
     penalty = penalty_residual(solution.problem.layout, solution.p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(penalty @ penalty)
     state = replace(solution, tau=tau, objective=objective)
@@ -206,9 +226,28 @@ def refine_further(
 def predicted_objective(
     problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
 ) -> tuple[float, Solution]:
-    """Compute the objective that the first step from p (P,) is predicted to reach, and the solution at p.
+    """Compute the objective that the first step from p is predicted to reach. Every piece is simulated once.
 
-    Every piece is simulated once.
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+    p : array of shape (P,)
+        The unknowns.
+    starts : sequence of array of shape (2,)
+        Starts of the pieces.
+    tau : float
+        Relative standard deviation of the friction levels.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all.
+
+    Returns
+    -------
+    objective : float
+        Predicted chi-squared plus penalties.
+    solution : Solution
+        The solution at p.
+
     """
     refinement = _make_refinement(problem, p, tau, free)
     state = refinement.at(p, list(starts))

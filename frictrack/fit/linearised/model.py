@@ -105,9 +105,20 @@ class LinearisedPiece:
         return np.asarray(columns.T.reshape(columns.shape[1], count, n).transpose(1, 0, 2))
 
     def whitened_rows(self, raw: Array, is_measurement: bool) -> Array:
-        """Compute the change in the measurement that columns (k, m) make: whitened rows (k, n).
+        """Compute the change in the measurement that columns make.
 
-        `is_measurement` marks columns that are measurement shifts, m, instead of forces, N.
+        Parameters
+        ----------
+        raw : array of shape (k, m)
+            Forces along the path, N, or measurement shifts, m.
+        is_measurement : bool
+            Whether the columns are measurement shifts.
+
+        Returns
+        -------
+        array of shape (k, n)
+            Rows at the frames, in standard deviations.
+
         """
         piece = self.response.piece
         frames = piece.at // piece.per_frame

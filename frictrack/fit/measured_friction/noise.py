@@ -91,7 +91,19 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
 
 
 def friction_noise(solution: Solution) -> FrictionNoise:
-    """Estimate the noise of all runs together: the white part, or the part that does not repeat between strokes."""
+    """Estimate the noise of all runs together.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    FrictionNoise
+        The white part, or the part that does not repeat between strokes where that is larger.
+
+    """
     white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
     differences = [d for r in solution.responses for d in _stroke_differences(r.piece, r.r * r.piece.sigma)]
     if not differences:

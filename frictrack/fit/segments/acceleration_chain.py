@@ -49,7 +49,21 @@ class AccelerationChain:
 
 
 def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
-    """Create the chain of one piece at the cut-off frequency of its run."""
+    """Create the chain of one piece at the cut-off frequency of its run.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    piece : Piece
+        One of its pieces.
+
+    Returns
+    -------
+    AccelerationChain
+        The linear map from the piece's frames to accelerations.
+
+    """
     grid = frame_grid(piece.t)
     n, m = len(piece.t), run.motion.guard
     guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))

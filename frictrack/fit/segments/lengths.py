@@ -73,7 +73,21 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
 
 
 def cut_into_segments(sections: Sequence[Piece], n: int) -> list[Piece]:
-    """Cut stretches into segments of about n frames; n = 0 leaves them whole."""
+    """Cut stretches into segments.
+
+    Parameters
+    ----------
+    sections : sequence of Piece
+        Stretches of one run.
+    n : int
+        Frames per segment, about; 0 leaves the stretches whole.
+
+    Returns
+    -------
+    list of Piece
+        Segments in order of time.
+
+    """
     if not n:
         return list(sections)
     out = []

@@ -24,7 +24,21 @@ class Reference:
 
 
 def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
-    """Return the reference: the study's mass, or the first run's, and the normal load that belongs to it."""
+    """Return the mass and the normal load at which newtons are reported.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        The fitted runs.
+    mass : float, optional
+        Mass of the study, kg; default that of the first run.
+
+    Returns
+    -------
+    Reference
+        The mass, and the normal load that belongs to it. The load is 1 where the mass is unknown.
+
+    """
     first = runs[0]
     if first.mass is None:
         return Reference(mass or 1.0, 1.0)

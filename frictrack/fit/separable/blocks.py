@@ -94,7 +94,19 @@ def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> 
 
 
 def displacement_block(piece: Piece) -> DataBlock:
-    """Create a block from the displacement of a piece, start position and speed projected out."""
+    """Create a block from the displacement of a piece.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+
+    Returns
+    -------
+    DataBlock
+        Whitened displacement minus that of the known acceleration, start position and speed projected out.
+
+    """
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
     twice = double_integral(piece.t)
 
@@ -115,9 +127,24 @@ def displacement_block(piece: Piece) -> DataBlock:
 
 
 def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
-    """Create a block from the accelerations of a piece through the papers' chain, in units of `noise`.
+    """Create a block from the accelerations of a piece through the papers' chain.
 
     The force enters by its cosine components within the passband of the chain, so that the map is one small matrix.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    chain : AccelerationChain
+        Its low-pass and double difference.
+    noise : float
+        Noise of the accelerations, m/s^2; the unit of the data.
+
+    Returns
+    -------
+    DataBlock
+        Accelerations in the coordinates that a force along the path can change.
+
     """
     t = piece.t
     k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
