@@ -72,7 +72,7 @@ def told():
     scene = SCENES["tustin"]
     draws = [accuracy.draw(job) for job in Plan(["tustin"], [1e-5], 20, 4, 1).jobs("tustin", 1e-5)]
     limits = bound(scene, 1e-5)
-    return accuracy._judged(scene, limits, draws) | {"apart": accuracy._apart(limits, draws)}
+    return accuracy._judged(scene, limits, draws) | {"apart": accuracy._differs(limits, draws)}
 
 
 def test_frictrack_is_at_the_bound(told):
@@ -96,15 +96,15 @@ def test_other_ways_are_far_from_it(told):
 
 def test_a_line_below_the_noise_has_no_row():
     scene = SCENES["atm1:2"]
-    assert accuracy._faint(scene, bound(scene, 5e-5)).startswith("F1 stands only 1.8")
-    assert not accuracy._faint(scene, bound(scene, 2e-6))
+    assert accuracy._is_faint(scene, bound(scene, 5e-5)).startswith("F1 stands only 1.8")
+    assert not accuracy._is_faint(scene, bound(scene, 2e-6))
 
 
 def test_lines_are_numbered_by_frequency_and_pushed_not_resisted():
     estimate = METHODS[accuracy.OURS](SCENES["atm1:2"], films(SCENES["atm1:2"], 2e-6, 1))
     limits = bound(SCENES["atm1:2"], 2e-6)
     for name, truth in SCENES["atm1:2"].law.items():
-        assert abs(accuracy._off(name, estimate.values[name], truth)) < 5 * limits[name], name
+        assert abs(accuracy._error_ratio(name, estimate.values[name], truth)) < 5 * limits[name], name
 
 
 def test_tables_print(told):
@@ -146,7 +146,7 @@ def hidden(extract, late=2e-3):
 
 
 def test_the_screen_finds_a_hidden_effect_and_the_late_drive(extract, monkeypatch):
-    monkeypatch.setattr(screen, "TAKEN", 1)
+    monkeypatch.setattr(screen, "MAX_EFFECTS", 1)
     wanted = [e for e in screen.candidates(screen.Law({"coulomb": {}})) if e.name in ("texture", "drag")]
     monkeypatch.setattr(screen, "candidates", lambda law: [e for e in wanted if e.name not in law.numbers])
     record, law = hidden(extract), screen.Law({name: {} for name in ASYMMETRIC.split(",")})
