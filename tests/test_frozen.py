@@ -49,7 +49,7 @@ def test_sentences_are_compared_where_asked(frozen):
 
 
 def test_every_case_is_stored(frozen):
-    for name in frozen.QUICK:
+    for name in frozen.CASES:
         stored = json.loads((FOLDER / "outputs" / f"{name}.json").read_text(encoding="utf-8"))
         assert stored
         assert not any(isinstance(v, float) and math.isnan(v) for v in stored.values() if not isinstance(v, dict))

@@ -26,7 +26,18 @@ from cases import CASES, QUICK, ROOT
 OUTPUTS = Path(__file__).resolve().parent / "outputs"
 RELATIVE = 1e-9
 # Values of the run and not of the result: processor times, versions, checksums of files that hold either.
-IGNORED = {"version", "python", "machine", "cpu_s", "cpu_seconds", "seconds", "ms", "cpu_ms", "frames_per_cpu_second"}
+IGNORED = {
+    "version",
+    "python",
+    "machine",
+    "cpu_s",
+    "cpu_seconds",
+    "seconds",
+    "ms",
+    "cpu_ms",
+    "frames_per_cpu_second",
+    "frames_per_s",
+}
 SHOWN = 12  # differences per case
 
 

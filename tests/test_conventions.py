@@ -1,0 +1,117 @@
+"""Check the conventions of the code: names, import circles, and packages entered by their interface."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted((ROOT / "frictrack").rglob("*.py"))
+}
+PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+# Words of a former vocabulary; docs/glossary.md says what to write instead.
+RETIRED = {
+    *("told", "beside", "along", "here", "crew", "wander", "plainer", "sure", "turning", "desk", "door", "sought"),
+    *("alike", "witness", "witnesses", "ledger"),
+}
+# Constants that name neither their meaning nor their unit.
+VAGUE = {
+    *("MOST", "LEAST", "SURE", "ALIKE", "FEW", "MANY", "HARD", "SMALL", "LARGE", "ENOUGH", "NEAR", "FAR", "OFTEN"),
+    *("FEWEST", "LONGEST", "SHORTEST", "CLEAR", "CLOSE", "APART", "AGAIN", "STILL", "SEEN", "LIKELY", "SAME", "OTHER"),
+    *(
+        "WORTH",
+        "ONLY",
+        "CERTAIN",
+        "SLOW",
+        "FAST",
+        "TINY",
+        "WIDE",
+        "NARROW",
+        "LOOSE",
+        "STRONG",
+        "WEAK",
+        "PLAIN",
+        "ALONE",
+    ),
+}
+
+
+def words_of(name: str) -> set[str]:
+    """The words of an identifier, in lower case."""
+    return set(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_"))
+
+
+def names_of(tree: ast.Module) -> list[str]:
+    """Every class, function and argument that a module defines."""
+    named = [n.name for n in ast.walk(tree) if isinstance(n, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
+    return [*named, *(n.arg for n in ast.walk(tree) if isinstance(n, ast.arg))]
+
+
+def constants_of(tree: ast.Module) -> list[str]:
+    """Every constant that a module defines."""
+    assigned = [n for n in tree.body if isinstance(n, ast.Assign | ast.AnnAssign)]
+    targets = [t for n in assigned for t in (n.targets if isinstance(n, ast.Assign) else [n.target])]
+    return [t.id for t in targets if isinstance(t, ast.Name) and t.id.isupper()]
+
+
+def imports_of(tree: ast.Module) -> list[tuple[str, str]]:
+    """Every `from frictrack... import name` of a module, those inside functions and for type checking among them."""
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("frictrack")]
+    return [(n.module or "", alias.name) for n in found for alias in n.names]
+
+
+def target_of(module: str, name: str) -> str:
+    """The module that an import executes last."""
+    return f"{module}.{name}" if f"{module}.{name}" in MODULES else module
+
+
+def test_a_public_class_name_has_one_meaning():
+    names = Counter(
+        node.name
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+@pytest.mark.parametrize("word", sorted(RETIRED))
+def test_no_name_holds_a_retired_word(word):
+    files = [name for name in MODULES if word in words_of(name.rpartition(".")[2])]
+    names = [f"{module}: {name}" for module, tree in TREES.items() for name in names_of(tree) if word in words_of(name)]
+    assert files + names == []
+
+
+def test_constants_carry_a_meaning():
+    assert [
+        f"{module}: {c}" for module, tree in TREES.items() for c in constants_of(tree) if c.strip("_") in VAGUE
+    ] == []
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    graph = {name: {target_of(*i) for i in imports_of(tree)} - {name} for name, tree in TREES.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as e:
+        pytest.fail(" -> ".join(e.args[1]))
+
+
+def test_packages_are_entered_by_their_interface():
+    past = []
+    for name, tree in TREES.items():
+        for module, imported in imports_of(tree):
+            target = target_of(module, imported)
+            package = target if target in PACKAGES else target.rpartition(".")[0]
+            inside = name == package or name.startswith(f"{package}.")
+            if target not in PACKAGES and package != "frictrack" and not inside:
+                past.append(f"{name}: from {module} import {imported}")
+    assert past == []
