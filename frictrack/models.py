@@ -304,6 +304,40 @@ class Model:
             total += block @ self.coefficients(name, values)
         return total
 
+    def effect_contribution(self, name: str, path: Path, values: Values) -> Array:
+        """Compute what one effect adds to the friction force, or to the measured position.
+
+        Parameters
+        ----------
+        name : str
+            Name of the effect in the model.
+        path : Path
+            Motion of a run, n samples.
+        values : mapping
+            All parameters: effect -> parameter -> value.
+
+        Returns
+        -------
+        Array
+            (n,) force, N, or picture shift, m. For a modifier the change of the force that it makes.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from frictrack.effects import Path
+        >>> path = Path(t=np.zeros(2), x=np.zeros(2), v=np.array([1.0, 2.0]), s=np.ones(2))
+        >>> values = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.5}}
+        >>> of(["coulomb", "viscous"]).effect_contribution("viscous", path, values)
+        array([0.5, 1. ])
+
+        """
+        effect = next(e for e in self.effects if e.name == name)
+        if effect.modifies:
+            rest = Model(tuple(e for e in self.effects if e.name != name))
+            return np.asarray(self.force(path, values) - rest.force(path, values))
+        columns = self.force_columns if effect.acts_on == "force" else self.measurement_columns
+        return np.asarray(columns(path, values)[name] @ self.coefficients(name, values))
+
     def coefficients(self, name: str, values: Values) -> Array:
         """Linear coefficients of one effect, in the order of its columns."""
         effect = next(e for e in self.effects if e.name == name)

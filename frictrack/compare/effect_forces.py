@@ -6,7 +6,6 @@ import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.measured_friction import MeasuredFrictionPiece
-from frictrack.models import Model
 from frictrack.records import Array
 
 
@@ -25,25 +24,23 @@ def effect_force(solution: Solution, response: PieceResponse, name: str) -> Arra
     Returns
     -------
     ndarray, shape (n,)
-        Force, N; zero for a measurement effect.
+        Force, N; for a measurement effect the picture shift, m.
 
     """
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
     at = piece.at
-    without = Model(tuple(e for e in problem.model.effects if e.name != name))
     if isinstance(piece, MeasuredFrictionPiece):
         path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
-        return (problem.model.force(path, values) - without.force(path, values))[at]
+        return problem.model.effect_contribution(name, path, values)[at]
     path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
-    return problem.model.force(path, values) - without.force(path, values)
+    return problem.model.effect_contribution(name, path, values)
 
 
 def effect_force_at_nodes(solution: Solution, response: PieceResponse, name: str) -> Array:
     """Force of one effect at the integration nodes of a piece, N, (3 p,)."""
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
-    without = Model(tuple(e for e in problem.model.effects if e.name != name))
     if isinstance(piece, MeasuredFrictionPiece):
         path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
     elif problem.model.memory:
@@ -52,5 +49,4 @@ def effect_force_at_nodes(solution: Solution, response: PieceResponse, name: str
         path = piece.path_since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
     else:
         path = piece.path_at_nodes(response.motion.x, response.motion.v, level)
-    force = problem.model.force(path, values) - without.force(path, values)
-    return np.asarray(force[-len(piece.panels.t) :])
+    return problem.model.effect_contribution(name, path, values)[-len(piece.panels.t) :]

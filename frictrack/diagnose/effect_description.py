@@ -9,7 +9,6 @@ import numpy as np
 
 from frictrack.effects import Effect, EffectRecord
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
-from frictrack.models import Model
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array, stretches
 
@@ -73,14 +72,7 @@ class FittedEffect:
         values, level = problem.layout.values(self.solution.p, piece.run)
         x, v = position_and_velocity(response)
         path = piece.at_frames(x, v, level)
-        if self.effect.modifies:
-            rest = Model(tuple(e for e in problem.model.effects if e.name != self.name))
-            return np.asarray(problem.model.force(path, values) - rest.force(path, values))
-        on_force = self.effect.acts_on == "force"
-        made = (
-            problem.model.force_columns(path, values) if on_force else problem.model.measurement_columns(path, values)
-        )
-        return np.asarray(made[self.name] @ problem.model.coefficients(self.name, values))
+        return problem.model.effect_contribution(self.name, path, values)
 
     def value(self, parameter: str) -> float:
         """Return a parameter's value in the run in which the effect is largest."""
