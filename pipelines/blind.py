@@ -21,16 +21,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--film", action="store_true")
     parser.add_argument("--workers", type=int)
-    told = parser.parse_args()
+    args = parser.parse_args()
 
-    if not told.folder.exists():
-        make(told.folder, told.n, seed=told.seed, film=told.film, workers=told.workers)
-    score(told.folder, workers=told.workers)
-    for row in json.loads((told.folder / "score.json").read_text())["outcomes"]:
+    if not args.folder.exists():
+        make(args.folder, args.n, seed=args.seed, film=args.film, workers=args.workers)
+    score(args.folder, workers=args.workers)
+    for row in json.loads((args.folder / "score.json").read_text())["outcomes"]:
         print(
             f"{row['name']}: {' + '.join(row['hidden']) or 'nothing'} hidden, {row['verdict']} {' '.join(row['named'])}"
         )
-    print(told.folder / "score.json")
+    print(args.folder / "score.json")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python pipelines/campaign.py PATH... [--workers N | --scheduler ADDRESS]
 
-PATH is what `frictrack batch` takes: study files, folders, globs. What is finished is not done again.
+PATH is what `frictrack batch` takes: study files, folders, globs. Finished studies are not processed again.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--scheduler")
     parser.add_argument("--output", type=Path, default=Path("campaign"))
-    told = parser.parse_args()
+    args = parser.parse_args()
 
-    found = batch(told.paths, told.output, workers=told.workers, scheduler=told.scheduler)
+    found = batch(args.paths, args.output, workers=args.workers, scheduler=args.scheduler)
     runs = pd.read_csv(found["tables"][0])
     studies = runs.dropna(subset="verdict").groupby("study", sort=False).first()
     if "coulomb.F_c" in studies:

@@ -21,12 +21,12 @@ def main() -> None:
     parser.add_argument("--mass", required=True)
     parser.add_argument("--scale", required=True)
     parser.add_argument("--fps", type=float, required=True)
-    told = parser.parse_args()
+    args = parser.parse_args()
 
-    path = told.folder / "study.toml"
+    path = args.folder / "study.toml"
     if not path.exists():
-        films = sorted(film for film in told.folder.iterdir() if film.suffix.lower() in FILMS)
-        start_study(path, films, {"mass": told.mass, "scale": told.scale, "fps": told.fps})
+        films = sorted(film for film in args.folder.iterdir() if film.suffix.lower() in FILMS)
+        start_study(path, films, {"mass": args.mass, "scale": args.scale, "fps": args.fps})
     session = Session(open_study(path), lambda done, total, what: print(f"{done} of {total} {what}"))
     found = session.run()
     for name, parameter in found["fit"]["parameters"].items():

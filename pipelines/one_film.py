@@ -23,18 +23,18 @@ def main() -> None:
     parser.add_argument("--scale", default="0.5 mm/px")
     parser.add_argument("--fps", type=float, default=4000.0)
     parser.add_argument("--model", default="tustin")
-    told = parser.parse_args()
+    args = parser.parse_args()
 
-    mass, sigma_mass = parse_quantity(told.mass, "kg", "mass")
+    mass, sigma_mass = parse_quantity(args.mass, "kg", "mass")
     tracks, runs = [], []
-    for film in told.films:
-        tracks.append(ft.track(ft.open_recording(film, fps=told.fps)))
-        displacement = ft.calibrate(ft.aligned(tracks[-1], tracks[0]), scale=told.scale)
+    for film in args.films:
+        tracks.append(ft.track(ft.open_recording(film, fps=args.fps)))
+        displacement = ft.calibrate(ft.aligned(tracks[-1], tracks[0]), scale=args.scale)
         motion = ft.differentiate(ft.low_pass(displacement))
         runs.append(ft.Run(displacement, motion, mass=mass, sigma_mass=sigma_mass, name=film.stem))
         print(f"{film.name}: {len(displacement)} frames, v from {motion.v.max():.2f} to {motion.v.min():.2f} m/s")
 
-    fit = ft.fit(told.model, runs)
+    fit = ft.fit(args.model, runs)
     print(fit.equation)
     diagnosis = ft.diagnose(fit)
     print(f"{diagnosis.verdict}: {', '.join(diagnosis.missing) or 'nothing'} missing")

@@ -23,19 +23,19 @@ def main() -> None:
     parser.add_argument("--domain", choices=("displacement", "force"), default="force")
     parser.add_argument("--searches", default=",".join(SEARCHES))
     parser.add_argument("--seed", type=int, default=0)
-    told = parser.parse_args()
+    args = parser.parse_args()
 
-    runs = [work.to_run() for work in Session(open_study(told.study)).bring_up_to("friction")]
+    runs = [work.to_run() for work in Session(open_study(args.study)).bring_up_to("friction")]
     found = {}
-    for search in told.searches.split(","):
+    for search in args.searches.split(","):
         if search == "cmaes" and find_spec("cma") is None:
             print('cmaes left out: pip install "frictrack[cmaes]"')
             continue
         start = time.perf_counter()
-        fit = ft.fit(told.model, runs, domain=told.domain, search=search, seed=told.seed)
+        fit = ft.fit(args.model, runs, domain=args.domain, search=search, seed=args.seed)
         found[search] = fit, time.perf_counter() - start
 
-    key = "rms_displacement_um" if told.domain == "displacement" else "sse_acceleration"
+    key = "rms_displacement_um" if args.domain == "displacement" else "sse_acceleration"
     best = min(fit.errors[key] for fit, _ in found.values())
     names = [name for name, p in next(iter(found.values()))[0].parameters.items() if "[" not in name]
     print("search  ", *(f"{name:>16}" for name in names), f"{key:>22}  over the best   time / s")

@@ -210,7 +210,7 @@ def history(study: Study, as_json: Json = False) -> None:
 
 @app.command()
 def plan(study: Study, as_json: Json = False) -> None:
-    """Plan which runs to film so that the effects can be told apart.
+    """Plan which runs to film so that the effects can be distinguished.
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
     plan.html.

@@ -61,7 +61,7 @@ def emps(data: Mapping[str, Record], seconds: float) -> None:
     other = ft.fit(ft.models.parse("coulomb,viscous") + squared, [whole])
     print(f"  asymmetry as v^2 instead of |v|: {scored(other, record):.3f} %: the form in v is not settled", flush=True)
     part = int(seconds * record.rate)
-    told(ft.fit("coulomb,viscous", [filmed(Record(record.q[:part], record.drive[:part]))]))
+    print_diagnosis(ft.fit("coulomb,viscous", [filmed(Record(record.q[:part], record.drive[:part]))]))
 
 
 def steps(record: Record) -> Iterator[tuple[str, Numbers, float]]:
@@ -85,10 +85,10 @@ def tribometer(path: Path) -> None:
     seen = Displacement(table.t, table.x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
     motion = ft.differentiate(ft.low_pass(seen, method="kalman"))
     print("tribometer, coulomb + viscous", flush=True)
-    told(ft.fit("coulomb,viscous", [Run(seen, motion, friction_N=table.friction, normal_load=5.0)]))
+    print_diagnosis(ft.fit("coulomb,viscous", [Run(seen, motion, friction_N=table.friction, normal_load=5.0)]))
 
 
-def told(fitted_law: ft.Fit) -> None:
+def print_diagnosis(fitted_law: ft.Fit) -> None:
     """The diagnosis in lines, with its processor time."""
     clock = time.process_time()
     found = ft.diagnose(fitted_law)

@@ -25,25 +25,25 @@ def main() -> None:
     parser.add_argument("paths", nargs="+")
     parser.add_argument("--image", required=True)
     parser.add_argument("--claim", required=True, help="volume claim with the studies")
-    parser.add_argument("--mount", default="/studies", help="where it is mounted, here as there")
+    parser.add_argument("--mount", default="/studies", help="where it is mounted, on this machine and in the pods")
     parser.add_argument("--workers", type=int, default=10)
     parser.add_argument("--memory", default="2Gi", help="of one worker")
     parser.add_argument("--output", type=Path, default=Path("frictrack_batch"))
-    told = parser.parse_args()
+    args = parser.parse_args()
 
     spec = make_cluster_spec(
         name="frictrack",
-        image=told.image,
-        n_workers=told.workers,
+        image=args.image,
+        n_workers=args.workers,
         worker_command="dask worker --nthreads 1",  # a study is one thread of work
-        resources={"requests": {"cpu": "1", "memory": told.memory}, "limits": {"memory": told.memory}},
+        resources={"requests": {"cpu": "1", "memory": args.memory}, "limits": {"memory": args.memory}},
         env={"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )
     pod = spec["spec"]["worker"]["spec"]
-    pod["volumes"] = [{"name": "studies", "persistentVolumeClaim": {"claimName": told.claim}}]
-    pod["containers"][0]["volumeMounts"] = [{"name": "studies", "mountPath": told.mount}]
+    pod["volumes"] = [{"name": "studies", "persistentVolumeClaim": {"claimName": args.claim}}]
+    pod["containers"][0]["volumeMounts"] = [{"name": "studies", "mountPath": args.mount}]
     with KubeCluster(custom_cluster_spec=spec) as cluster:
-        found = batch(told.paths, told.output, scheduler=cluster.scheduler_address)
+        found = batch(args.paths, args.output, scheduler=cluster.scheduler_address)
     print(found["output"])
 
 

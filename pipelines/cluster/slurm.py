@@ -26,20 +26,20 @@ def main() -> None:
     parser.add_argument("--memory", default="16GB", help="of one job")
     parser.add_argument("--walltime", default="04:00:00")
     parser.add_argument("--output", type=Path, default=Path("frictrack_batch"))
-    told = parser.parse_args()
+    args = parser.parse_args()
 
     cluster = SLURMCluster(
-        queue=told.queue,
-        cores=told.cores,
-        processes=told.cores,  # one process per core: a study is one thread of work
-        memory=told.memory,
-        walltime=told.walltime,
+        queue=args.queue,
+        cores=args.cores,
+        processes=args.cores,  # one process per core: a study is one thread of work
+        memory=args.memory,
+        walltime=args.walltime,
         job_script_prologue=["export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1"],
     )
     with cluster:
-        cluster.scale(jobs=told.jobs)
+        cluster.scale(jobs=args.jobs)
         cluster.wait_for_workers(1)  # the others join as Slurm starts them
-        found = batch(told.paths, told.output, scheduler=cluster.scheduler_address)
+        found = batch(args.paths, args.output, scheduler=cluster.scheduler_address)
     print(found["output"])
 
 

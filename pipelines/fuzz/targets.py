@@ -124,12 +124,12 @@ def study(data: bytes, folder: Path) -> None:
         (folder / name).touch()
     path = folder / "study.toml"
     path.write_bytes(data)
-    told = check_study(load(path))
-    assert told.output.resolve().is_relative_to(folder.resolve())
-    for run in told.runs:
-        assert (told.output / f"{run.name}.h5").resolve().parent == told.output.resolve()
+    study = check_study(load(path))
+    assert study.output.resolve().is_relative_to(folder.resolve())
+    for run in study.runs:
+        assert (study.output / f"{run.name}.h5").resolve().parent == study.output.resolve()
     text = path.read_text(encoding="utf-8")
-    parse(path, with_key(text, "run", "note", "seen", told.runs[0].name))
+    parse(path, with_key(text, "run", "note", "seen", study.runs[0].name))
 
 
 def scene(data: bytes, folder: Path) -> None:

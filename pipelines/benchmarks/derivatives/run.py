@@ -98,7 +98,7 @@ def compare(plan: Plan, say: Say) -> Results:
     results: Results = {}
     for name, noise in product(plan.signals, plan.noises):
         truth = signal(name)
-        rows = bounds(truth, noise) | _here(plan, truth, noise) | _elsewhere(plan, truth, noise)
+        rows = bounds(truth, noise) | _own_methods(plan, truth, noise) | _elsewhere(plan, truth, noise)
         for figures in rows.values():
             figures["over_wiener"] = figures.get("a", np.nan) / rows[WIENER]["a"]
         results.setdefault(name, {})[f"{1e6 * noise:g} um"] = rows
@@ -106,7 +106,7 @@ def compare(plan: Plan, say: Say) -> Results:
     return results
 
 
-def _here(plan: Plan, truth: Signal, noise: float) -> Rows:
+def _own_methods(plan: Plan, truth: Signal, noise: float) -> Rows:
     """Methods of this Python; the Wiener filter is always one of them."""
     return {
         title: row(method, truth, noise, plan.seeds)

@@ -66,7 +66,7 @@ def integrate(t: Array, start: tuple[float, float], acceleration: Acceleration, 
     """Path from `start` = (x, v) at cuts[0] on, at rest before; the integration restarts at every cut."""
     x, v, state = np.full_like(t, start[0]), np.zeros_like(t), np.array(start)
     for begin, end in zip(cuts, [*cuts[1:], max(t[-1], cuts[-1]) + 1 / RATE], strict=True):
-        here = (t >= begin) & (t < end)
+        inside = (t >= begin) & (t < end)
         path = solve_ivp(
             lambda time, s: [s[1], acceleration(time, s[1])],
             (begin, end),
@@ -77,7 +77,7 @@ def integrate(t: Array, start: tuple[float, float], acceleration: Acceleration, 
             max_step=2e-3,
             dense_output=True,
         )
-        x[here], v[here] = path.sol(t[here])
+        x[inside], v[inside] = path.sol(t[inside])
         state = path.y[:, -1]
     return x, v, np.where(t >= cuts[0], acceleration(t, v), 0.0)
 

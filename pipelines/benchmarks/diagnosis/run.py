@@ -24,15 +24,17 @@ def limits(names: Sequence[str], repeats: int, python: str | None, say: Say) -> 
     said, ideal = stated(), detector()
     out: dict[str, Any] = {}
     for name in names or EFFECTS:
-        told = said.get(name)
-        if told is None or told["value"] is None:
+        limit = said.get(name)
+        if limit is None or limit["value"] is None:
             continue
-        least = ideal_detection_limit(ideal, effect_named(name), told["at"])
+        least = ideal_detection_limit(ideal, effect_named(name), limit["at"])
         if least is None:
             continue
-        force = force_size(ideal, name, told["at"])
-        out[name] = {"at": told["at"], "unit": told["unit"], "stated": told["value"], "ideal": least, "force": force}
-        say(f"{name}: ideal {least:.3g}, stated {told['value'] / least:.2f} of it, force domain {_times(force, least)}")
+        force = force_size(ideal, name, limit["at"])
+        out[name] = {"at": limit["at"], "unit": limit["unit"], "stated": limit["value"], "ideal": least, "force": force}
+        say(
+            f"{name}: ideal {least:.3g}, stated {limit['value'] / least:.2f} of it, force domain {_times(force, least)}"
+        )
     if python:
         _with_peer(out, python, max(repeats, 20), say)
     for name, row in out.items() if repeats else ():
@@ -49,14 +51,14 @@ def _with_peer(out: dict[str, Any], python: str, repeats: int, say: Say) -> None
     forms = {n: row["at"] for n, row in out.items() if effect_named(n).acts_on == "force"}
     owner, law = sparse.owners(forms), len(BASE)
     nothing = [sparse.case(*_drawn(BASE[0], {}, 0.0, seed), forms) for seed in range(N_NULL_STUDIES)]
-    told = sparse.ask(python, nothing, law, None)
-    say(f"PySINDy {told['version']}: threshold {told['threshold']:.3g} for one false alarm in 100")
+    answer = sparse.ask(python, nothing, law, None)
+    say(f"PySINDy {answer['version']}: threshold {answer['threshold']:.3g} for one false alarm in 100")
     for name in forms:
         row, shares = out[name], []
         for times in SIZES_OVER_IDEAL:
             size = times * row["ideal"]
             cases = [sparse.case(*_drawn(name, row["at"], size, 1000 + s), forms) for s in range(repeats)]
-            found = sparse.ask(python, cases, law, told["threshold"])["kept"]
+            found = sparse.ask(python, cases, law, answer["threshold"])["kept"]
             shares.append(sum(name in {owner[k] for k in kept} for kept in found) / repeats)
             if shares[-1] >= 1.0:
                 break

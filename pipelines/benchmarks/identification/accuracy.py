@@ -88,20 +88,20 @@ def _by(names: Sequence[str], values: Array) -> dict[str, float]:
 
 
 class Plan(NamedTuple):
-    """What to draw: scenes, noises in m, draws of the default fit, and fewer of what is shown beside it."""
+    """What to draw: scenes, noises in m, draws of the default fit, and fewer of what is shown other_draws it."""
 
     scenes: Sequence[str]
     noises: Sequence[float]
     seeds: int
-    beside: int
+    other_draws: int
     workers: int
 
     def jobs(self, scene: str, noise: float) -> list[Job]:
-        """All draws of a scene; the quick smoother has half as many as what is shown beside."""
+        """All draws of a scene; the quick smoother has half as many as what is shown other_draws."""
         wanted = (
             (OURS, self.seeds),
-            *((m, self.beside) for m in METHODS if m != OURS),
-            (QUICK_SMOOTHER, self.beside // 2),
+            *((m, self.other_draws) for m in METHODS if m != OURS),
+            (QUICK_SMOOTHER, self.other_draws // 2),
         )
         return [Job(scene, noise, s, tuple(t for t, n in wanted if s < n)) for s in range(self.seeds)]
 
@@ -119,9 +119,9 @@ def compare(plan: Plan, say: Say) -> Results:
             draws = list(pool.map(draw, plan.jobs(name, noise), chunksize=5))
             rows = _judged(scene, limits, draws)
             apart = _differs(limits, draws)
-            told = {"truth": dict(scene.law), "bound": limits, "methods": rows, "quick_smoother_apart": apart}
-            results.setdefault(name, {})[f"{1e6 * noise:g} um"] = told
-            say(table(f"{name}, {1e6 * noise:g} um", told))
+            result = {"truth": dict(scene.law), "bound": limits, "methods": rows, "quick_smoother_apart": apart}
+            results.setdefault(name, {})[f"{1e6 * noise:g} um"] = result
+            say(table(f"{name}, {1e6 * noise:g} um", result))
     return results
 
 
@@ -145,16 +145,16 @@ def _differs(limits: dict[str, float], draws: Iterable[Draw]) -> float:
     return max(apart)
 
 
-def table(title: str, told: dict[str, Any]) -> str:
+def table(title: str, result: dict[str, Any]) -> str:
     """One scene at one noise: a parameter per line, RMS error and bias over the bound, and coverage, per method."""
-    rows = told["methods"]
-    lines = [f"\n{title}; the quick smoother changes at most {told['quick_smoother_apart']:.2g} bounds"]
+    rows = result["methods"]
+    lines = [f"\n{title}; the quick smoother changes at most {result['quick_smoother_apart']:.2g} bounds"]
     lines.append(f"{'':28}" + "".join(f"{_head(r):>24}" for r in rows.values()))
     lines.append(f"{'':28}" + "".join(f"{t[:23]:>24}" for t in rows))
     lines.append(f"{'':8}{'truth':>9}{'bound':>11}" + "".join(f"{'rms':>8}{'bias':>8}{'cover':>8}" for _ in rows))
-    for name, truth in told["truth"].items():
+    for name, truth in result["truth"].items():
         cells = "".join(_cell(r[k][name]) if k in r else f"{'-':>8}" for r in rows.values() for k in MEASURES)
-        lines.append(f"{name:8}{truth:>9.4g}{told['bound'][name]:>11.3g}{cells}")
+        lines.append(f"{name:8}{truth:>9.4g}{result['bound'][name]:>11.3g}{cells}")
     return "\n".join(lines)
 
 

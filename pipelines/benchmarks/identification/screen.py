@@ -131,14 +131,14 @@ def tried(record: Record, law: Law, effect: Effect) -> Trial:
     points = [dict(p) for p in scan_points(effect, span_of(record))]
     base = law.columns(record)
 
-    def beside(point: dict[str, float]) -> Array:
+    def columns_at(point: dict[str, float]) -> Array:
         more = law.plus(effect, point)
         if effect.modifies:
             return more.columns(record)
         made = [effect.columns(record.path, own) for name, own in more.numbers.items() if name not in law.numbers]
         return np.column_stack([base, record.decimated(np.concatenate(made, axis=1))])
 
-    return Trial(record, law, effect, points, [beside(p) for p in points])
+    return Trial(record, law, effect, points, [columns_at(p) for p in points])
 
 
 def span_of(record: Record) -> Span:
@@ -172,7 +172,7 @@ def grown(record: Record, law: Law, say: Callable[[str], None]) -> Iterator[tupl
     for _ in range(MAX_EFFECTS):
         trials = {e.name: tried(record, law, e) for e in candidates(law)}
         errors = {name: trial.judged() for name, trial in trials.items()}
-        say(f"  beside {law.words} ({error:.3f} %): " + ", ".join(f"{n} {e:.3f}" for n, e in errors.items()))
+        say(f"  with {law.words} ({error:.3f} %): " + ", ".join(f"{n} {e:.3f}" for n, e in errors.items()))
         name = min(errors, key=errors.__getitem__)
         if errors[name] > MAX_ERROR_RATIO * error:
             return

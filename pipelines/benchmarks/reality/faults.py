@@ -119,8 +119,8 @@ class Fault:
 
     def _named_by(self, line: str) -> bool:
         matches = re.search(KINDS[self.kind].words, line, re.IGNORECASE) is not None
-        here = self.in_all or not self.runs or any(f'run "{name}"' in line for name in self.runs)
-        return matches and (here or 'run "' not in line)
+        concerns_run = self.in_all or not self.runs or any(f'run "{name}"' in line for name in self.runs)
+        return matches and (concerns_run or 'run "' not in line)
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of the JSON, with the unit of the size."""

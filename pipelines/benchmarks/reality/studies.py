@@ -168,10 +168,10 @@ def filmed(case: Case, run: RunTruth, path: Path, rng: np.random.Generator) -> N
     turns = fault.kind == "rotation"
     height = TURNED_HEIGHT if turns else HEIGHT
     rate = np.radians(fault.size) * truth.fps * (1 if truth.seed % 2 else -1) if turns else 0.0
-    along = CubicSpline(trajectory.t, (trajectory.x + trajectory.shift) / truth.pitch)
+    place_at = CubicSpline(trajectory.t, (trajectory.x + trajectory.shift) / truth.pitch)
 
     def position(t: Any) -> tuple[Any, ...]:
-        place = along(t), np.full(np.shape(t), height / 2 - 3)
+        place = place_at(t), np.full(np.shape(t), height / 2 - 3)
         return (*place, run.phase + rate * np.asarray(t)) if turns else place
 
     camera = Camera(

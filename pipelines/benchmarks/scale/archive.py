@@ -70,10 +70,10 @@ def _copies(one: Path, folder: Path, n: int, line: str) -> list[str]:
         for path in files:
             (other / path).parent.mkdir(parents=True, exist_ok=True)
             os.link(one / path, other / path)
-        told = json.loads(line.replace(f"{one}/", f"{other}/"))
-        for row in told["rows"]:
+        record = json.loads(line.replace(f"{one}/", f"{other}/"))
+        for row in record["rows"]:
             row |= {key: v * rng.normal(1.0, 0.01) for key, v in row.items() if isinstance(v, float)}
-        lines.append(json.dumps(told) + "\n")
+        lines.append(json.dumps(record) + "\n")
     return lines
 
 

@@ -182,12 +182,12 @@ def _variances(name: str, seed: int, n: int) -> Array:
     h = 0.02
     moved = [pictures(dx, dy) for dx, dy in ((0, 0), (h, 0), (-h, 0), (0, h), (0, -h))]
     out = []
-    for i, (here, right, left, down, up) in enumerate(zip(*moved, strict=True)):
+    for i, (centre, right, left, down, up) in enumerate(zip(*moved, strict=True)):
         x, y = (float(c[0]) for c in path(np.array([i * step / FPS])))
         cut = _window(x, y)
         slope_x, slope_y = ((camera.mean(a) - camera.mean(b)) / (2 * h) for a, b in ((right, left), (down, up)))
-        columns = [-slope_x[cut], -slope_y[cut], camera.mean(here)[cut], np.ones(WINDOW[::-1])]
-        design = np.stack([c.ravel() for c in columns], axis=1) / camera.noise(here)[cut].reshape(-1, 1)
+        columns = [-slope_x[cut], -slope_y[cut], camera.mean(centre)[cut], np.ones(WINDOW[::-1])]
+        design = np.stack([c.ravel() for c in columns], axis=1) / camera.noise(centre)[cut].reshape(-1, 1)
         out.append(np.diag(np.linalg.inv(design.T @ design))[:2])
     return np.array(out)
 

@@ -68,8 +68,8 @@ def others(name: str, film: Condition, python: str) -> dict[str, Judged]:
         command = [python, str(Path(__file__).with_name("peers.py")), json.dumps(job)]
         subprocess.run(command, check=True, env=os.environ | ONE_THREAD)
         found = dict(np.load(out))
-    here = [p for p in peers if f"{p}/found" in found]
-    return {p: judge(found[f"{p}/found"][:, 0], film.x, film.bound, float(found[f"{p}/seconds"])) for p in here}
+    installed = [p for p in peers if f"{p}/found" in found]
+    return {p: judge(found[f"{p}/found"][:, 0], film.x, film.bound, float(found[f"{p}/seconds"])) for p in installed}
 
 
 def accuracy(names: Sequence[str], seeds: int, frames: int, python: str | None, say: Callable[[str], None]) -> Results:
@@ -80,8 +80,8 @@ def accuracy(names: Sequence[str], seeds: int, frames: int, python: str | None, 
         # A short film is made up for by more seeds.
         for seed in range(-(-seeds * frames // min(frames, MAX_FRAMES.get(name, frames)))):
             film = condition(name, seed, frames)
-            here = ours(film) | (others(name, film, python) if python else {})
-            for tracker, one in here.items():
+            rows = ours(film) | (others(name, film, python) if python else {})
+            for tracker, one in rows.items():
                 judged.setdefault(tracker, []).append(one)
         results[name] = {tracker: pool(films) for tracker, films in judged.items()}
         say(table(name, results[name]))

@@ -34,7 +34,7 @@ class Plan:
 
     problems: Sequence[str] = tuple(PROBLEMS)
     seeds: int = 1000
-    beside: int = 30
+    other_draws: int = 30
     python: str | None = None
 
 
@@ -47,7 +47,7 @@ def compare(plan: Plan, say: Say) -> dict[str, Any]:
         rows["frictrack varpro"]["cold_ms"] = 1e3 * ours.varpro(name, case(name, 0), cold=True)["seconds"]
         say(table(name, rows, head=True))
         for label, search in _genetic(name).items():
-            rows[label] = _summary([_judged(name, seed, search) for seed in range(plan.beside)])
+            rows[label] = _summary([_judged(name, seed, search) for seed in range(plan.other_draws)])
             say(table(name, {label: rows[label]}))
         for peer in PEERS if plan.python else ():
             found = _peer(name, peer, plan)
@@ -80,7 +80,15 @@ def _judged(name: str, seed: int, search: Callable[[Any], Row]) -> Row:
 
 def _peer(name: str, peer: str, plan: Plan) -> Row | None:
     script = Path(__file__).with_name("peers.py")
-    call = [str(plan.python), str(script), name, str(plan.beside), str(BUDGET.get(name, 40_000)), str(SECONDS), peer]
+    call = [
+        str(plan.python),
+        str(script),
+        name,
+        str(plan.other_draws),
+        str(BUDGET.get(name, 40_000)),
+        str(SECONDS),
+        peer,
+    ]
     done = subprocess.run(call, capture_output=True, text=True, check=False, env=os.environ | ONE_THREAD)
     rows = json.loads(done.stdout.splitlines()[-1]) if done.returncode == 0 and done.stdout else None
     return None if rows is None else _summary(rows)
