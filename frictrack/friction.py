@@ -288,7 +288,9 @@ def _main_motion(run: Run) -> tuple[int, int]:
             "deviations; check the target, or give the free section as free = [t0, t1]"
         )
     motions = _join_swings(run, motions)
-    fastest = max(motions, key=lambda s: float(np.max(np.where(valid[s], speed[s], 0.0))))
+    # a wrong sample at an end of the record looks like the fastest motion of all
+    compared = np.where(valid & ~_events_at_ends(run), speed, 0.0)
+    fastest = max(motions, key=lambda s: float(np.max(compared[s])))
     chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])

@@ -291,3 +291,13 @@ def test_a_frame_that_was_lost_is_no_push():
     mask, reason = free_section(Run(displacement, differentiate(low_pass(displacement)), mass=MASS))
     assert mask.all()
     assert "moves freely already" in reason
+
+
+def test_a_wrong_last_sample_after_a_stop_is_no_motion():
+    t, x, stop = coasting(1.5, 0.115)
+    x[-1] += 0.66e-3
+    run = filmed(t, x)
+    assert np.abs(run.motion.v[-1]) > 1.5  # the last frame seems to be the fastest of all
+    mask, _ = free_section(run)
+    assert np.flatnonzero(mask)[0] == 0
+    assert -1 < np.flatnonzero(mask)[-1] - stop * FPS < 6
