@@ -314,7 +314,7 @@ def study(tmp_path_factory) -> Path:
 
 def test_store_and_export_offer_it_beside_the_smoothed_motion(study, monkeypatch):
     monkeypatch.setattr(Session, "diagnose", lambda session, seed: {"verdict": "complete"})
-    monkeypatch.setattr(Session, "_papers", lambda session: (None, ()))
+    monkeypatch.setattr(Session, "_update_papers_route", lambda session: ())
     session = Session(open_study(study))
     session.fit()
     with h5py.File(session.path) as file:
@@ -359,7 +359,7 @@ def test_figure_shows_both_bands_and_opens_at_a_blow():
 
 def test_figure_of_a_law_that_fails_says_so():
     model, runs = results_of(fitted("tustin"))
-    assert plots.modelled(model, runs).get_suptitle().endswith("; it misses something")
+    assert plots.modelled(model, runs).get_suptitle().endswith("; the model misses something")
 
 
 def test_a_model_stored_without_motion_is_said():

@@ -90,7 +90,7 @@ planned = json.dumps(plan(open_study(Path("study.toml"))), default=str)
 report = session.report().read_text(encoding="utf-8")
 turn = list(dict.fromkeys(candidates("one", ("coulomb", "viscous")))).index("magnet")
 state = PageState(Path("study.toml"))
-state.look_first()
+state.load()
 tab = ModelTab(state)
 print(json.dumps({
     "last": list(LIBRARY)[-1],

@@ -149,13 +149,13 @@ def test_python_may_end_while_a_film_is_decoded(tmp_path):
     """Somebody leaves with a film open: no abort of the process, nothing stays in the temporary folder."""
     code = """
 import contextlib, sys
-from frictrack.recording import open_recording, opened, spool
+from frictrack.recording import open_recording, random_access, spool
 
 spool.MAX_MEMORY_BYTES = 0
 held = contextlib.ExitStack()
 film = open_recording(sys.argv[1], fps=4000)
 film.frames = lambda frames=film.frames: (frame for _ in range(1000) for frame in frames())  # it goes on
-held.enter_context(opened(film))
+held.enter_context(random_access(film))
 """
     film = Path(__file__).resolve().parents[1] / "sample_videos" / "fast.avi"
     call, room = [sys.executable, "-c", code, film], os.environ | {"TMPDIR": str(tmp_path)}

@@ -83,4 +83,4 @@ def _unbroken(t: Array) -> Mask:
 
 def _title(model: ModelResults) -> str:
     error = model.summary["errors"]["relative_force_error"]
-    return f"{plain_name(model.name)} error {format_number(100 * error, 2)} % of the measured friction force"
+    return f"{plain_name(model.name)}: error {format_number(100 * error, 2)} % of the measured friction force"
