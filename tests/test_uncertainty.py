@@ -364,11 +364,11 @@ def test_a_decay_that_no_run_shows_is_null_with_the_reason():
     assert re.search(r"up to its bound [\d.]+ s the misfit rises by [\d.e-]+ only; ", told.reason)
 
 
-def test_parameters_that_trade_places_are_told_with_the_run_that_parts_them():
+def test_correlated_parameters_are_reported_with_the_run_that_separates_them():
     told = fit("coulomb,viscous,drag", [slide(F_v=1.2, sigma=1e-5)]).estimates.remarks
-    assert "coulomb.F_c, viscous.F_v and drag.c trade places (correlation up to" in told[0]
+    assert "coulomb.F_c, viscous.F_v and drag.c are hard to distinguish (correlation up to" in told[0]
     assert "drag is mistaken for viscous friction, wear along the path" in told[0]
-    assert "To part them: film at twice the speed" in told[0]
+    assert "To separate them, film at twice the speed" in told[0]
 
 
 def test_what_is_absorbed_exactly_is_said():
@@ -430,8 +430,8 @@ def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):
     assert table.heads == ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws")
     assert [str(row[0]) for row in table.rows] == [f"<code>{name}</code>" for name in TRUTH]
     assert fit_text.bootstrap_sentence(model) == "Bootstrap of 20 draws from the fitted model, with white noise."
-    said = fit_text.mark_addresses("coulomb.F_c and viscous.F_v trade places")
-    assert said == "<code>coulomb.F_c</code> and <code>viscous.F_v</code> trade places"
+    said = fit_text.mark_addresses("coulomb.F_c and viscous.F_v are hard to distinguish")
+    assert said == "<code>coulomb.F_c</code> and <code>viscous.F_v</code> are hard to distinguish"
 
 
 def test_profiles_of_a_rejected_model_carry_the_wider_deviation_with_its_mark(sure):

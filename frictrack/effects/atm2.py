@@ -99,7 +99,7 @@ def atm2(order: int) -> Effect:
         scales_with="load",
         what="Sliding and viscous friction are each multiplied by a sum of sines in time.",
         looks_like="lines in time whose size follows friction and speed",
-        mistaken_for="nearly anything slow: its slow sines and v_s trade places (nearly unidentifiable)",
+        mistaken_for="nearly anything slow: its slow sines and v_s can replace each other (nearly unidentifiable)",
         confirm="Compare with load_modulation and viscous_modulation, the freer physical forms.",
         source="first paper, Eq. 4, with t restored in the second and third sums",
     )

@@ -17,7 +17,7 @@ from frictrack.study import Study
 
 
 def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
-    """Plan which runs to film so that the effects can be told apart: JSON of `frictrack plan`.
+    """Plan which runs to film so that the effects can be distinguished: JSON of `frictrack plan`.
 
     The page ``plan.html`` is written, too.
 

@@ -1,4 +1,4 @@
-"""Plan runs before filming: choose those that let the library's effects be told apart at this camera's noise.
+"""Plan runs before filming: choose those that distinguish the effects of the library at the noise of this camera.
 
     setup = plan.default_setup(mass=0.35, fps=4000, pitch=5e-4)
     plan.summarise_plan(plan.choose_runs(setup))["runs"]

@@ -252,13 +252,13 @@ def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tup
     confirming = _listed_few(group)
     how = f"(correlation up to {strongest:+.3f})".replace("-", "\N{MINUS SIGN}")
     if len(own) == 1:
-        return f"{confirming} of different runs go together {how}."
+        return f"{confirming} of different runs are correlated {how}."
     if len(kinds) == 1 and len(own) == 2 and _has_phase(model, own):
-        return f"{confirming} go together {how}, because a phase is counted at release."
+        return f"{confirming} are correlated {how}, because the phase is defined at release."
     why, advice = confusion_remark(model, kinds), deciding_experiment(model, kinds)
     each = "either" if len(own) == 2 else "each"
-    text = f"{confirming} trade places {how}: these runs fix a combination of them better than {each}"
-    return f"{text}{f'; {why}' if why else ''}.{f' To part them: {as_clause(advice)}.' if advice else ''}"
+    text = f"{confirming} are hard to distinguish {how}: these runs determine a combination of them better than {each}"
+    return f"{text}{f'; {why}' if why else ''}.{f' To separate them, {as_clause(advice)}.' if advice else ''}"
 
 
 def confusion_remark(model: Model, names: Sequence[str]) -> str:

@@ -26,9 +26,9 @@ MIN_VISIBLE_SIZE = 2.0  # times the detection limit: a hidden effect of that siz
 MAX_DEVIATION_SIGMAS = 5.0  # quoted deviations
 CPU_LIMIT_S = 120.0  # s
 N_STACK_FUNCTIONS = 12  # functions that say where a study ran out of time
-HARMLESS_REMARKS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
-    *("is absorbed exactly", "single run:", "on an incline, Coulomb", "not tried:", "trade places", "go together"),
-    *("long record:", "no camera shake:"),
+HARMLESS_REMARKS = (  # parts of remarks that speak of no fault: on any study, or on how parameters are correlated
+    *("is absorbed exactly", "single run:", "on an incline, Coulomb", "not tried:", "long record:", "no camera shake:"),
+    *("are hard to distinguish", "are correlated"),
 )
 STOPPED, OUT_OF_TIME, BROKEN = "stopped", "out of time", "broken"
 
