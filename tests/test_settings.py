@@ -361,7 +361,7 @@ def test_newtons_that_are_fixed_or_known_stay_newtons_beside_an_unknown_mass(tab
         (
             "tustin",
             [told("coulomb", tie={"F_c": "stribeck.F_s"})],
-            "stribeck.F_s is sought relative to another parameter",
+            "stribeck.F_s is fitted relative to another parameter",
         ),
         (
             "tustin",

@@ -61,7 +61,7 @@ def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
     fits
         One fit, or several in the order tried.
     current
-        Index of the model whose failing spans are sought; by default the last.
+        Index of the model whose failing spans are computed; by default the last.
 
     Returns
     -------

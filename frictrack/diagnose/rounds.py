@@ -42,7 +42,7 @@ MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
 MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
 MAX_CANDIDATES_SIMULATED = 6
 MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
-MAX_CANDIDATES_SPLIT = 6  # beside which a second simple effect is sought
+MAX_CANDIDATES_SPLIT = 6  # with which a second simple effect is tried
 MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
 Notify = Callable[[str], None]

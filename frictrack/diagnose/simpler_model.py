@@ -1,6 +1,6 @@
 """Compare the effects found with a force of one variable that has few parameters common to all runs.
 
-Effects with parameters of their own in every run can imitate much. Formulas are sought if such effects were found
+Effects with parameters of their own in every run can imitate much. Formulas are fitted if such effects were found
 though the misfit repeats over one axis, or if a smooth force over one axis is more likely than all that was found. Ties
 go to the library: a formula must be decisively better, with a penalty for its search.
 """

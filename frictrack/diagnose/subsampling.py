@@ -13,7 +13,7 @@ from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, has_known_history
 
 MAX_PIECES = 32  # that are searched, unless there are more runs
-MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which lines are sought; see `effects.base.frequencies`
+MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
 MAX_FRAMES = 12_000  # over all pieces; the time of a search is proportional to them
 MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
 
@@ -72,7 +72,7 @@ def subsample_frames(solution: Solution) -> tuple[Solution, str]:
     some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=fixed, max_steps=0)
     return some, (
         f"long record: the search used every {every}th of its frames, so lines above "
-        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz are not sought; the fit uses all frames"
+        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz are not tested; the fit uses all frames"
     )
 
 

@@ -250,7 +250,7 @@ class Effect:
 
     @property
     def quoted(self) -> frozenset[str]:
-        """Parameters that are quoted otherwise than they are sought, such as F_s for F_s - F_c."""
+        """Parameters that are reported in another form than they are fitted, such as F_s for F_s - F_c."""
         return frozenset() if self.quote is None else frozenset(self.quote({p.name: 1.0 for p in self.parameters}, {}))
 
     @property

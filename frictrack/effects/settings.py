@@ -81,14 +81,14 @@ class EffectSettings:
         if change.get("tie") is not None and "bounds" in change:
             self._refuse(f"expected no bounds of {p.name}, which is tied; give them to the parameter that it follows")
         if given and "prior" in change:
-            self._refuse(f"expected no prior of {p.name}, which is {given[0]} and so not sought")
+            self._refuse(f"expected no prior of {p.name}, which is {given[0]} and so not fitted")
         if not low < high:
             self._refuse(
                 f"bounds: expected the lower bound of {p.name} below the upper one but got [{low:g}, {high:g}]"
             )
         if "bounds" in change and p.name in effect.quoted:
             self._refuse(
-                f"bounds: {p.name} is not sought itself but as its distance from another parameter, and cannot be "
+                f"bounds: {p.name} is not fitted itself but as its difference from another parameter, and cannot be "
                 f"held between bounds; give prior = {{{p.name} = [mean, std]}} or fix it"
             )
         if p.name in effect.quoted:
@@ -256,7 +256,7 @@ def _target(members: Sequence[Effect], effect: str, p: Parameter, tie: Tie) -> P
         hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
         _untied(effect, f'unknown parameter "{tie.parameter}" of {tie.effect}; {hint}')
     if tie.parameter in found.quoted:
-        _untied(effect, f"{tie.effect}.{tie.parameter} is sought relative to another parameter and cannot be followed")
+        _untied(effect, f"{tie.effect}.{tie.parameter} is fitted relative to another parameter; no tie can refer to it")
     return found.parameter(tie.parameter)
 
 

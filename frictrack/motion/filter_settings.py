@@ -88,10 +88,10 @@ def describe_structure(structure: Structure, n: int, interval: float, colour: No
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
     span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
     parts = [f"a trend cut off at {span}"]
-    parts += [f"a line at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
+    parts += [f"one sinusoid at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
     centres = [1e3 * interval * 0.5 * (e.first + e.last + TREND_ORDER) for e in structure.events]
     if centres:
-        parts.append("events at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
+        parts.append("abrupt changes at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
     if colour:
         parts.append(
             f"noise of which {100 * colour.share:.0f} % of the variance is correlated "

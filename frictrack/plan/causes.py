@@ -14,7 +14,7 @@ from frictrack.records import Array
 
 MEASUREMENT_NOISE_RATIO = 1.0  # size of a measurement fault (rms) over the noise per frame
 MAX_GRID_POINTS = 150  # per effect
-MAX_FREQUENCY_HZ = 250.0  # up to which lines are sought
+MAX_FREQUENCY_HZ = 250.0  # up to which spectral lines are searched for
 N_EVENT_TIMES = 24  # times of an event in a run
 REASON_BY_NEED = {
     "drive": "needs a measured drive",
@@ -114,7 +114,7 @@ def _grid(effect: Effect, span: Span) -> tuple[dict[str, float], ...]:
     own = _typical_setting(effect, span)
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     axes = [_scan_values(p.name, p.scan(span), span) for p in scanned if p.scan is not None]
-    if any(p.per_run for p in scanned):  # moments are sought in every run by themselves
+    if any(p.per_run for p in scanned):  # a moment is searched for in every run separately
         axes = [np.linspace(0.05, 0.95, N_EVENT_TIMES) if p.per_run else a for p, a in zip(scanned, axes, strict=True)]
     counts = [_points_per_axis(len(a), [len(b) for b in axes]) for a in axes]
     thinned = [np.unique(a[np.linspace(0, len(a) - 1, m).astype(int)]) for a, m in zip(axes, counts, strict=True)]

@@ -2,7 +2,7 @@
 
 Every shape of `shapes` is tried over place, time and speed, resisting motion or not, at every setting of a grid beside
 the linearised model. The best are refined there, and the best of these are added to the model and fitted in full. If
-significant misfit remains, a second term is sought. Formulas are ranked by BIC (Schwarz 1978); among equals the
+significant misfit remains, a second term is fitted. Formulas are ranked by BIC (Schwarz 1978); among equals the
 simplest is first.
 """
 

@@ -1,6 +1,6 @@
 """Find start values for a model that passes stops and reversals: the best point of a grid along the smoothed motion.
 
-A static model has no motion through a reversal beside which a scan could be made. Along the smoothed motion the model
+A static model gives no motion through a reversal, about which a scan could be made. Along the smoothed motion the model
 with memory is linear in its coefficients for all other parameters. Integrated twice, it is compared with the
 displacement (variable projection).
 
