@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import t as student
 
 from frictrack.batch.tasks import StudyOutcome
+from frictrack.distributions import student_sf
 from frictrack.records import Array
 
 MIN_POINTS = 4  # needed to fit a slope
@@ -175,7 +175,7 @@ def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float
     tau2 = 0.0 if fitted(0.0)[2] <= 0.0 else float(brentq(lambda v: fitted(v)[2], 0.0, 100.0))
     b, cov, _ = fitted(tau2)
     deviation = float(np.sqrt(cov[1, 1]))
-    p = float(2.0 * student.sf(abs(b[1]) / deviation, n - 2))
+    p = float(2.0 * student_sf(abs(b[1]) / deviation, n - 2))
     per_place = unit / float(np.std(at))
     return float(b[1]) * per_place, deviation * per_place, float(np.sqrt(tau2)) * unit, p
 

@@ -17,9 +17,9 @@ from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
 
 from frictrack.blind.truth import EffectValues, RunTruth, Truth
+from frictrack.distributions import chi2_isf, noncentral_chi2_sf
 from frictrack.effects import Effect, Path
 from frictrack.models import Model
 from frictrack.records import Array, Mask
@@ -58,8 +58,8 @@ def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
     True
 
     """
-    threshold = float(chi2.isf(ALPHA / N_CANDIDATES / forms, degrees_of_freedom))
-    return float(brentq(lambda nc: ncx2.sf(threshold, degrees_of_freedom, nc) - POWER, 1.0, 1e4))
+    threshold = float(chi2_isf(ALPHA / N_CANDIDATES / forms, degrees_of_freedom))
+    return float(brentq(lambda nc: noncentral_chi2_sf(threshold, degrees_of_freedom, nc) - POWER, 1.0, 1e4))
 
 
 def degrees_of_freedom(effect: Effect, runs: int) -> int:

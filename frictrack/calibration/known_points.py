@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from frictrack.calibration.homography import Homography, fit_view
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen
 from frictrack.calibration.scale import check_points, click_std
+from frictrack.distributions import chi2_sf
 from frictrack.records import Array
 
 ALPHA_MISFIT = 1e-3  # significance level at which the points fit worse than they were clicked
@@ -56,7 +56,7 @@ def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
     if degrees == 0:
         return replace(fitted.map, used=f"{used}; a fifth point would show whether they fit")
     used += f"; they fit to {fitted.rms:.2g} px"
-    if chi2.sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
+    if chi2_sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
         return replace(fitted.map, used=used)
     variance_ratio = fitted.chi2 / degrees
     note = (

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2
 
+from frictrack.distributions import chi2_isf
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Mask, Track
 
@@ -233,7 +233,7 @@ def _fit_tones(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
 def _wiener_gain(power: Array, noise: float) -> Array:
     """Wiener gain of each cosine; zero where its neighbourhood does not exceed the noise."""
     smooth = uniform_filter1d(power, N_SMOOTHED, mode="nearest")
-    stands_out = smooth > noise * float(chi2.isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
+    stands_out = smooth > noise * float(chi2_isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
     kept_band = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
     return np.where(kept_band, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
 

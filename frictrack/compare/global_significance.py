@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from frictrack.distributions import student_sf
 from frictrack.records import Array
 
 
@@ -52,7 +52,7 @@ class GlobalSignificance:
         """Return an upper bound on the probability that noise alone reaches |z| standard deviations anywhere."""
         u = float(np.max(np.abs(z)))
         rising = self.length / np.pi * float(np.exp(-(self.dof - 1) / 2 * np.log1p(u**2 / self.dof)))
-        begun = 2 * self.families * float(student.sf(u, self.dof))
+        begun = 2 * self.families * float(student_sf(u, self.dof))
         return float(min(1.0, max(rising + begun, np.finfo(float).tiny)))
 
 

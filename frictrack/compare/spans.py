@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from frictrack.compare.bump_dictionary import Bump, width_limits
 from frictrack.compare.effect_forces import effect_force, effect_force_at_nodes
@@ -22,6 +21,7 @@ from frictrack.compare.local_forces import (
     solve_sizes,
     start_search,
 )
+from frictrack.distributions import normal_sf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import (
     ModelProjection,
@@ -117,7 +117,7 @@ def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
     for i, response in enumerate(found.law.responses):
         size = np.abs(response.r)
         for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
-            p = min(1.0, 2 * len(size) * float(norm.sf(size[s].max())))
+            p = min(1.0, 2 * len(size) * float(normal_sf(size[s].max())))
             if p < ALPHA:
                 spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
     return spans

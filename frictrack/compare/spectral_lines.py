@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
 
 from frictrack.compare.bump_dictionary import NodeMotion, motion_at_nodes
+from frictrack.distributions import chi2_sf
 from frictrack.effects import frequencies, spatial_periods
 from frictrack.fit.least_squares import ModelProjection, PieceResponse, displacement_response
 from frictrack.records import Array
@@ -163,7 +163,7 @@ def _at(law: ModelProjection, frequency: float, tried: int) -> SpectralLine:
     clean = columns - law.u @ (law.u.T @ columns)
     size: Array = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-8)[0], dtype=np.float64)
     gain = float(np.sum((clean @ size) ** 2))
-    p = float(min(1.0, tried * chi2.sf(gain, 2 * len(runs))))
+    p = float(min(1.0, tried * chi2_sf(gain, 2 * len(runs))))
     return SpectralLine(frequency, {run: size[2 * k : 2 * k + 2] for k, run in enumerate(runs)}, gain, p, columns)
 
 
@@ -221,7 +221,7 @@ def _spatial_wave(law: ModelProjection, at: Sequence[NodeMotion], f: float, trie
     ]
     variance = [np.einsum("nj,jk,nk->n", m, covariance, m) for m in frames]
     return SpatialWave(
-        [m[:, :2] @ size for m in frames], variance, gain, float(min(1.0, tried * chi2.sf(gain, 2))), columns
+        [m[:, :2] @ size for m in frames], variance, gain, float(min(1.0, tried * chi2_sf(gain, 2))), columns
     )
 
 

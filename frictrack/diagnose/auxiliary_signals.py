@@ -16,11 +16,11 @@ import numpy as np
 from scipy.fft import dct
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
-from scipy.stats import norm
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.surrogates import SmoothedSignal, detrend, surrogate_p_value
+from frictrack.distributions import normal_sf
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
@@ -379,9 +379,9 @@ def _accelerometer_verdict(share: float, sigma: float, of_all: float) -> Evidenc
     if sigma * MIN_SIGMAS > 1:
         return None
     if abs(share - 1) < max(MIN_SENSED_DIFFERENCE, 3 * sigma):
-        size, p = float(np.clip(share * of_all, 0.0, 1.0)), float(2 * norm.sf(abs(share) / sigma))
+        size, p = float(np.clip(share * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(share) / sigma))
         return Evidence("accelerometer", f"{sentence}: the mass itself moves, no camera shake", size, p, "force")
     if abs(share) < max(MIN_SENSED_SHARE, 3 * sigma):
-        size, p = float(np.clip((1 - share) * of_all, 0.0, 1.0)), float(2 * norm.sf(abs(share - 1) / sigma))
+        size, p = float(np.clip((1 - share) * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(share - 1) / sigma))
         return Evidence("accelerometer", f"{sentence}: the picture shakes, not the mass", size, p, "measurement")
     return None

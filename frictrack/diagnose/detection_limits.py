@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import ncx2
 
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.null_distribution import NullEnsemble
+from frictrack.distributions import noncentral_chi2_sf
 from frictrack.effects import Effect
 from frictrack.fit.linearised import MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.records import Array
@@ -38,7 +38,7 @@ def noncentrality(threshold: float, freedom: int) -> float:
     13.0
 
     """
-    return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-9, 1e6))
+    return float(brentq(lambda nc: noncentral_chi2_sf(threshold, freedom, nc) - POWER, 1e-9, 1e6))
 
 
 def detection_limit(

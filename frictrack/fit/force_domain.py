@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from frictrack.distributions import student_ppf
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
@@ -182,5 +182,5 @@ def sandwich_covariance(solution: Solution) -> Array:
     full = bread @ (z.T @ z + rows.T @ rows) @ bread
     held, _ = inverse_normal_matrix(np.vstack([jac, rows * solution.tau / 1e-6]))
     fixed = held @ (z.T @ z) @ held
-    widen = float(student.ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
+    widen = float(student_ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
     return fixed + widen * (full - fixed)

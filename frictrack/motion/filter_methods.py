@@ -14,7 +14,6 @@ import numpy as np
 from numpy.polynomial import polynomial
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.signal import butter, savgol_coeffs, savgol_filter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.stencil import stencil_derivative
@@ -67,6 +66,8 @@ class Butterworth:
         return stencil_derivative(self._smooth(y), order)
 
     def _smooth(self, y: Array) -> Array:
+        from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 - loads scipy.stats, too
+
         trend = _cubic(y)
         sos = butter(BUTTERWORTH_ORDER, 2 * self.low, output="sos")
         reach = min(len(y) - 1, int(np.ceil(1 / self.low)))
@@ -112,11 +113,15 @@ class SavitzkyGolay:
     @property
     def cutoff(self) -> float:
         """Frequency at which half of the amplitude passes, cycles per frame."""
+        from scipy.signal import savgol_coeffs  # noqa: PLC0415 - loads scipy.stats, too
+
         response = np.abs(np.fft.rfft(savgol_coeffs(self.window, self.degree), 8192))
         return float(np.argmax(response < 0.5) / 8192)
 
     def derived(self, y: Array, order: int) -> Array:
         """Derivative of the polynomials through the columns (n, ...), per frame."""
+        from scipy.signal import savgol_filter  # noqa: PLC0415 - loads scipy.stats, too
+
         return np.asarray(savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
 
     @classmethod
@@ -146,6 +151,8 @@ class SavitzkyGolay:
 
     def _cross_validation_score(self, y: Array) -> float:
         """Generalised cross-validation score."""
+        from scipy.signal import savgol_coeffs  # noqa: PLC0415 - loads scipy.stats, too
+
         middle = float(savgol_coeffs(self.window, self.degree)[self.window // 2])
         return float(np.mean((y - self.derived(y, 0)) ** 2)) / (1.0 - middle) ** 2
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
 
 from frictrack.diagnose import ALPHA, MIN_CHI2_SEPARATED, noncentrality
+from frictrack.distributions import chi2_isf
 from frictrack.effects import Span
 from frictrack.plan.causes import Cause, list_causes
 from frictrack.plan.experiment_setup import Experiment, ExperimentSetup, candidate_runs
@@ -233,7 +233,7 @@ def _undetected(evidence: Array) -> set[int]:
 @cache
 def detection_threshold() -> float:
     """Expected rise of chi-squared that is detected in 95 of 100 repeats, in a search of the whole library."""
-    return noncentrality(float(chi2.isf(ALPHA / 2 / N_INDEPENDENT_FORMS, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
+    return noncentrality(float(chi2_isf(ALPHA / 2 / N_INDEPENDENT_FORMS, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
 
 
 def _score(evidence: Array) -> tuple[int, float]:

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.interpolate import PchipInterpolator
-from scipy.stats import norm
 
+from frictrack.distributions import normal_ppf
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.style import axis_scale, new_figure, styled
@@ -74,7 +74,7 @@ def _title(found: Mapping[str, Any]) -> str:
 
 
 def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
-    limit = float(norm.ppf(0.5 + profile["level"] / 2)) ** 2
+    limit = float(normal_ppf(0.5 + profile["level"] / 2)) ** 2
     values, rise = np.array(profile["values"]), np.array(profile["rise"])
     factor, unit = axis_scale(values, profile["unit"])
     low, high = _reach(values, rise, profile, limit)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import correlate
 
 from frictrack.records import Array, Displacement
 from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
@@ -66,6 +65,12 @@ def _clipped_differences(x: Array) -> Array:
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 
+def _correlation(a: Array, b: Array) -> Array:
+    """Cross-correlation of two series at all lags of `b`, from -(len(b) - 1)."""
+    n = len(a) + len(b) - 1
+    return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
+
+
 def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
     """Whether two records agree at the lag at which their noise agrees best."""
     a, b = rough[i], rough[j]
@@ -74,7 +79,7 @@ def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int
             len(series[i]) == len(series[j]) >= MIN_COMMON_ROWS
             and np.ptp(series[i]) > 0 == np.ptp(series[i] - series[j])
         )
-    lag = int(np.argmax(correlate(a, b, method="fft"))) - (len(b) - 1)
+    lag = int(np.argmax(_correlation(a, b))) - (len(b) - 1)
     first, last = max(lag, 0), min(len(a), len(b) + lag)
     if last - first < max(MIN_COMMON_ROWS, MIN_COMMON_SHARE * min(len(a), len(b))):
         return False

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, median_filter
-from scipy.stats import chi2
 
+from frictrack.distributions import chi2_ppf
 from frictrack.records import Array, Mask
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
@@ -291,7 +291,7 @@ def _burst_offsets(series: _Positions, burst: Rows, suspects: Mask, judge: _Burs
         return None
     off, error, misfit = series.cubic(sides, burst)
     farthest = float(np.max(np.abs(off) / error))
-    if misfit > chi2.ppf(SIDES_QUANTILE, freedom):
+    if misfit > chi2_ppf(SIDES_QUANTILE, freedom):
         return None
     returns = bool(len(before) and len(after)) and (
         farthest > judge.far and series.event(np.sort(np.r_[sides, burst]), burst) - misfit > judge.than_event

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student
 
+from frictrack.distributions import student_sf
 from frictrack.records import Array
 from frictrack.samples.even_clock import robust_speed
 from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
@@ -99,7 +99,7 @@ def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
     (_, slope), sigma, chi2 = _fit_line(squares, size)
     dof = len(usable) - 2  # records differ in their noise, too: their scatter counts
     t_statistic = slope / (sigma * max(1.0, np.sqrt(chi2 / dof)))
-    return float(np.sqrt(slope)) if slope > 0 and student.sf(t_statistic, dof) < ALPHA else 0.0
+    return float(np.sqrt(slope)) if slope > 0 and student_sf(t_statistic, dof) < ALPHA else 0.0
 
 
 def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:

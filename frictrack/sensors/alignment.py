@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
-from scipy.stats import chi2
 
+from frictrack.distributions import chi2_sf
 from frictrack.records import Array, Mask
 from frictrack.sensors.frame_differences import FrameDifferences, Whitener
 from frictrack.sensors.sensor_record import SensorRecord
@@ -488,8 +488,8 @@ def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     free = 1.0 - np.sum(basis**2, axis=1)
     n = len(power)
     edges = [0, *(LOWEST_BAND_SIZE * 2**k for k in range(32) if LOWEST_BAND_SIZE * 2**k < 0.75 * n), n]
-    p = [chi2.sf(np.sum(power[i:j]), max(float(np.sum(free[i:j])), 0.5)) for i, j in pairwise(edges)]
-    line = n * float(chi2.sf(np.max(power[1:] + power[:-1]), 2))
+    p = [chi2_sf(np.sum(power[i:j]), max(float(np.sum(free[i:j])), 0.5)) for i, j in pairwise(edges)]
+    line = n * float(chi2_sf(np.max(power[1:] + power[:-1]), 2))
     return min(1.0, 2.0 * float(np.min(p)) * len(p), 2.0 * line), power - free
 
 

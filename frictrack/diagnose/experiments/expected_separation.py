@@ -17,10 +17,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
+from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
@@ -249,7 +249,7 @@ def _with_amplitude_per_run(tied: Solution, effect: str, tau: float) -> Solution
         if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
     }
     runs = len(layout.run_names)
-    worse = float(chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
+    worse = float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
     if not (sizes and has_per_run_coefficients(old)) or tied.objective < worse:
         return tied
     effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import exp, log
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
@@ -34,7 +33,7 @@ def _by_drive(path: Path) -> Array:
 
 def _integrated(t: Array, rate: Array) -> Array:
     """Integral (n,) from the first sample by the trapezoidal rule."""
-    return np.asarray(cumulative_trapezoid(rate, t, initial=0))
+    return np.append(0.0, np.cumsum(np.diff(t) * (rate[1:] + rate[:-1]) / 2))
 
 
 def factor(values: Nonlinear) -> float:

@@ -7,8 +7,8 @@ from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
+from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement.reversals import best_on_grid, shoot_lengthening, split_start_effects
@@ -168,7 +168,7 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
         free_amplitudes = fit_with_scatter(
             solution.problem.rebuild(layout, solution.problem.pieces), p, solution.starts, solution.tau
         )
-        if solution.objective - free_amplitudes.objective > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
+        if solution.objective - free_amplitudes.objective > chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
             solution = free_amplitudes
     return solution
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.fft import dct
-from scipy.stats import t as student
 
+from frictrack.distributions import student_ppf
 from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
@@ -72,7 +72,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     if any(p.cut for p in solution.problem.pieces):
         return _batch_covariance(solution, full), unseen
     full = full + _systematic_covariance(solution, full)
-    full = full * (student.ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
+    full = full * (student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = inverse_normal_matrix(
@@ -82,7 +82,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     share = np.maximum(
         np.log(np.maximum(np.diag(larger_scatter), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3
     )
-    widening = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
+    widening = student_ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
     return full * widening[:, None] * widening, unseen
 
 
@@ -143,7 +143,7 @@ def _batch_covariance(solution: Solution, bread: Array) -> Array:
         gradient[r.active] = r.jac.T @ r.r
     count = batch_count(solution)
     batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, count)])
-    widening = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
     penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
     return np.asarray(bread @ (widening * batches.T @ batches + penalty.T @ penalty) @ bread)
 

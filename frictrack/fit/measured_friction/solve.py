@@ -12,8 +12,8 @@ from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
-from scipy.stats import t as student
 
+from frictrack.distributions import student_ppf
 from frictrack.errors import FrictrackError
 from frictrack.fit.global_search import search_parameters, searched_scatter
 from frictrack.fit.least_squares import (
@@ -251,7 +251,7 @@ def block_covariance(solution: Solution) -> Array:
             gradients.append(np.zeros(len(solution.p)))
             gradients[-1][r.active] = r.jac[rows].T @ r.r[rows]
     count = len(gradients)
-    widening = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
     penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
     block_gradients = np.array(gradients)
     return np.asarray(

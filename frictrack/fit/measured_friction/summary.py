@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.measured_friction.noise import FrictionNoise
@@ -132,7 +131,18 @@ def _goes_one_way(response: PieceResponse) -> bool:
     piece = response.piece
     rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else slice(None)
     series = piece.path.x[rows], np.abs(piece.path.v[rows])
-    return all(abs(float(spearmanr(piece.t, q).statistic)) > MIN_RANK_CORRELATION for q in series if np.ptp(q) > 0)
+    return all(abs(_rank_correlation(piece.t, q)) > MIN_RANK_CORRELATION for q in series if np.ptp(q) > 0)
+
+
+def _rank_correlation(a: Array, b: Array) -> float:
+    """Spearman's rank correlation of two series (n,)."""
+    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
+
+
+def _ranks(values: Array) -> Array:
+    """Ranks (n,) of values; equal values share their mean rank."""
+    _, position, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[position])
 
 
 def _rms(values: Array) -> float:

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
+from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout, Slot
@@ -81,7 +81,7 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect)
     return (
         free_amplitudes
-        if shared_amplitude.misfit - free_amplitudes.misfit > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1)
+        if shared_amplitude.misfit - free_amplitudes.misfit > chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1)
         else shared_amplitude
     )
 

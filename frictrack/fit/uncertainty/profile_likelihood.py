@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
+from frictrack.distributions import normal_ppf
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine, white_noise_covariance
 from frictrack.fit.uncertainty.fitted_model import FittedModel
@@ -192,7 +192,7 @@ class ProfileSearch:
         self.direction = white_noise @ g / white_noise_variance if white_noise_variance > 0 else np.zeros(len(s.p))
         self.best = ProfilePoint(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
         self.std = float(np.sqrt(stated_variance)) if stated_variance > 0 else 0.1 * max(abs(self.best.c), 1e-3)
-        self.target = float(norm.ppf(0.5 + self.level / 2))
+        self.target = float(normal_ppf(0.5 + self.level / 2))
         self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(white_noise)))
         self.phases = np.array([_is_phase(s, i) for i in range(len(s.p))])
         self.points.append(self.best)

@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal.windows import dpss
-from scipy.stats import chi2
+from scipy.linalg import eigh_tridiagonal
 
+from frictrack.distributions import chi2_isf
 from frictrack.motion.noise.white import DIFFERENCE_ORDER, MEDIAN_TO_SIGMA, OUTLIER_SIGMAS
 from frictrack.records import Array
 
@@ -152,8 +152,8 @@ def _is_consistent(evidence: Array) -> bool:
     """Whether the evidence (k, R) of k runs is significant for one shape that fits each run."""
     best = int(np.argmax(np.sum(evidence, axis=0)))
     differs = float(np.sum(np.max(evidence, axis=1) - evidence[:, best]))
-    consistent = differs < float(chi2.isf(ALPHA_CORRELATED, max(N_SHAPE_PARAMETERS * (len(evidence) - 1), 1)))
-    return consistent and float(np.sum(evidence[:, best])) > float(chi2.isf(ALPHA_CORRELATED, N_SHAPE_PARAMETERS))
+    consistent = differs < float(chi2_isf(ALPHA_CORRELATED, max(N_SHAPE_PARAMETERS * (len(evidence) - 1), 1)))
+    return consistent and float(np.sum(evidence[:, best])) > float(chi2_isf(ALPHA_CORRELATED, N_SHAPE_PARAMETERS))
 
 
 def _longest_undisturbed(x: Array) -> Array:
@@ -184,6 +184,14 @@ def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
     return np.array([s.fit(WHITE)[1] - s.fit(shapes)[1] for s in spectra])
 
 
+def _slepian_tapers(n: int) -> Array:
+    """Slepian tapers (TAPERS, n), eigenvectors of a tridiagonal matrix (Slepian 1978, Bell Syst. Tech. J. 57)."""
+    i = np.arange(n, dtype=np.float64)
+    diagonal = ((n - 1 - 2 * i) / 2) ** 2 * np.cos(2 * np.pi * BANDWIDTH / n)
+    _, tapers = eigh_tridiagonal(diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1))
+    return np.asarray(tapers.T[::-1])
+
+
 @dataclass(frozen=True)
 class _Spectrum:
     """Spectral density (F,), m^2 per (cycle per frame), of one stretch at frequencies (F,), cycles per frame."""
@@ -198,7 +206,7 @@ class _Spectrum:
         n = len(differences)
         t = np.linspace(-1.0, 1.0, n)
         differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
-        power = np.mean(np.abs(np.fft.rfft(dpss(n, BANDWIDTH, TAPERS) * differences, axis=1)) ** 2, axis=0)
+        power = np.mean(np.abs(np.fft.rfft(_slepian_tapers(n) * differences, axis=1)) ** 2, axis=0)
         bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
         frequency = bins / n
         return cls(frequency, power[bins] / (2 * np.sin(np.pi * frequency)) ** (2 * DIFFERENCES))

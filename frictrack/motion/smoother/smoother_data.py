@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_banded
-from scipy.signal import lfilter
 
 from frictrack.records import Array
 
@@ -98,6 +97,8 @@ class NoiseColour:
             Noise of unit variance, (n, ...).
 
         """
+        from scipy.signal import lfilter  # noqa: PLC0415 - loads scipy.stats, too
+
         innovations = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
         return np.asarray(
             np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)

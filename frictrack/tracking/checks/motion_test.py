@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2, norm
 
+from frictrack.distributions import chi2_isf, normal_ppf
 from frictrack.records import Array, Mask, Track
 
 ALPHA = 1e-3  # significance level of motion
@@ -77,7 +77,7 @@ def _moves(places: Array, sigma: Array) -> bool:
     12:367).
     """
     n, off = places.shape[1], places - places.mean(axis=1, keepdims=True)
-    if float(np.sum((off / sigma) ** 2)) > chi2.isf(ALPHA, 2 * (n - 1)):
+    if float(np.sum((off / sigma) ** 2)) > chi2_isf(ALPHA, 2 * (n - 1)):
         return True
     ratio = np.sum(np.diff(off, axis=1) ** 2, axis=1) / np.maximum(np.sum(off**2, axis=1), 1e-300)
-    return bool(n >= SMOOTH_FRAMES and float(np.min(ratio)) < 2 + norm.ppf(ALPHA / 2) * 2 / np.sqrt(n))
+    return bool(n >= SMOOTH_FRAMES and float(np.min(ratio)) < 2 + normal_ppf(ALPHA / 2) * 2 / np.sqrt(n))

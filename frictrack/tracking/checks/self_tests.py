@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
-from scipy.stats import chi2
 
+from frictrack.distributions import chi2_sf
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
@@ -180,7 +180,7 @@ def peak_locking(track: Track) -> PeakLocking | None:
     amplitude = float(np.ptp(shape)) / 2
     acceleration = amplitude * (2 * np.pi * frequency) ** 2
     return PeakLocking(
-        amplitude, error, float(chi2.sf(strength, 2 * N_HARMONICS)), frequency, acceleration, tuple(curve.tolist())
+        amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration, tuple(curve.tolist())
     )
 
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
 
+from frictrack.distributions import f_isf
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.sampled_scene import SampledScene
@@ -71,7 +71,7 @@ class WindowMotions:
         """Windows (m,) that move by more than noise and by more than other changes in them."""
         free = self.motion_dof(common)
         explained = self.power(common)
-        noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._residual_dof) * self.noise
+        noisy = explained <= free * f_isf(ALPHA / len(self.pixels), free, self._residual_dof) * self.noise
         return ~noisy & self.explained
 
     def power(self, common: Array | None = None) -> Array:
