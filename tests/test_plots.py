@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
 
 from frictrack import plots
 from frictrack.plots import style
+from frictrack.plots.style.colours import RC_PARAMS
 from frictrack.records import Curve, Displacement, Filtered, Friction, Motion, Track
 from frictrack.results import ModelResults, RecordingInfo, Results, RunResults
 
@@ -391,3 +394,16 @@ def test_axis_labels_are_quantity_over_unit(written, label):
 )  # fmt: skip
 def test_model_names_in_words(group, name):
     assert plots.plain_name(group) == name
+
+
+def decoded(data: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_ticks_drawn_in_rows_look_as_matplotlib_draws_them():
+    again = all_figures()
+    for name, figure in all_figures().items():
+        fast, usual = decoded(plots.png(figure, dpi=90)), BytesIO()
+        with mpl.rc_context(RC_PARAMS):
+            again[name].savefig(usual, format="png", dpi=90)
+        assert np.array_equal(fast, decoded(usual.getvalue())), name

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from threading import RLock
 from typing import ParamSpec
 
 import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from frictrack.plots.style.colours import RC_PARAMS
+from frictrack.tick_rows import collection_paused, ticks_in_rows
 
 PAGE_WIDTH_IN = 10.0  # inches: a figure over the whole page
+SVG_DPI = 72  # of matplotlib's SVG; laid out at the same, so that texts are measured once
+RASTER_DPI = 200  # of what is drawn as a bitmap in an SVG
 P = ParamSpec("P")
 _RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
 
@@ -25,7 +30,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused():
             return draw(*args, **kwargs)
 
     return drawn
@@ -59,15 +64,25 @@ def svg(figure: Figure) -> str:
     """
     with _RC_LOCK, mpl.rc_context(RC_PARAMS):
         buffer = io.StringIO()
-        figure.set_dpi(200)
-        canvas, engine = FigureCanvasSVG(figure), figure.get_layout_engine()
-        if engine is not None:  # laid out once here; `savefig` would draw the whole figure once more for that
-            engine.execute(figure)
-            figure.set_layout_engine("none")
-        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        canvas = FigureCanvasSVG(figure)
+        figure.set_dpi(SVG_DPI)
+        with _laid_out(figure):
+            figure.set_dpi(RASTER_DPI)
+            canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
+    with collection_paused(), ticks_in_rows(figure):
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        yield
 
 
 def png(figure: Figure, dpi: float = 110) -> bytes:
@@ -83,5 +98,8 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
     """
     with _RC_LOCK, mpl.rc_context(RC_PARAMS):
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=dpi)
+        canvas = FigureCanvasAgg(figure)
+        figure.set_dpi(dpi)
+        with _laid_out(figure):
+            canvas.print_png(buffer)
     return buffer.getvalue()

@@ -14,9 +14,11 @@ from matplotlib.patches import Polygon
 from frictrack.files import atomic_write
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
+from frictrack.tick_rows import collection_paused, ticks_in_rows
 from frictrack.tracking.show.overlay import box, corners, drawn_areas
 
 LINE_FONT_SCALE = 1700.0  # points times characters: such a line fits the width
+FAST_COMPRESSION = 2  # of zlib: the file grows by a tenth, and the sheet takes a third less time
 N_FRAMES = 5  # and one panel for the target itself
 TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
 OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
@@ -89,8 +91,8 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     figure.suptitle(_headline(recording, track), fontsize=14)
     line = target_line(track).replace("\n", "      ")
     figure.supxlabel(line, fontsize=min(18.0, LINE_FONT_SCALE / len(line)), family="monospace")
-    with atomic_write(Path(path)) as part:
-        FigureCanvasAgg(figure).print_png(str(part))
+    with atomic_write(Path(path)) as part, collection_paused(), ticks_in_rows(figure):
+        FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"compress_level": FAST_COMPRESSION})
     return Path(path)
 
 
