@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from matplotlib.axis import Axis, Tick
+from matplotlib.axis import Axis, Tick, XAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from matplotlib.transforms import Bbox
@@ -76,7 +76,7 @@ class _Row:
 
     @property
     def _is_x(self) -> bool:
-        return self.axis.axis_name == "x"
+        return isinstance(self.axis, XAxis)
 
 
 @contextmanager
