@@ -15,7 +15,8 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
 )
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.rounds import RefinedCandidate, review_found
+from frictrack.diagnose.review import review_found
+from frictrack.diagnose.rounds import RefinedCandidate, Round
 from frictrack.diagnose.subsampling import subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
@@ -57,7 +58,7 @@ class ResidualKind(ABC):
 
     @abstractmethod
     def review(
-        self, start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
     ) -> list[RefinedCandidate]:
         """Return the effects that are still needed once the last one is in the model."""
 
@@ -115,10 +116,10 @@ class DisplacementResiduals(ResidualKind):
         return assess_auxiliary_signals(start, runs, rng, auxiliary, findings)
 
     def review(
-        self, start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
     ) -> list[RefinedCandidate]:
         """Return the effects that are still needed once the last one is in the model."""
-        return review_found(start, found, own, notify)
+        return review_found(first, found, own, notify)
 
     def noise(self, fit: Fit) -> tuple[float, float]:
         """Return the root mean square noise of a frame, m, and the reduced chi-squared of the fit."""
@@ -185,7 +186,7 @@ class FrictionResiduals(ResidualKind):
         return []
 
     def review(
-        self, start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
     ) -> list[RefinedCandidate]:
         """Return all that was found: no pieces of a motion compete for it."""
         return found

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
 from frictrack.diagnose.hypothesis_tests import ALPHA, ScannedCandidate, SearchTests, list_candidates, run_tests
 from frictrack.diagnose.model_selection import (
-    MAX_BIC_BARE_MENTION,
     MAX_CHI2_NEAR,
     MIN_CHI2_SEPARATED,
     expected_separation,
@@ -21,28 +21,21 @@ from frictrack.diagnose.null_distribution import NullEnsemble, draw_null_ensembl
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised import LinearisedModel
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
     deepen_trials,
-    effect_for_scan,
     misfit_left_by_other,
     refine_to_end,
-    remove_effect,
     simulate_trial,
     try_effect,
 )
 from frictrack.fit.uncertainty import dispersion
-from frictrack.records import Array
 
 MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
-MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
-MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
 MAX_CANDIDATES_SIMULATED = 6
-MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
-MAX_CANDIDATES_SPLIT = 6  # with which a second simple effect is tried
 MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
 Notify = Callable[[str], None]
@@ -149,7 +142,7 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     data = draws.series.coordinates[:, 0]
     notify("refining significant candidates")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
-    found = _simulate_promising(draws.law, solution, deepen_trials(draws.law, trials), tests.p)
+    found = simulate_promising(draws.law, solution, _deepen_significant(draws.law, trials, tests.p), tests.p)
     return Round(solution, draws, tests, found, excluded)
 
 
@@ -163,19 +156,51 @@ def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
     return selected if len(selected) >= 2 else order[:2]
 
 
+def _deepen_significant(
+    law: LinearisedModel, trials: list[CandidateTrial], p: dict[str, float]
+) -> list[CandidateTrial]:
+    """Search significant trials again where that may help; the others cannot be added whatever they explain."""
+    significant = [t for t in trials if p[t.effect.name] < ALPHA / 2]
+    return deepen_trials(law, significant) + [t for t in trials if p[t.effect.name] >= ALPHA / 2]
+
+
 def _near_margin(effect: Effect, top: float) -> float:
     """How far below the best a candidate may scan and still explain as much; scans underrate effects with memory."""
     return max(MAX_CHI2_NEAR, top / 2) if effect.memory or effect.modifies else MAX_CHI2_NEAR
 
 
-def _simulate_promising(
+def simulate_promising(
     law: LinearisedModel,
     solution: Solution,
     trials: list[CandidateTrial],
     p: dict[str, float],
+    *,
     min_evidence: float = -np.inf,
+    simulated: Mapping[str, Solution] = MappingProxyType({}),
 ) -> list[RefinedCandidate]:
-    """Simulate trials in order of their evidence while they are near the best and above `min_evidence`."""
+    """Simulate trials in order of their evidence while they are near the best.
+
+    Parameters
+    ----------
+    law
+        The model, linearised.
+    solution
+        The model.
+    trials
+        Candidates refined along the measured motion.
+    p
+        p-value of every candidate.
+    min_evidence
+        Fall of BIC that another explanation reaches already.
+    simulated
+        Fits of candidates that are known from before.
+
+    Returns
+    -------
+    list of RefinedCandidate
+        All candidates, best first.
+
+    """
     own, misfit = information_criterion(solution), baseline_misfit(law)
     promised = {t.effect.name: misfit - t.misfit - _extra_penalty(law, t.layout) for t in trials}
     out: list[RefinedCandidate] = []
@@ -185,9 +210,9 @@ def _simulate_promising(
         candidate = replace(candidate, objection=physical_objection(t.layout, t.p, t.effect))
         if not candidate.objection and _is_worth_simulating(out, candidate, min_evidence):
             try:
-                simulated = simulate_trial(law, t)
-                candidate = replace(candidate, solution=simulated, delta_bic=own - information_criterion(simulated))
-                candidate = replace(candidate, objection=objection(simulated, t.effect))
+                fitted = simulated[name] if name in simulated else simulate_trial(law, t)
+                candidate = replace(candidate, solution=fitted, delta_bic=own - information_criterion(fitted))
+                candidate = replace(candidate, objection=objection(fitted, t.effect))
             except FrictrackError:  # along the motion it is a law, but not one that can be followed
                 pass
         out.append(candidate)
@@ -253,158 +278,6 @@ def _explains_as_much(
     return rival.misfit - trial.misfit < MAX_CHI2_NEAR * unit and (
         unit > 1 or misfit_left_by_other(law, trial, rival) < MIN_CHI2_SEPARATED
     )
-
-
-def review_found(
-    start: Solution, found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
-) -> list[RefinedCandidate]:
-    """Test every effect found again beside all others.
-
-    An unnecessary effect is removed. An effect that was a mixture of several gives way to what explains more, also to
-    two simpler ones, and its rivals are named. Several effects of one kind are searched again as one, because the
-    first was placed while another was missing. While the misfit is large, effects are only removed.
-
-    Parameters
-    ----------
-    start
-        The model before the search.
-    found
-        Effects found, in order; the last one's fit contains them all.
-    own
-        Effects beside the library's.
-    notify
-        Called with the current step.
-
-    Returns
-    -------
-    list of RefinedCandidate
-
-    """
-    remaining = list(found)
-    for old in found:
-        same_kind = [k.effect.name for k in remaining if k.effect.kind == old.effect.kind]
-        full, name = remaining[-1].law, old.effect.name
-        if len(remaining) < 2 and _count_unknowns(full, name) <= MAX_UNKNOWNS_SIMPLE:
-            break
-        notify(f"testing {name} again")
-        try:
-            reduced = remove_effect(full, name)
-        except FrictrackError:  # without it there is no law that could be followed
-            continue
-        if reduced.objective > start.objective + MIN_CHI2_SEPARATED:  # it has more to explain with: it has run away
-            continue
-        evidence = information_criterion(reduced) - information_criterion(full)
-        if evidence <= 0 and len(remaining) > 1:
-            remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
-        elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
-            remaining = _exchange_effect(remaining, same_kind, reduced, own)
-    return remaining
-
-
-def _exchange_effect(
-    kept: list[RefinedCandidate], same_kind: list[str], reduced: Solution, own: Sequence[Effect]
-) -> list[RefinedCandidate]:
-    """Try every effect in place of one, or of several of its kind; `rest` is the model without the last of them."""
-    full, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
-    try:
-        for name in same_kind[:-1]:
-            reduced = remove_effect(reduced, name)
-    except FrictrackError:
-        return kept
-    evidence = information_criterion(reduced) - information_criterion(full)
-    tried_again = _alternatives(reduced, own, old, min_evidence=evidence)
-    best = tried_again[0]
-    if not _is_better(best, old, evidence):
-        if len(same_kind) > 1:
-            return kept
-        best = replace(old, solution=full, delta_bic=evidence)
-    best = replace(best, indistinguishable_from=find_rivals(best, tried_again))
-    pair = _split_in_two(best, tried_again, own)
-    new = pair or [best]
-    at = next(i for i, k in enumerate(kept) if k.effect.name == same_kind[0])
-    later = [k for k in kept[at:] if k.effect.name not in same_kind]
-    return _with_law([*kept[:at], *new, *later], new[-1].law)
-
-
-def _is_better(best: RefinedCandidate, old: RefinedCandidate, evidence: float) -> bool:
-    """Whether a new candidate may replace one of given evidence; for the same kind a small gain suffices."""
-    if best.solution is None:
-        return False
-    if best.effect.kind == old.effect.kind:
-        return best.delta_bic > evidence + MAX_BIC_BARE_MENTION
-    clearly = best.delta_bic >= evidence + MIN_CHI2_SEPARATED
-    return clearly and best.law.objective <= MAX_CHI2_PER_FRAME_TRUSTED * best.law.problem.n_frames
-
-
-def _count_unknowns(law: Solution, name: str) -> int:
-    """Number of parameters that an effect adds to a model."""
-    return sum(s.effect == name for s in law.problem.layout.slots)
-
-
-def _split_in_two(
-    best: RefinedCandidate, others: Sequence[RefinedCandidate], own: Sequence[Effect]
-) -> list[RefinedCandidate]:
-    """Two simple effects that explain decisively more than one flexible one; empty if there are none.
-
-    An effect that is free in every run, such as a wave with phases per run, may imitate the sum of two simple ones.
-    """
-    found: list[RefinedCandidate] = []
-    if _count_unknowns(best.law, best.effect.name) <= MAX_UNKNOWNS_SIMPLE:
-        return found
-    top = information_criterion(best.law) - MIN_CHI2_SEPARATED
-    runs = len(best.law.problem.layout.run_names)
-    for one in [t for t in others if t.delta_bic > MIN_CHI2_SEPARATED and _is_simple(t.effect, runs)][
-        :MAX_CANDIDATES_SPLIT
-    ]:
-        try:
-            law = _simulated_law(one)
-            pairs = _alternatives(law, own, one, lambda e: _is_simple(e, runs), information_criterion(law) - top)
-        except FrictrackError:
-            continue
-        two = next((t for t in pairs if t.solution is not None), None)
-        if two is not None and information_criterion(two.law) < top:
-            top = information_criterion(two.law)
-            found = [replace(one, solution=law), two]
-    return found
-
-
-def _is_simple(effect: Effect, runs: int) -> bool:
-    """Whether an effect has few parameters and no memory."""
-    return (
-        not effect.memory and sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= MAX_UNKNOWNS_SIMPLE
-    )
-
-
-def _simulated_law(tried: RefinedCandidate) -> Solution:
-    """The simulated fit with a candidate."""
-    if tried.solution is None and tried.linear_trial is not None:
-        return simulate_trial(*tried.linear_trial)
-    return tried.law
-
-
-def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandidate]:
-    """Let the last effect found hold the whole fit."""
-    return [*found[:-1], replace(found[-1], solution=law)]
-
-
-def _alternatives(
-    rest: Solution,
-    own: Sequence[Effect],
-    old: RefinedCandidate,
-    which: Callable[[Effect], bool] = lambda effect: True,
-    min_evidence: float = -np.inf,
-) -> list[RefinedCandidate]:
-    """All effects that could replace one that was removed, best first, without new draws."""
-    law = linearise(rest)
-    series = measured_series(law)
-    data: Array = series.coordinates[:, 0]
-    trials = []
-    for effect in filter(which, list_candidates(rest, own)[0]):
-        e = old.effect if effect.kind == old.effect.kind else effect
-        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
-        trials.append(try_effect(law, e, scans, data))
-    p = dict.fromkeys((t.effect.name for t in trials), old.p)
-    return _simulate_promising(law, rest, deepen_trials(law, trials), p, min_evidence)
 
 
 def refine_fully(best: RefinedCandidate) -> RefinedCandidate:

@@ -151,7 +151,7 @@ def _search(
             )
         else:
             before = [t.effect.name for t in found]
-            found = kind.review(start, found, own, notify_round)
+            found = kind.review(first, found, own, notify_round)
             if [t.effect.name for t in found] == before:
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")

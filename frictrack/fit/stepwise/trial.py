@@ -163,7 +163,9 @@ def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> flo
     return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
 
 
-def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
+def deepen_trials(
+    linearised: LinearisedModel, trials: list[CandidateTrial], min_evidence: float = 0.0
+) -> list[CandidateTrial]:
     """Search those trials again that may be best but were not found in one scan.
 
     Events of single runs were found one by one, beside a model that lacked them all. If no trial reaches the noise,
@@ -175,6 +177,8 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
         The fitted model.
     trials : list of CandidateTrial
         First trials.
+    min_evidence : float
+        Fall of BIC that another explanation reaches already. A trial far below is not searched again.
 
     Returns
     -------
@@ -182,14 +186,19 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
         The trials, best first if they were searched again.
 
     """
+    if not trials:
+        return trials
     misfit = baseline_misfit(linearised)
-    min_gain = MIN_GAIN_SHARE * max((misfit - t.misfit for t in trials), default=0.0)
+    best = misfit - min(t.misfit for t in trials)
+    if best < MIN_GAIN_SHARE * min_evidence:
+        return trials
+    min_gain = MIN_GAIN_SHARE * max(best, min_evidence)
     trials = [
         _with_own_events(linearised, t) if t.effect.single and misfit - t.misfit > min_gain else t for t in trials
     ]
     frames = sum(len(b.data) for b in linearised.blocks)
     max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
-    if not trials or (misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit):
+    if misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit:
         return trials
     return sorted(
         (t if t.misfit < max_expected_misfit else _search_again(linearised, t) for t in trials), key=lambda t: t.misfit

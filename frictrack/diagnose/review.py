@@ -1,0 +1,208 @@
+"""Test every effect found again beside all others: remove it, exchange it, or split it into two simpler ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from frictrack.diagnose.hypothesis_tests import list_candidates
+from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, MIN_CHI2_SEPARATED, information_criterion
+from frictrack.diagnose.rounds import Notify, RefinedCandidate, Round, find_rivals, simulate_promising
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import CandidateScan, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.stepwise import deepen_trials, effect_for_scan, remove_effect, simulate_trial, try_effect
+from frictrack.records import Array
+
+MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
+MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
+MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
+MAX_CANDIDATES_SPLIT = 6  # with which a second simple effect is tried
+MIN_SCAN_SHARE = 0.25  # of the evidence to exceed; the nearest grid point of an effect gains most of what it can
+
+
+def review_found(
+    first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
+) -> list[RefinedCandidate]:
+    """Test every effect found again beside all others.
+
+    An unnecessary effect is removed. An effect that was a mixture of several gives way to what explains more, also to
+    two simpler ones, and its rivals are named. Several effects of one kind are searched again as one, because the
+    first was placed while another was missing. While the misfit is large, effects are only removed.
+
+    Parameters
+    ----------
+    first
+        The test of the model before the search.
+    found
+        Effects found, in order; the last one's fit contains them all.
+    own
+        Effects beside the library's.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    list of RefinedCandidate
+
+    """
+    remaining = list(found)
+    for old in found:
+        same_kind = [k.effect.name for k in remaining if k.effect.kind == old.effect.kind]
+        full, name = remaining[-1].law, old.effect.name
+        if len(remaining) < 2 and _count_unknowns(full, name) <= MAX_UNKNOWNS_SIMPLE:
+            break
+        notify(f"testing {name} again")
+        try:
+            reduced = _without(full, [name], first)
+        except FrictrackError:  # without it there is no law that could be followed
+            continue
+        # it has more to explain with: it has run away
+        if reduced.objective > first.solution.objective + MIN_CHI2_SEPARATED:
+            continue
+        evidence = information_criterion(reduced) - information_criterion(full)
+        if evidence <= 0 and len(remaining) > 1:
+            remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
+        elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
+            remaining = _exchange_effect(remaining, same_kind, first, own)
+    return remaining
+
+
+def _without(full: Solution, names: Sequence[str], first: Round) -> Solution:
+    """The model without some effects; the one before the search if all that was found is removed."""
+    if set(full.problem.model.names) - set(names) == set(first.solution.problem.model.names):
+        return first.solution
+    for name in names:
+        full = remove_effect(full, name)
+    return full
+
+
+def _exchange_effect(
+    kept: list[RefinedCandidate], same_kind: list[str], first: Round, own: Sequence[Effect]
+) -> list[RefinedCandidate]:
+    """Try every effect in place of one, or of several of its kind."""
+    full, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
+    try:
+        reduced = _without(full, same_kind[::-1], first)
+    except FrictrackError:
+        return kept
+    evidence = information_criterion(reduced) - information_criterion(full)
+    tried_again = (
+        _alternatives_at_first(first, old, evidence)
+        if reduced is first.solution
+        else _alternatives(reduced, own, old, min_evidence=evidence)
+    )
+    best = tried_again[0] if tried_again else old
+    if not _is_better(best, old, evidence):
+        if len(same_kind) > 1:
+            return kept
+        best = replace(old, solution=full, delta_bic=evidence)
+    best = replace(best, indistinguishable_from=find_rivals(best, tried_again))
+    pair = _split_in_two(best, tried_again, own)
+    new = pair or [best]
+    at = next(i for i, k in enumerate(kept) if k.effect.name == same_kind[0])
+    later = [k for k in kept[at:] if k.effect.name not in same_kind]
+    return _with_law([*kept[:at], *new, *later], new[-1].law)
+
+
+def _is_better(best: RefinedCandidate, old: RefinedCandidate, evidence: float) -> bool:
+    """Whether a new candidate may replace one of given evidence; for the same kind a small gain suffices."""
+    if best.solution is None:
+        return False
+    if best.effect.kind == old.effect.kind:
+        return best.delta_bic > evidence + MAX_BIC_BARE_MENTION
+    clearly = best.delta_bic >= evidence + MIN_CHI2_SEPARATED
+    return clearly and best.law.objective <= MAX_CHI2_PER_FRAME_TRUSTED * best.law.problem.n_frames
+
+
+def _count_unknowns(law: Solution, name: str) -> int:
+    """Number of parameters that an effect adds to a model."""
+    return sum(s.effect == name for s in law.problem.layout.slots)
+
+
+def _split_in_two(
+    best: RefinedCandidate, others: Sequence[RefinedCandidate], own: Sequence[Effect]
+) -> list[RefinedCandidate]:
+    """Two simple effects that explain decisively more than one flexible one; empty if there are none.
+
+    An effect that is free in every run, such as a wave with phases per run, may imitate the sum of two simple ones.
+    """
+    found: list[RefinedCandidate] = []
+    if _count_unknowns(best.law, best.effect.name) <= MAX_UNKNOWNS_SIMPLE:
+        return found
+    top = information_criterion(best.law) - MIN_CHI2_SEPARATED
+    runs = len(best.law.problem.layout.run_names)
+    for one in [t for t in others if t.delta_bic > MIN_CHI2_SEPARATED and _is_simple(t.effect, runs)][
+        :MAX_CANDIDATES_SPLIT
+    ]:
+        try:
+            law = _simulated_law(one)
+            pairs = _alternatives(
+                law, own, one, which=lambda e: _is_simple(e, runs), min_evidence=information_criterion(law) - top
+            )
+        except FrictrackError:
+            continue
+        two = next((t for t in pairs if t.solution is not None), None)
+        if two is not None and information_criterion(two.law) < top:
+            top = information_criterion(two.law)
+            found = [replace(one, solution=law), two]
+    return found
+
+
+def _is_simple(effect: Effect, runs: int) -> bool:
+    """Whether an effect has few parameters and no memory."""
+    return (
+        not effect.memory and sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= MAX_UNKNOWNS_SIMPLE
+    )
+
+
+def _simulated_law(tried: RefinedCandidate) -> Solution:
+    """The simulated fit with a candidate."""
+    if tried.solution is None and tried.linear_trial is not None:
+        return simulate_trial(*tried.linear_trial)
+    return tried.law
+
+
+def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandidate]:
+    """Let the last effect found hold the whole fit."""
+    return [*found[:-1], replace(found[-1], solution=law)]
+
+
+def _alternatives_at_first(first: Round, old: RefinedCandidate, min_evidence: float) -> list[RefinedCandidate]:
+    """The candidates of the first round again, best first, where the model before the search is left."""
+    trials = [t.linear_trial[1] for t in first.tried if t.linear_trial is not None]
+    simulated = {t.effect.name: t.solution for t in first.tried if t.solution is not None}
+    p = dict.fromkeys((t.effect.name for t in trials), old.p)
+    return simulate_promising(
+        first.draws.law, first.solution, trials, p, min_evidence=min_evidence, simulated=simulated
+    )
+
+
+def _alternatives(
+    rest: Solution,
+    own: Sequence[Effect],
+    old: RefinedCandidate,
+    *,
+    which: Callable[[Effect], bool] = lambda effect: True,
+    min_evidence: float,
+) -> list[RefinedCandidate]:
+    """Effects that could replace one that was removed, best first, without new draws."""
+    law = linearise(rest)
+    series = measured_series(law)
+    data: Array = series.coordinates[:, 0]
+    trials = []
+    for effect in filter(which, list_candidates(rest, own)[0]):
+        e = old.effect if effect.kind == old.effect.kind else effect
+        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
+        if _may_reach(e, scans, min_evidence):
+            trials.append(try_effect(law, e, scans, data))
+    p = dict.fromkeys((t.effect.name for t in trials), old.p)
+    trials = deepen_trials(law, trials, min_evidence)
+    return simulate_promising(law, rest, trials, p, min_evidence=min_evidence)
+
+
+def _may_reach(effect: Effect, scans: Sequence[CandidateScan], evidence: float) -> bool:
+    """Whether an effect may reach some evidence, by its scan; scans underrate effects with memory."""
+    gain = sum(float(s.gains.max()) for s in scans)
+    return effect.memory or bool(effect.modifies) or gain > MIN_SCAN_SHARE * evidence
