@@ -137,6 +137,46 @@ def learn_template(
     return replace(learnt, weight=_pixel_weights(variance, learnt.image, moving))
 
 
+def short_wave_evidence(cuts: Patch, fit: SubpixelFit, template: Template, wide: Template, half: Mask) -> float:
+    """Compute how far two halves of the frames agree about waves that the template lacks.
+
+    The slope of the squared residuals with respect to each missing coefficient is noise of zero mean where the picture
+    has no such wave (score test, Rao 1948, Proc. Camb. Phil. Soc. 44:50). With a wave, it is the same in both halves.
+
+    Parameters
+    ----------
+    cuts : array (n, h, w)
+        Grey values.
+    fit : SubpixelFit
+        Positions of the target on the cut-outs, with gain and offset.
+    template, wide : Template
+        Learnt template, and the same with the missing waves, whose coefficients are zero.
+    half : array of bool (n,)
+        Frames of the first half.
+
+    Returns
+    -------
+    float
+        Correlation of the slopes of both halves in standard deviations of the correlation without waves.
+
+    """
+    fit = replace(fit, gain=fit.gain / np.median(fit.gain))
+    columns, rotation = _columns(template, fit)
+    expected = columns.astype(np.float32) @ template.basis_images[: columns.shape[1]].astype(np.float32)
+    pixels = cuts.reshape(len(cuts), -1) - fit.offset.astype(np.float32)[:, None]
+    residual = (pixels - rotation - expected) * template.weight.ravel().astype(np.float32)
+    design = (wide.shift_expansion.design(fit.unrotated())[0] * fit.gain[:, None]).astype(np.float32)
+    h, w = template.coefficients.shape
+    slopes = []
+    for rows in (half, ~half):
+        sums = (design[rows].T @ residual[rows]).reshape(-1, *template.weight.shape)
+        slope = wide.shift_expansion.adjoint(sums)
+        slope[:h, :w] = 0.0  # waves that the template has
+        slopes.append(slope.astype(np.float64))
+    size = np.sqrt(np.sum(slopes[0] ** 2) * np.sum(slopes[1] ** 2))
+    return float(np.sum(slopes[0] * slopes[1]) / max(size, 1e-300) * np.sqrt(slopes[0].size - h * w))
+
+
 def _pixel_variance(residual: Patch, share: Patch | None, n_parameters: float) -> Array:
     """Variance (h, w) of each pixel about the template, DN^2; infinite where it rarely shows the target."""
     n, size = len(residual), residual[0].size

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+from weakref import ref
 
 import cv2
 import numpy as np
@@ -114,6 +115,22 @@ def sample_scene(recording: Recording, also: Iterable[int] = (), steady: bool = 
         For a film without contrast.
 
     """
+    wanted = (*also,)
+    if wanted or not steady:
+        return _sample_scene(recording, wanted, steady)
+    film, scene = _LAST.get("scene", (lambda: None, None))
+    if film() is not recording or scene is None:
+        scene = _sample_scene(recording, (), True)
+        _LAST["scene"] = ref(recording, lambda _: _LAST.clear()), scene
+    return scene
+
+
+# Film and scene of the last call: target and reference are looked for in the same frames of a film.
+_LAST: dict[str, tuple[Any, SampledScene | None]] = {}
+
+
+def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> SampledScene:
+    """Sample frames spread over a film; see `sample_scene`."""
     index, frames = _pick_frames(recording, also)
     factor = max(1, round(float(np.sqrt(recording.shape[0] * recording.shape[1] / REDUCED_PIXELS))))
     small = [_reduced(frame, factor) for frame in frames]

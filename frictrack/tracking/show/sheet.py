@@ -73,6 +73,15 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
         The file.
 
     """
+    with atomic_write(Path(path)) as part, collection_paused():
+        figure = _sheet(recording, track, others)
+        with ticks_in_rows(figure):
+            FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"compress_level": FAST_COMPRESSION})
+    return Path(path)
+
+
+def _sheet(recording: Recording, track: Track, others: Sequence[Track]) -> Figure:
+    """Draw the contact sheet."""
     found = np.flatnonzero(track.found)
     shown = np.unique(found[np.linspace(0, len(found) - 1, N_FRAMES).astype(int)])
     wanted = np.unique([*shown, track.template])
@@ -91,9 +100,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     figure.suptitle(_headline(recording, track), fontsize=14)
     line = target_line(track).replace("\n", "      ")
     figure.supxlabel(line, fontsize=min(18.0, LINE_FONT_SCALE / len(line)), family="monospace")
-    with atomic_write(Path(path)) as part, collection_paused(), ticks_in_rows(figure):
-        FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"compress_level": FAST_COMPRESSION})
-    return Path(path)
+    return figure
 
 
 def _figure(recording: Recording, columns: int) -> Figure:
