@@ -9,49 +9,49 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 
 def normal_sf(x: Any) -> Any:
     """Return the probability that a standard normal variable exceeds `x`."""
-    return special.ndtr(-x)
+    return scipy.special.ndtr(-x)
 
 
 def normal_ppf(p: Any) -> Any:
     """Return the value that a standard normal variable exceeds with probability 1 - `p`."""
-    return special.ndtri(p)
+    return scipy.special.ndtri(p)
 
 
 def student_sf(x: Any, df: Any) -> Any:
     """Return the probability that Student's t of `df` degrees of freedom exceeds `x`."""
-    return special.stdtr(df, -x)
+    return scipy.special.stdtr(df, -x)
 
 
 def student_ppf(p: Any, df: Any) -> Any:
     """Return the value that Student's t of `df` degrees of freedom exceeds with probability 1 - `p`."""
-    return special.stdtrit(df, p)
+    return scipy.special.stdtrit(df, p)
 
 
 def chi2_sf(x: Any, df: Any) -> Any:
     """Return the probability that chi-squared of `df` degrees of freedom exceeds `x`."""
-    return special.chdtrc(df, np.maximum(x, 0.0))  # scipy.special has no value below 0
+    return scipy.special.chdtrc(df, np.maximum(x, 0.0))  # scipy.special has no value below 0
 
 
 def chi2_isf(p: Any, df: Any) -> Any:
     """Return the value that chi-squared of `df` degrees of freedom exceeds with probability `p`."""
-    return special.chdtri(df, p)
+    return scipy.special.chdtri(df, p)
 
 
 def chi2_ppf(p: Any, df: Any) -> Any:
     """Return the value that chi-squared of `df` degrees of freedom exceeds with probability 1 - `p`."""
-    return 2 * special.gammaincinv(df / 2, p)
+    return 2 * scipy.special.gammaincinv(df / 2, p)
 
 
 def noncentral_chi2_sf(x: Any, df: Any, noncentrality: Any) -> Any:
     """Return the probability that a noncentral chi-squared of `df` degrees of freedom exceeds `x`."""
-    return 1 - special.chndtr(x, df, noncentrality)
+    return 1 - scipy.special.chndtr(x, df, noncentrality)
 
 
 def f_isf(p: Any, df_numerator: Any, df_denominator: Any) -> Any:
     """Return the value that F exceeds with probability `p`."""
-    return special.fdtri(df_numerator, df_denominator, 1 - p)
+    return scipy.special.fdtri(df_numerator, df_denominator, 1 - p)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -15,6 +17,23 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNBOUNDED_ARITHMETIC = re.compile(
     r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]"
 )
+# The ordinary units, so that a study file need not wait for pint to load: factor to SI, and powers of (m, kg, s, px).
+_UNITS: dict[str, tuple[Fraction, tuple[int, int, int, int]]] = {
+    "m": (Fraction(1), (1, 0, 0, 0)),
+    "g": (Fraction(1, 1000), (0, 1, 0, 0)),
+    "s": (Fraction(1), (0, 0, 1, 0)),
+    "Hz": (Fraction(1), (0, 0, -1, 0)),
+    "N": (Fraction(1), (1, 1, -2, 0)),
+    "J": (Fraction(1), (2, 1, -2, 0)),
+    "Pa": (Fraction(1), (-1, 1, -2, 0)),
+    "rad": (Fraction(1), (0, 0, 0, 0)),
+    "deg": (Fraction(math.pi) / 180, (0, 0, 0, 0)),
+    "px": (Fraction(1), (0, 0, 0, 1)),
+}
+_PREFIXES = {"": 0, "n": -9, "u": -6, "µ": -6, "m": -3, "c": -2, "d": -1, "k": 3, "M": 6}
+_WITHOUT_PREFIX = ("deg", "px")
+_POWER = r"([nuµmcdkM]??)(m|g|s|Hz|N|J|Pa|rad|deg|px)(?:\^([1-3]))?"
+_ORDINARY_UNIT = re.compile(rf"{_POWER}(?:/{_POWER})?")
 _MAX_VALUE = 1e30  # in any unit; larger values are no measurements
 _MAX_UNIT_LENGTH = 60  # characters of a unit
 _QUANTITY = re.compile(
@@ -88,7 +107,39 @@ def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
 
 
 def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
-    """Convert values from one unit to another."""
+    """Convert values from one unit to another; pint, which takes long to load, converts all but ordinary units."""
+    given, wanted = _ordinary_unit(source), _ordinary_unit(target)
+    if given and wanted:
+        if given[1] != wanted[1]:
+            raise FrictrackError(_another_quantity(source, target, what))
+        factor = given[0] / wanted[0]
+        return values * float(factor) if factor.denominator == 1 else values / float(1 / factor)
+    return _convert_with_pint(values, source, target, what)
+
+
+@cache
+def _ordinary_unit(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
+    """Return the factor of a unit such as "mm/px" to SI, and its powers of (m, kg, s, px); None for all others."""
+    found = _ORDINARY_UNIT.fullmatch(unit)
+    if found is None:
+        return None
+    above = _power(found[1], found[2], int(found[3] or 1))
+    below = _power(found[4], found[5], int(found[6] or 1)) if found[5] else (Fraction(1), (0, 0, 0, 0))
+    if above is None or below is None:
+        return None
+    return above[0] / below[0], tuple(a - b for a, b in zip(above[1], below[1], strict=True))
+
+
+def _power(prefix: str, name: str, exponent: int) -> tuple[Fraction, tuple[int, ...]] | None:
+    """Return a power of one unit; None for a prefix that it does not have."""
+    if prefix and name in _WITHOUT_PREFIX:
+        return None
+    factor, dimension = _UNITS[name]
+    return (factor * Fraction(10) ** _PREFIXES[prefix]) ** exponent, tuple(exponent * power for power in dimension)
+
+
+def _convert_with_pint(values: np.ndarray, source: str, target: str, what: str) -> Any:
+    """Convert values from one unit to another by pint."""
     import pint  # noqa: PLC0415 - takes half a second, which only texts with units need
 
     if len(source) > _MAX_UNIT_LENGTH or _UNBOUNDED_ARITHMETIC.search(source):
@@ -100,10 +151,7 @@ def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
             f'{_expected(target, what)} but got the unknown unit "{source}"; write it like "{_example(target)}"'
         ) from error
     except pint.DimensionalityError as error:
-        raise FrictrackError(
-            f'{_expected(target, what)} but got "{source}", which measures something else; '
-            f'write it like "{_example(target)}"'
-        ) from error
+        raise FrictrackError(_another_quantity(source, target, what)) from error
     except Exception as error:  # pint's parser raises whatever Python's tokenizer does
         raise FrictrackError(f'{_expected(target, what)} but got "{source}" as its unit') from error
 
@@ -118,6 +166,13 @@ def _registry() -> Any:
 def _pint_name(unit: str) -> str:
     """Return a unit as pint spells it: pint's ``px`` is 1/96 inch of style sheets, a camera's pixel is ``pixel``."""
     return re.sub(r"\bpx\b", "pixel", unit)
+
+
+def _another_quantity(source: str, target: str, what: str) -> str:
+    return (
+        f'{_expected(target, what)} but got "{source}", which measures something else; '
+        f'write it like "{_example(target)}"'
+    )
 
 
 def _expected(unit: str, what: str) -> str:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.linalg import svd
-from scipy.optimize import least_squares
+import scipy
 
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, project
 from frictrack.errors import FrictrackError
@@ -140,7 +139,7 @@ def _fit(
         return np.nan_to_num(((at - points) / sigma[:, None]).T.ravel(), nan=1e6)
 
     free = np.concatenate([start, [0.0] * (distortion is not None)])
-    found = least_squares(residual, free, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
+    found = scipy.optimize.least_squares(residual, free, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
     slopes = np.asarray(found.jac, dtype=np.float64)
     normal = slopes.T @ slopes
     size = np.sqrt(np.diag(normal))
@@ -183,7 +182,7 @@ def _linear(places: Array, points: Array) -> Array:
     at = np.column_stack([places, one])
     zeros = np.zeros_like(at)
     rows = np.vstack([np.hstack([at, zeros, -x[:, None] * at]), np.hstack([zeros, at, -y[:, None] * at])])
-    _, strength, right = svd(rows, full_matrices=True)
+    _, strength, right = np.linalg.svd(rows, full_matrices=True)
     if strength[N_PARAMETERS - 1] < 1e-6 * strength[0]:
         raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
     h = right[-1] / (right[-1, -1] or 1.0)
@@ -200,6 +199,6 @@ def _norm(points: Array) -> Normalisation:
 
 
 def _check_spread(points: Array, what: str) -> None:
-    strength = svd(points - points.mean(axis=0), compute_uv=False)
+    strength = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not strength[1] > MIN_ASPECT * strength[0]:
         raise FrictrackError(f"expected {what} that span a plane but all of them lie on one line; add one beside it")

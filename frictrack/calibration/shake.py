@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import dct, idct
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from frictrack.distributions import chi2_isf
 from frictrack.errors import FrictrackError
@@ -184,9 +183,9 @@ def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[A
         float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated_sigma**2, 1e-20
     )
     tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
-    spectrum = dct(x - tones, norm="ortho")
+    spectrum = scipy.fft.dct(x - tones, norm="ortho")
     gain = _wiener_gain(spectrum**2, noise)
-    movement = tones + idct(gain * spectrum, norm="ortho")
+    movement = tones + scipy.fft.idct(gain * spectrum, norm="ortho")
     variance = noise * (float(gain.mean()) + 3 * count / len(x))
     # Partly subtracted shake would no longer be a tone, which later steps could detect.
     is_known = float(np.std(movement)) > MIN_SHAKE_SIGMAS * np.sqrt(variance)
@@ -232,9 +231,9 @@ def _fit_tones(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
 
 def _wiener_gain(power: Array, noise: float) -> Array:
     """Wiener gain of each cosine; zero where its neighbourhood does not exceed the noise."""
-    smooth = uniform_filter1d(power, N_SMOOTHED, mode="nearest")
+    smooth = scipy.ndimage.uniform_filter1d(power, N_SMOOTHED, mode="nearest")
     stands_out = smooth > noise * float(chi2_isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
-    kept_band = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
+    kept_band = scipy.ndimage.uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
     return np.where(kept_band, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
 
 

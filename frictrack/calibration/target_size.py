@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates, median_filter
-from scipy.signal import savgol_filter
+import scipy
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
@@ -135,7 +134,7 @@ def _lines(picture: Array, course: Array, size: tuple[float, ...]) -> Array:
     n = int(np.floor(reach * READINGS_PER_PX))
     s = np.arange(-n, n + 1) / READINGS_PER_PX
     at = middle + offsets[:, None, None] * across + s[None, :, None] * course
-    lines = map_coordinates(picture, [at[..., 1], at[..., 0]], order=3, mode="nearest")
+    lines = scipy.ndimage.map_coordinates(picture, [at[..., 1], at[..., 0]], order=3, mode="nearest")
     return np.asarray(lines, dtype=np.float64)
 
 
@@ -155,7 +154,9 @@ def _edge(lines: Array) -> _Edge:
         raise _no_outline()
     filled = np.interp(np.arange(len(lines)), good, rough[good])
     window = max(len(lines) // 3 // 2 * 2 + 1, 5)
-    smooth = savgol_filter(median_filter(filled, size=min(window, 7), mode="nearest"), window, 2, mode="interp")
+    smooth = scipy.signal.savgol_filter(
+        scipy.ndimage.median_filter(filled, size=min(window, 7), mode="nearest"), window, 2, mode="interp"
+    )
     offset = np.arange(-PROFILE_REACH_PX * READINGS_PER_PX, PROFILE_REACH_PX * READINGS_PER_PX + 1)
     readings = np.arange(lines.shape[1])
     laid = np.array([np.interp(at + offset, readings, line) for at, line in zip(smooth, lines, strict=True)])

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from frictrack.effects.path import Path
@@ -169,11 +170,9 @@ def mean_per_step(value: Array, step: Array, broken: Mask) -> Array:
 
 def _recursion(decay: Array, right: Array) -> Array:
     """u[i] = decay[i] u[i - 1] + right[i], all columns at once."""
-    from scipy.linalg.lapack import dtbtrs  # noqa: PLC0415 - a list of effects need not wait for SciPy
-
     band = np.ones((2, len(decay)))
     band[1, :-1] = -decay[1:]
-    out, _ = dtbtrs(band, right, uplo="L", diag="U")
+    out, _ = scipy.linalg.lapack.dtbtrs(band, right, uplo="L", diag="U")
     return np.asarray(out)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import expit, logit
+import scipy
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.filter_methods import METHODS, FilterMethod, interpolate_missing
@@ -310,13 +309,13 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
 
     def colour(odds: Array) -> NoiseColour:
         low, high = MAX_CORRELATED, 1.0 - MAX_CORRELATED
-        return NoiseColour(*np.clip(expit(odds), high, low).tolist())
+        return NoiseColour(*np.clip(scipy.special.expit(odds), high, low).tolist())
 
     def loss(odds: Array) -> float:
         return StructureSearch(replace(data, colour=colour(odds))).loss(structure)
 
-    start = logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
-    found = minimize(
+    start = scipy.special.logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
+    found = scipy.optimize.minimize(
         loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
     )
     return colour(found.x)

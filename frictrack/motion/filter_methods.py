@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import scipy
 from numpy.polynomial import polynomial
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.stencil import stencil_derivative
@@ -66,12 +65,10 @@ class Butterworth:
         return stencil_derivative(self._smooth(y), order)
 
     def _smooth(self, y: Array) -> Array:
-        from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 - loads scipy.stats, too
-
         trend = _cubic(y)
-        sos = butter(BUTTERWORTH_ORDER, 2 * self.low, output="sos")
+        sos = scipy.signal.butter(BUTTERWORTH_ORDER, 2 * self.low, output="sos")
         reach = min(len(y) - 1, int(np.ceil(1 / self.low)))
-        return np.asarray(trend + sosfiltfilt(sos, y - trend, axis=0, padtype="odd", padlen=reach))
+        return np.asarray(trend + scipy.signal.sosfiltfilt(sos, y - trend, axis=0, padtype="odd", padlen=reach))
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> Butterworth:
@@ -113,16 +110,12 @@ class SavitzkyGolay:
     @property
     def cutoff(self) -> float:
         """Frequency at which half of the amplitude passes, cycles per frame."""
-        from scipy.signal import savgol_coeffs  # noqa: PLC0415 - loads scipy.stats, too
-
-        response = np.abs(np.fft.rfft(savgol_coeffs(self.window, self.degree), 8192))
+        response = np.abs(np.fft.rfft(scipy.signal.savgol_coeffs(self.window, self.degree), 8192))
         return float(np.argmax(response < 0.5) / 8192)
 
     def derived(self, y: Array, order: int) -> Array:
         """Derivative of the polynomials through the columns (n, ...), per frame."""
-        from scipy.signal import savgol_filter  # noqa: PLC0415 - loads scipy.stats, too
-
-        return np.asarray(savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
+        return np.asarray(scipy.signal.savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
 
     @classmethod
     def fit(cls, y: Array, noise: float) -> SavitzkyGolay:
@@ -151,9 +144,7 @@ class SavitzkyGolay:
 
     def _cross_validation_score(self, y: Array) -> float:
         """Generalised cross-validation score."""
-        from scipy.signal import savgol_coeffs  # noqa: PLC0415 - loads scipy.stats, too
-
-        middle = float(savgol_coeffs(self.window, self.degree)[self.window // 2])
+        middle = float(scipy.signal.savgol_coeffs(self.window, self.degree)[self.window // 2])
         return float(np.mean((y - self.derived(y, 0)) ** 2)) / (1.0 - middle) ** 2
 
 
@@ -183,8 +174,8 @@ class GaussianProcess:
         """Derivative of the posterior mean of the columns (n, ...) by central differences, per frame."""
         trend = _cubic(y)
         covariance = self._covariance(len(y))
-        known = cho_factor(covariance + np.eye(len(y)), overwrite_a=True)
-        return stencil_derivative(trend + covariance @ cho_solve(known, y - trend), order)
+        known = scipy.linalg.cho_factor(covariance + np.eye(len(y)), overwrite_a=True)
+        return stencil_derivative(trend + covariance @ scipy.linalg.cho_solve(known, y - trend), order)
 
     def _covariance(self, n: int) -> Array:
         """Covariance of n frames."""
@@ -238,7 +229,7 @@ class GaussianProcess:
         size = float(np.log(max(float(np.std(rest)), 1.0)))
         starts = [np.array([np.log(k), size]) for k in np.geomspace(2 * step, len(y) / 4, 6)]
         best = starts[int(np.argmin([loss(p) for p in starts]))]
-        found = minimize(loss, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02}).x
+        found = scipy.optimize.minimize(loss, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02}).x
         return cls(float(np.exp(found[0])), float(np.exp(found[1])))
 
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, median_filter
 
 from frictrack.distributions import chi2_ppf
 from frictrack.records import Array, Mask
@@ -198,7 +198,7 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     spread = np.ones(len(bad))
     if not near.any():
         return spread, good[_outliers_at_ends(kept)]
-    rows = np.flatnonzero(binary_dilation(near, iterations=NOISE_REACH_ROWS))
+    rows = np.flatnonzero(scipy.ndimage.binary_dilation(near, iterations=NOISE_REACH_ROWS))
     away = np.zeros(len(good))
     away[rows] = _robust_residuals(kept, rows)
     spread[good] = _local_noise(away, rows)
@@ -267,7 +267,9 @@ def _local_noise(away: Array, rows: Rows) -> Array:
     """Noise (n,) of the neighbourhood of each row over the typical noise, from a median; at least 1."""
     out = np.ones(len(away))
     out[rows] = np.maximum(
-        MEDIAN_TO_SIGMA * median_filter(np.abs(away[rows]), size=2 * NOISE_REACH_ROWS + 1, mode="reflect"), 1.0
+        MEDIAN_TO_SIGMA
+        * scipy.ndimage.median_filter(np.abs(away[rows]), size=2 * NOISE_REACH_ROWS + 1, mode="reflect"),
+        1.0,
     )
     return out
 

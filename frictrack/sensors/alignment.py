@@ -15,10 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import dct
-from scipy.optimize import minimize_scalar
-from scipy.sparse import csr_array
 
 from frictrack.distributions import chi2_sf
 from frictrack.records import Array, Mask
@@ -335,7 +333,7 @@ def _minima(values: Array, within: float) -> NDArray[np.int64]:
     return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
 
 
-def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: float) -> csr_array:
+def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: float) -> scipy.sparse.csr_array:
     """Covariance of the differences: camera plus sensor at this gain."""
     sigma = 1.0 if problem.sigma is None else gain * problem.sigma
     return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
@@ -364,7 +362,9 @@ def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sen
         )
 
     bounds = np.log(typical) + np.array([-25.0, 10.0])
-    return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x))
+    return float(
+        np.exp(scipy.optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
+    )
 
 
 def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True) -> Alignment:
@@ -483,8 +483,8 @@ def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     True
 
     """
-    power = np.asarray(dct(residual, norm="ortho")) ** 2
-    basis = dct(np.linalg.qr(regressors)[0], axis=0, norm="ortho")
+    power = np.asarray(scipy.fft.dct(residual, norm="ortho")) ** 2
+    basis = scipy.fft.dct(np.linalg.qr(regressors)[0], axis=0, norm="ortho")
     free = 1.0 - np.sum(basis**2, axis=1)
     n = len(power)
     edges = [0, *(LOWEST_BAND_SIZE * 2**k for k in range(32) if LOWEST_BAND_SIZE * 2**k < 0.75 * n), n]
@@ -493,7 +493,9 @@ def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     return min(1.0, 2.0 * float(np.min(p)) * len(p), 2.0 * line), power - free
 
 
-def _noise_share(problem: AlignmentProblem, covariance: csr_array, noise: csr_array, gain: float) -> Array:
+def _noise_share(
+    problem: AlignmentProblem, covariance: scipy.sparse.csr_array, noise: scipy.sparse.csr_array, gain: float
+) -> Array:
     """Part that the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
     sigma = problem.series.sigma if problem.sigma is None else problem.sigma
     whole = _spectrum(covariance)
@@ -502,7 +504,7 @@ def _noise_share(problem: AlignmentProblem, covariance: csr_array, noise: csr_ar
     return len(problem.frames.z) * np.array([np.mean(ratio), gain**2 * np.mean(ratio * omega**2)])
 
 
-def _spectrum(covariance: csr_array) -> Array:
+def _spectrum(covariance: scipy.sparse.csr_array) -> Array:
     """Power spectrum at `FREQUENCIES` of the noise with this covariance, from its middle row."""
     middle = covariance.shape[0] // 2
     after = np.trim_zeros(covariance[[middle]].toarray()[0, middle:], "b")

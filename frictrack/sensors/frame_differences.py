@@ -12,10 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded
-from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import csr_array
 
 from frictrack.motion.noise import noise_level
 from frictrack.records import Array, Displacement, Mask
@@ -50,8 +48,8 @@ class FrameDifferences:
     t: Array  # of all frames, s
     z: Array
     centre: NDArray[np.int64]
-    map: csr_array
-    camera: csr_array  # covariance of the camera's noise in z
+    map: scipy.sparse.csr_array
+    camera: scipy.sparse.csr_array  # covariance of the camera's noise in z
 
     @property
     def interval(self) -> float:
@@ -72,7 +70,7 @@ class FrameDifferences:
         """The sensor's differences (r, k) when its clock is `lags` (k,) or (n, k) s behind the camera's."""
         return np.asarray(self.map @ series.integral(self.t[:, None] - lags, order))
 
-    def noise(self, series: SensorRecord, offset: float) -> csr_array:
+    def noise(self, series: SensorRecord, offset: float) -> scipy.sparse.csr_array:
         """Compute the covariance of the differences for a sensor with white noise of unit variance.
 
         Every sample acts through its own spline, which decays within a few samples.
@@ -108,8 +106,8 @@ class FrameDifferences:
             )
         column = (column - np.min(column)).astype(np.int64)
         row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
-        effects = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
-        return csr_array(effects @ effects.T)
+        effects = scipy.sparse.csr_array((effect.ravel(), (row.ravel(), column.ravel())))
+        return scipy.sparse.csr_array(effects @ effects.T)
 
 
 def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
@@ -148,16 +146,16 @@ def second_differences(displacement: Displacement) -> FrameDifferences:
     weights = np.stack([1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after], axis=1) / half[:, None]
     columns = np.stack([at[rows - 1], at[rows], at[rows + 1]], axis=1)
     place = np.repeat(np.arange(len(rows)), 3)
-    mapping = csr_array((weights.ravel(), (place, columns.ravel())), shape=(len(rows), len(t)))
+    mapping = scipy.sparse.csr_array((weights.ravel(), (place, columns.ravel())), shape=(len(rows), len(t)))
     x = np.where(known, displacement.x, 0.0)
     return FrameDifferences(
         t, mapping @ x, at[rows], mapping, _noise_covariance(mapping, _frame_noise(displacement, known))
     )
 
 
-def _noise_covariance(mapping: csr_array, sigma: Array) -> csr_array:
+def _noise_covariance(mapping: scipy.sparse.csr_array, sigma: Array) -> scipy.sparse.csr_array:
     scaled = mapping.multiply(sigma[None, :])
-    return csr_array(scaled @ scaled.T)
+    return scipy.sparse.csr_array(scaled @ scaled.T)
 
 
 def _frame_noise(displacement: Displacement, known: Mask) -> Array:
@@ -179,13 +177,13 @@ class Whitener:
 
     """
 
-    def __init__(self, covariance: csr_array) -> None:
+    def __init__(self, covariance: scipy.sparse.csr_array) -> None:
         entries = covariance.tocoo()
         width = int(np.max(np.abs(entries.row - entries.col), initial=0))
         band = np.zeros((width + 1, covariance.shape[0]))
         for k in range(width + 1):
             band[k, : covariance.shape[0] - k] = covariance.diagonal(-k)
-        self._factor = cholesky_banded(band, lower=True)
+        self._factor = scipy.linalg.cholesky_banded(band, lower=True)
 
     @property
     def logdet(self) -> float:
@@ -194,5 +192,5 @@ class Whitener:
 
     def __call__(self, columns: Array) -> Array:
         """Whiten columns (r, k) or (r,)."""
-        out, _ = dtbtrs(self._factor, columns.reshape(len(columns), -1), uplo="L")
+        out, _ = scipy.linalg.lapack.dtbtrs(self._factor, columns.reshape(len(columns), -1), uplo="L")
         return np.asarray(out).reshape(columns.shape)

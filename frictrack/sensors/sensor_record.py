@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.noise import noise_level
@@ -95,11 +95,11 @@ class SensorRecord:
         return self.sigma**2 * self.interval
 
     @cached_property
-    def curves(self) -> tuple[BSpline, BSpline, BSpline]:
+    def curves(self) -> tuple[scipy.interpolate.BSpline, scipy.interpolate.BSpline, scipy.interpolate.BSpline]:
         """Spline through the samples, across gaps, and its first and second integral over `t` - t[0]."""
         known = self.known
         degree = 3 if np.sum(known) > 3 else 1
-        curve = make_interp_spline(self.t[known] - self.t[0], self.values[known], k=degree)
+        curve = scipy.interpolate.make_interp_spline(self.t[known] - self.t[0], self.values[known], k=degree)
         return curve, curve.antiderivative(1), curve.antiderivative(2)
 
     def integral(self, at: Array, order: int) -> Array:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh_tridiagonal
+import scipy
 
 from frictrack.distributions import chi2_isf
 from frictrack.motion.noise.white import DIFFERENCE_ORDER, MEDIAN_TO_SIGMA, OUTLIER_SIGMAS
@@ -188,7 +188,9 @@ def _slepian_tapers(n: int) -> Array:
     """Slepian tapers (TAPERS, n), eigenvectors of a tridiagonal matrix (Slepian 1978, Bell Syst. Tech. J. 57)."""
     i = np.arange(n, dtype=np.float64)
     diagonal = ((n - 1 - 2 * i) / 2) ** 2 * np.cos(2 * np.pi * BANDWIDTH / n)
-    _, tapers = eigh_tridiagonal(diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1))
+    _, tapers = scipy.linalg.eigh_tridiagonal(
+        diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1)
+    )
     return np.asarray(tapers.T[::-1])
 
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 from frictrack.motion.smoother import selected_inverse
 from frictrack.motion.smoother.smoother_data import (
@@ -143,7 +143,7 @@ class FactoredSmoother:
         """Factors in LAPACK band storage, and pivots."""
         s = self.layout
         equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
-        lu, pivots, _ = dgbtrf(equations, s.band, s.band, overwrite_ab=1)
+        lu, pivots, _ = scipy.linalg.lapack.dgbtrf(equations, s.band, s.band, overwrite_ab=1)
         return lu, pivots
 
     def _solve(self, frames: Array, components: list[Index], sensor: Array | None = None) -> Array:
@@ -154,7 +154,7 @@ class FactoredSmoother:
             full[row] = frames
         if sensor is not None:
             full[s.multiplier[-1]] = sensor
-        out: Array = dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
+        out: Array = scipy.linalg.lapack.dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
         return out
 
     def signal(self, unknowns: Array) -> Array:

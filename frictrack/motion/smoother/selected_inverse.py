@@ -10,8 +10,8 @@ neighbouring blocks equals that part of the full inverse. Several matrices of on
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgbsv
 
 from frictrack.records import Array
 
@@ -119,7 +119,7 @@ def _solve_banded(band: int, equations: Array, right: Array) -> Array:
     """Solutions (N, columns) of equations (2 band + 1, N)."""
     bands = np.zeros((3 * band + 1, equations.shape[1]))
     bands[band:] = equations
-    solved = dgbsv(band, band, bands, right)
+    solved = scipy.linalg.lapack.dgbsv(band, band, bands, right)
     return np.asarray(solved[2])
 
 

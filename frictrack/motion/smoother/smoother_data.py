@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
+import scipy
 
 from frictrack.records import Array
 
@@ -97,11 +97,10 @@ class NoiseColour:
             Noise of unit variance, (n, ...).
 
         """
-        from scipy.signal import lfilter  # noqa: PLC0415 - loads scipy.stats, too
-
         innovations = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
         return np.asarray(
-            np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)
+            np.sqrt(1.0 - self.share) * white
+            + scipy.signal.lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)
         )
 
 
@@ -158,7 +157,7 @@ class SmootherData:
         banded[0, 1:] = banded[2, :-1] = -rho * inverse_innovation
         banded[1] = self.precision + inverse_innovation * (1.0 + rho**2 * (np.arange(n) < n - 1))
         banded[1, 0] += 1.0 / self.colour.share - inverse_innovation
-        flat = solve_banded((1, 1), banded, weighted.reshape(n, -1)).reshape(weighted.shape)
+        flat = scipy.linalg.solve_banded((1, 1), banded, weighted.reshape(n, -1)).reshape(weighted.shape)
         return weighted - weighted_columns(self.precision, flat)
 
     @property

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData, penalty
 from frictrack.motion.smoother.structure import Event, Structure
@@ -281,7 +281,7 @@ class StructureSearch:
         def scaled_loss(step: Array) -> float:
             return loss(start + step * scale)
 
-        found = minimize(scaled_loss, np.zeros(len(start)), **options)
+        found = scipy.optimize.minimize(scaled_loss, np.zeros(len(start)), **options)
         return ScoredStructure(s.with_numbers(np.clip(start + found.x * scale, *limits)), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:
