@@ -3,22 +3,32 @@
 Every kind of scale yields a `PlaneMap` from the picture to the plane of the course; `calibrate` applies it to a track.
 """
 
-from frictrack.calibration.displacement import calibrate
-from frictrack.calibration.plane import PlaneMap
-from frictrack.calibration.rotating_target import MIN_ROTATION
-from frictrack.calibration.scale import Scale, parse_scale
-from frictrack.calibration.scale_to_map import plane_map
-from frictrack.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake
+# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
 
-__all__ = [
-    "MIN_ROTATION",
-    "PlaneMap",
-    "Scale",
-    "Shake",
-    "calibrate",
-    "estimate_shake",
-    "parse_scale",
-    "plane_map",
-    "significant_motion",
-    "subtract_shake",
-]
+from typing import TYPE_CHECKING
+
+from frictrack.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from frictrack.calibration.displacement import calibrate
+    from frictrack.calibration.plane import PlaneMap
+    from frictrack.calibration.rotating_target import MIN_ROTATION
+    from frictrack.calibration.scale import Scale, parse_scale
+    from frictrack.calibration.scale_to_map import plane_map
+    from frictrack.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake
+
+_MODULE_OF = {
+    "calibrate": "displacement",
+    "estimate_shake": "shake",
+    "MIN_ROTATION": "rotating_target",
+    "parse_scale": "scale",
+    "plane_map": "scale_to_map",
+    "PlaneMap": "plane",
+    "Scale": "scale",
+    "Shake": "shake",
+    "significant_motion": "shake",
+    "subtract_shake": "shake",
+}
+
+__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
+__getattr__ = lazy_names(__name__, _MODULE_OF)

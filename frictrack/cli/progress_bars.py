@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from frictrack.flow import Progress as Callback
+if TYPE_CHECKING:
+    from frictrack.flow import Progress as Callback
 
 OWN_BAR = ("studies", "runs")  # each has its own bar; one more bar shows the current work
 

@@ -276,10 +276,15 @@ def effects(
     if one is given. Writes nothing.
     """
     from frictrack.effects import catalogue  # noqa: PLC0415
+
+    print_result({"effects": catalogue(_own_effects(study) if study else ())}, as_json, "effects")
+
+
+def _own_effects(study: Path) -> list[Any]:
+    """Return the effects that a study file defines."""
     from frictrack.flow import open_study, user_effects  # noqa: PLC0415
 
-    own = [] if study is None else user_effects(open_study(study).effects)
-    print_result({"effects": catalogue(own)}, as_json, "effects")
+    return user_effects(open_study(study).effects)
 
 
 @app.command()

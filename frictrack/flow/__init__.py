@@ -17,37 +17,47 @@
     schema                      write the page that describes the HDF5 files
 """
 
-from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.film_stages import contact_sheet_path
-from frictrack.flow.opening import open_study, start_study
-from frictrack.flow.pipeline import Progress, no_progress
-from frictrack.flow.plausibility_checks import Findings
-from frictrack.flow.replay import replay_script
-from frictrack.flow.run_plan import plan
-from frictrack.flow.sample_demo import demo
-from frictrack.flow.session import Session
-from frictrack.flow.stages import run_pipeline
-from frictrack.flow.stored_results import preview_motion, read_attempt, read_results
-from frictrack.flow.tried_models import FitRequest, user_effects
-from frictrack.flow.verification import verify
+# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
 
-__all__ = [
-    "CommandHistory",
-    "Findings",
-    "FitRequest",
-    "Progress",
-    "Session",
-    "contact_sheet_path",
-    "demo",
-    "no_progress",
-    "open_study",
-    "plan",
-    "preview_motion",
-    "read_attempt",
-    "read_results",
-    "replay_script",
-    "run_pipeline",
-    "start_study",
-    "user_effects",
-    "verify",
-]
+from typing import TYPE_CHECKING
+
+from frictrack.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from frictrack.flow.command_history import CommandHistory
+    from frictrack.flow.film_stages import contact_sheet_path
+    from frictrack.flow.opening import open_study, start_study
+    from frictrack.flow.pipeline import Progress, no_progress
+    from frictrack.flow.plausibility_checks import Findings
+    from frictrack.flow.replay import replay_script
+    from frictrack.flow.run_plan import plan
+    from frictrack.flow.sample_demo import demo
+    from frictrack.flow.session import Session
+    from frictrack.flow.stages import run_pipeline
+    from frictrack.flow.stored_results import preview_motion, read_attempt, read_results
+    from frictrack.flow.tried_models import FitRequest, user_effects
+    from frictrack.flow.verification import verify
+
+_MODULE_OF = {
+    "CommandHistory": "command_history",
+    "contact_sheet_path": "film_stages",
+    "demo": "sample_demo",
+    "Findings": "plausibility_checks",
+    "FitRequest": "tried_models",
+    "no_progress": "pipeline",
+    "open_study": "opening",
+    "plan": "run_plan",
+    "preview_motion": "stored_results",
+    "Progress": "pipeline",
+    "read_attempt": "stored_results",
+    "read_results": "stored_results",
+    "replay_script": "replay",
+    "run_pipeline": "stages",
+    "Session": "session",
+    "start_study": "opening",
+    "user_effects": "tried_models",
+    "verify": "verification",
+}
+
+__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import plan as planning
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
 from frictrack.results import to_builtins
 from frictrack.study import Study
+
+if TYPE_CHECKING:
+    from frictrack.plan import ExperimentSetup
 
 
 def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
@@ -34,17 +35,20 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
         If mass, frame rate or scale are unknown, or the folder cannot be written.
 
     """
+    from frictrack.plan import choose_runs, summarise_plan  # noqa: PLC0415
     from frictrack.report import write_plan  # noqa: PLC0415 - loads matplotlib
 
     setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
-    run_plan = planning.choose_runs(setup, progress)
-    summary = to_builtins({**planning.summarise_plan(run_plan), "name": study.name})
+    run_plan = choose_runs(setup, progress)
+    summary = to_builtins({**summarise_plan(run_plan), "name": study.name})
     page = write_plan(summary, study.output / "plan.html")
     return {**summary, "page": str(page), "output": str(study.output)}
 
 
-def _setup_without_runs(study: Study) -> planning.ExperimentSetup:
+def _setup_without_runs(study: Study) -> ExperimentSetup:
     """Return the set-up of a study without films: mass and camera are given, the rest is assumed."""
+    from frictrack.plan import default_setup  # noqa: PLC0415
+
     faults = []
     if study.mass is None:
         faults.append('expected a mass in [study] but got none; give mass = "0.35 kg" (roughly is enough)')
@@ -62,14 +66,17 @@ def _setup_without_runs(study: Study) -> planning.ExperimentSetup:
             "expected a scale that is known before filming but got one that needs a picture; give its rough value, "
             'scale = "0.5 mm/px"'
         )
-    return planning.default_setup(study.mass[0], study.fps, pitch)
+    return default_setup(study.mass[0], study.fps, pitch)
 
 
-def _setup_of_fit(study: Study, progress: Progress) -> planning.ExperimentSetup:
+def _setup_of_fit(study: Study, progress: Progress) -> ExperimentSetup:
     """Return the set-up as the current fit describes it."""
+    from frictrack.fit import Fit  # noqa: PLC0415
+    from frictrack.plan import fitted_setup  # noqa: PLC0415
+
     session = Session(study, progress)
     session.bring_up_to("friction")
     fitted = session.models.fit(session.models.current()[0])
     if not isinstance(fitted, Fit):
         raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")
-    return planning.fitted_setup(fitted)
+    return fitted_setup(fitted)

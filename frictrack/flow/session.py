@@ -1,6 +1,7 @@
 """Work on one study: fit, compare, diagnose, add effects, report. Every step first updates what it depends on.
 
-Results are stored when they are computed, and read when nothing that they depend on has changed.
+Results are stored when they are computed, and read when nothing that they depend on has changed. The modules that
+measure, fit and diagnose are imported by the methods that use them: reading what is stored does not wait for them.
 """
 
 from __future__ import annotations
@@ -10,45 +11,35 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects, store
-from frictrack.compare import compare, history
-from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
-from frictrack.fit import analyse_uncertainty
-from frictrack.flow import study_edits
-from frictrack.flow.auxiliary_signals import auxiliary_signals
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.contradictions import withhold_verdict
-from frictrack.flow.duplicate_runs import find_duplicate_runs
-from frictrack.flow.film_stages import write_overlay
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.plausibility_checks import Findings
-from frictrack.flow.run_summaries import run_summaries
 from frictrack.flow.stages import run_pipeline
-from frictrack.flow.stored_results import read_results
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
-from frictrack.flow.table_stage import jitter_notes
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
-from frictrack.friction import impact
 from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent
 from frictrack.study import Study, suggest
 from frictrack.version import __version__
 
+if TYPE_CHECKING:
+    from frictrack.flow.plausibility_checks import Findings
+
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
-STUDY_EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
-    "edit": study_edits.set_key,
-    "take_in": study_edits.add_recordings,
-    "leave_out": study_edits.remove_run,
-    "define": study_edits.define_effect,
-    "use": study_edits.select_model,
-    "undo": study_edits.undo,
-    "redo": study_edits.redo,
+STUDY_EDITS = {  # command -> function of `study_edits` that changes the study
+    "edit": "set_key",
+    "take_in": "add_recordings",
+    "leave_out": "remove_run",
+    "define": "define_effect",
+    "use": "select_model",
+    "undo": "undo",
+    "redo": "redo",
 }
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -113,8 +104,17 @@ class Session:
         self.study = study
         self.runs = [run_pipeline(study, run, self.progress) for run in study.runs]
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
-        self.findings = Findings(study)
+        self._findings: Findings | None = None
         self.path = study.output / "study.h5"
+
+    @property
+    def findings(self) -> Findings:
+        """The implausible numbers of the study that were found so far."""
+        if self._findings is None:
+            from frictrack.flow.plausibility_checks import Findings  # noqa: PLC0415
+
+            self._findings = Findings(self.study)
+        return self._findings
 
     def apply(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Run one command that changes the study; the command history, jobs and scripts use this method.
@@ -142,8 +142,10 @@ class Session:
         return result
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
+        from frictrack.flow import study_edits  # noqa: PLC0415
+
         opened = study_edits.OpenStudy(self.study, self.commands, self.models)
-        result = STUDY_EDITS[command](opened, **arguments)
+        result: dict[str, Any] = getattr(study_edits, STUDY_EDITS[command])(opened, **arguments)
         self._load(open_study(self.study.path, allow_no_runs=True))
         return result
 
@@ -190,6 +192,9 @@ class Session:
             Write every film once more with the tracked positions drawn into it.
 
         """
+        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
+        from frictrack.flow.run_summaries import run_summaries  # noqa: PLC0415
+
         for pipeline in self.runs if overlay else ():
             if pipeline.run.video:
                 write_overlay(pipeline)
@@ -225,6 +230,9 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
+        from frictrack.flow.duplicate_runs import find_duplicate_runs  # noqa: PLC0415
+        from frictrack.flow.table_stage import jitter_notes  # noqa: PLC0415
+
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
             asked.setdefault("over", "all")
@@ -246,6 +254,8 @@ class Session:
 
     def _run_notes(self) -> list[dict[str, str]]:
         """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
+        from frictrack.friction import impact  # noqa: PLC0415
+
         notes = [(pipeline.run.name, note) for pipeline in self.runs for note in pipeline.get("displacement").notes]
         found = [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
         impacts = [{"run": pipeline.run.name, "words": impact(pipeline.to_run())} for pipeline in self.runs]
@@ -253,6 +263,8 @@ class Session:
 
     def _add_uncertainty(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
+        from frictrack.fit import analyse_uncertainty  # noqa: PLC0415
+
         fitted, inside = self.models.fit(group), f"models/{group}/certainty"
 
         def make() -> dict[str, Any]:
@@ -282,18 +294,27 @@ class Session:
     def compare(self) -> dict[str, Any]:
         """Compare the errors of all models tried, and find where the current one fails.
 
+        If nothing has changed since, the stored comparison is read, and no run is opened.
+
         Returns
         -------
         dict
             JSON of `frictrack compare`: "models" with their errors, and "fails_at".
 
         """
+        if self.models.groups and not self.models.is_current_outdated():
+            stored = self._read_summary("comparison", self._history_key())
+            if stored is not None:
+                return stored
+        fits = self._fits()
+        return self._stored_summary("comparison", lambda: self._compare(fits), self._history_key())
 
-        def make() -> dict[str, Any]:
-            comparison = compare(self._fits(), self._current_index())
-            return {"summary": json.dumps(self._with_group_names(comparison.summary()))}
+    def _compare(self, fits: list[Any]) -> dict[str, Any]:
+        from frictrack.compare import compare  # noqa: PLC0415
 
-        return self._stored_summary("comparison", make, self._history_key())
+        summary = compare(fits, self._current_index()).summary()
+        named = [{**model, "name": group} for model, group in zip(summary["models"], self.models.groups, strict=True)]
+        return {"summary": json.dumps(to_builtins({**summary, "models": named}))}
 
     @exclusive
     def history(self) -> dict[str, Any]:
@@ -305,16 +326,10 @@ class Session:
             JSON of `frictrack history`.
 
         """
-        return self._with_group_names(history(self._fits(), self._current_index()).summary())
+        return self.compare()
 
     def _current_index(self) -> int:
         return self.models.groups.index(self.models.current()[0])
-
-    def _with_group_names(self, summary: dict[str, Any]) -> dict[str, Any]:
-        """Name the models of a summary as the store does."""
-        named = [{**model, "name": group} for model, group in zip(summary["models"], self.models.groups, strict=True)]
-        result: dict[str, Any] = to_builtins({**summary, "models": named})
-        return result
 
     @exclusive
     def diagnose(self, seed: int = 0) -> dict[str, Any]:
@@ -340,6 +355,10 @@ class Session:
         group, request = self.models.current()
 
         def make() -> dict[str, Any]:
+            from frictrack.diagnose import diagnose  # noqa: PLC0415
+            from frictrack.flow.auxiliary_signals import auxiliary_signals  # noqa: PLC0415
+            from frictrack.flow.contradictions import withhold_verdict  # noqa: PLC0415
+
             own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
             diagnosis = diagnose(self.models.fit(group), own=own, auxiliary=signals, seed=seed, progress=self.progress)
             summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
@@ -464,6 +483,8 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
+        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
+
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
@@ -495,6 +516,8 @@ class Session:
             Seed of the diagnosis; None for that of the last one.
 
         """
+        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
+
         notes = self._update_all(seed)
         return replace(read_results(self.study), notes=notes, warnings=self.findings.messages)
 
@@ -530,8 +553,7 @@ class Session:
         return [self.models.fit(group) for group in self.models.groups]
 
     def _history_key(self) -> str:
-        self.bring_up_to("friction")
-        self.models.current()
+        """Return the hash of all models tried; it depends on the study file and the recordings, not on results."""
         keys = (self.models.fit_key(self.models.request(group)) for group in self.models.groups)
         return digest([self._current_index(), *keys])
 
@@ -539,10 +561,19 @@ class Session:
         self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None
     ) -> dict[str, Any]:
         """Return a stored summary; it is computed again if its key has changed."""
+        stored = self._read_summary(group, key)
+        if stored is not None:
+            return stored
+        provenance = self.models.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
+        store.write(self.path, {group: GroupContent(make(), provenance)})
+        found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
+        return found
+
+    def _read_summary(self, group: str, key: str) -> dict[str, Any] | None:
+        """Return a stored summary; None if there is none, or if it was computed from something else."""
         held = store.provenance(self.path, group)
         if held is None or held.key != key:
-            provenance = self.models.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
-            store.write(self.path, {group: GroupContent(make(), provenance)})
+            return None
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
 

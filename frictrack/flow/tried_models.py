@@ -11,8 +11,6 @@ from typing import Any
 
 from frictrack import effects, models, store
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions
-from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state
-from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.models import Model
@@ -288,6 +286,8 @@ class TriedModels:
         return self._fits[group]
 
     def _restored(self, group: str) -> Any:
+        from frictrack.fit import restore  # noqa: PLC0415
+
         return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
 
     def fit_key(self, request: FitRequest) -> str:
@@ -322,6 +322,8 @@ class TriedModels:
         return digest([keys, self.study.mass])
 
     def _fit(self, request: FitRequest) -> Any:
+        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit  # noqa: PLC0415
+
         how: dict[str, Any] = {
             "domain": request.domain,
             "search": request.search,
@@ -339,6 +341,7 @@ class TriedModels:
 
     def _search_callback(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
         """Return a callback that reports the progress of a global search, generation by generation."""
+        from frictrack.fit import MAX_SEARCH_GENERATIONS  # noqa: PLC0415
 
         def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
             self.progress(
@@ -364,6 +367,8 @@ class TriedModels:
         return store.provenance(self.path, f"models/{group}") or Provenance()
 
     def _group_content(self, request: FitRequest, fitted: Any, *, current: bool) -> GroupContent:
+        from frictrack.fit import state  # noqa: PLC0415
+
         content = {
             "current": current,
             "equation": str(fitted.model),
@@ -386,6 +391,8 @@ def model_results(path: Path, group: str) -> ModelResults:
         Name of the group in ``models``, or ``papers``.
 
     """
+    from frictrack.fit.uncertainty import merge_uncertainty  # noqa: PLC0415
+
     inside = group if group == "papers" else f"models/{group}"
     with store.snapshot(path):
         stored = store.read(path, inside)

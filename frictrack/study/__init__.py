@@ -9,30 +9,40 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
     reading_tables   CSV and Excel -> columns in SI units
 """
 
-from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
-from frictrack.study.loading import Study, load, parse, read_toml, results_folder
-from frictrack.study.reading_tables import TableData, read_sensor_table, read_table
-from frictrack.study.schema import EffectTable, RunTable, suggest
-from frictrack.study.writing import TABLES, find_recordings, write_study
+# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
 
-__all__ = [
-    "TABLES",
-    "EffectTable",
-    "RunTable",
-    "Study",
-    "TableData",
-    "find_recordings",
-    "load",
-    "parse",
-    "read_key",
-    "read_sensor_table",
-    "read_table",
-    "read_toml",
-    "results_folder",
-    "suggest",
-    "with_effect",
-    "with_key",
-    "with_runs",
-    "without_run",
-    "write_study",
-]
+from typing import TYPE_CHECKING
+
+from frictrack.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
+    from frictrack.study.loading import Study, load, parse, read_toml, results_folder
+    from frictrack.study.reading_tables import TableData, read_sensor_table, read_table
+    from frictrack.study.schema import EffectTable, RunTable, suggest
+    from frictrack.study.writing import TABLES, find_recordings, write_study
+
+_MODULE_OF = {
+    "EffectTable": "schema",
+    "find_recordings": "writing",
+    "load": "loading",
+    "parse": "loading",
+    "read_key": "editing",
+    "read_sensor_table": "reading_tables",
+    "read_table": "reading_tables",
+    "read_toml": "loading",
+    "results_folder": "loading",
+    "RunTable": "schema",
+    "Study": "loading",
+    "suggest": "schema",
+    "TableData": "reading_tables",
+    "TABLES": "writing",
+    "with_effect": "editing",
+    "with_key": "editing",
+    "with_runs": "editing",
+    "without_run": "editing",
+    "write_study": "writing",
+}
+
+__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
+__getattr__ = lazy_names(__name__, _MODULE_OF)
