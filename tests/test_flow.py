@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as ndimage_shift
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import FitRequest, Session, open_study, pipeline, stages, tried_models
-from frictrack.flow import session as at_work
+from frictrack.flow import FitRequest, Session, open_study, pipeline, stage_functions, tried_models
 from frictrack.records import Filtered
 
 
@@ -47,9 +47,9 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         calls.append("diagnose")
         return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": seed})
 
-    for name in ("compare", "history"):
-        monkeypatch.setattr(at_work, name, lambda fits, current: Found(errors(fits)))
-    monkeypatch.setattr(at_work, "diagnose", diagnose)
+    # by their modules: `frictrack.compare` and `frictrack.diagnose` are the functions
+    monkeypatch.setattr(import_module("frictrack.compare"), "compare", lambda fits, current: Found(errors(fits)))
+    monkeypatch.setattr(import_module("frictrack.diagnose"), "diagnose", diagnose)
     return calls
 
 
@@ -154,7 +154,7 @@ def test_a_failing_stage_keeps_what_was_done(
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:
-        patch.setattr(stages, "low_pass", broken)
+        patch.setattr(stage_functions, "low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(study_file).bring_up_to("motion")
     assert made == ["slow displacement", "slow sensors"]
@@ -174,13 +174,13 @@ def test_a_damaged_result_is_said(study_file: Path) -> None:
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The models that were searched for, in order."""
     names: list[str] = []
-    original = tried_models.fit
+    original = tried_models.TriedModels._fit
 
-    def spy(model: Any, *args: Any, **how: Any) -> Any:
-        names.append("+".join(model.names))
-        return original(model, *args, **how)
+    def spy(models: Any, request: FitRequest) -> Any:
+        names.append("+".join(request.model(models.study.effects).names))
+        return original(models, request)
 
-    monkeypatch.setattr(tried_models, "fit", spy)
+    monkeypatch.setattr(tried_models.TriedModels, "_fit", spy)
     return names
 
 
@@ -293,7 +293,7 @@ def test_a_diagnosis_failing_leaves_the_fit(
     def broken(fit: Any, *, seed: int, progress: Any, **beside: Any) -> Found:
         raise FrictrackError("expected frames to bootstrap")
 
-    monkeypatch.setattr(at_work, "diagnose", broken)
+    monkeypatch.setattr(import_module("frictrack.diagnose"), "diagnose", broken)
     with pytest.raises(FrictrackError, match="expected frames to bootstrap"):
         session(study_file).diagnose()
     assert session(study_file).models.groups == ["1_coulomb+viscous"]

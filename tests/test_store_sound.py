@@ -381,9 +381,9 @@ def test_a_table_that_changes_while_it_is_read_is_measured_again(
     study_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was read is never said to be what came after."""
-    from frictrack.flow import stages  # noqa: PLC0415
+    from frictrack.flow import stage_functions  # noqa: PLC0415
 
-    table, original = study_file.parent / "slow.csv", stages.read_run_table
+    table, original = study_file.parent / "slow.csv", stage_functions.read_run_table
     late = table.read_text()[:-3] + "7\n"
 
     def changed_meanwhile(run: Any) -> Any:
@@ -393,7 +393,7 @@ def test_a_table_that_changes_while_it_is_read_is_measured_again(
         return found
 
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(stages, "read_run_table", changed_meanwhile)
+        meanwhile.setattr(stage_functions, "read_run_table", changed_meanwhile)
         Session(open_study(study_file)).bring_up_to("displacement")
     work = Session(open_study(study_file)).runs[[r.name for r in open_study(study_file).runs].index("slow")]
     assert not work.is_current("displacement")
