@@ -9,10 +9,12 @@ from test_series import swing
 
 from frictrack import effects
 from frictrack.compare.spectral_lines import sine_cosine_columns, time_wave_traces
-from frictrack.diagnose.experiments.expected_separation import _compress_response
+from frictrack.diagnose.experiments.rival_runs import RivalOfPlannedRun, compress_response
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
     displacement_response,
     fit_with_scatter,
     predicted_objective,
@@ -87,12 +89,27 @@ def test_a_step_promises_what_it_brings_where_the_law_is_linear(slide):
 
 def test_few_rows_hold_all_of_a_linear_answer(slide):
     response = slide.responses[0]
-    few, step = _compress_response(response), np.arange(1.0, response.jac.shape[1] + 1)
+    few, step = compress_response(response), np.arange(1.0, response.jac.shape[1] + 1)
     for change in (0 * step, step, -3 * step):
         whole = response.r - response.jac @ change
         short = few.r - few.jac @ change
         assert short @ short == pytest.approx(whole @ whole, rel=1e-10)
     assert len(few.r) <= len(step) + 1
+
+
+def test_a_rival_follows_a_planned_run_without_being_simulated(slide):
+    design = RunDesign((0.0, 3.0), (0.0, 0.2))
+    piece, start = simulate_run(slide, design), np.array(design.start)
+    layout, p = extend_layout(slide, slide.problem.layout.span, design.phase)
+    rival, simulated = RivalOfPlannedRun(layout, piece, start), LeastSquaresProblem(layout.model, layout, [piece])
+    assert np.abs(rival.respond(p, start).r).max() < 1e-6
+    for share in (1e-4, 1e-3):  # the error is of second order in the difference
+        other = p * (1 + share)
+        ours, theirs = rival.respond(other, start), simulated.evaluate(other, [start])[0]
+        size = np.abs(theirs.r).max()
+        assert size > 10 * share
+        assert np.abs(ours.r - theirs.r).max() < 30 * share * size
+        assert ours.r_full @ ours.r_full <= theirs.r_full @ theirs.r_full
 
 
 def test_matrices_of_panels_are_inverted():

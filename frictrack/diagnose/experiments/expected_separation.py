@@ -11,40 +11,33 @@ Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from frictrack.diagnose.experiments.rival_runs import (
+    RivalOfAllRuns,
+    RivalOfPlannedRun,
+    compress_response,
+    refine_rival,
+    start_rival,
+)
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import (
-    LeastSquaresProblem,
-    PieceResponse,
-    Solution,
-    predicted_objective,
-    refine,
-    refine_further,
-)
+from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.linearised import has_per_run_coefficients
-from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
+from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
 from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, add_effect, is_unconstrained
 from frictrack.records import Array
 
-START_PHASES = np.arange(4) * np.pi / 2  # starting phases of the planned run, rad
-START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
 SIZE_ROLES = ("amplitude", "depth")
 SMALL_FORCE_RATIO = 0.05  # of friction: size of an effect that the runs do not determine
 MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size
-N_STARTS_REFINED = 2  # best starting values that are refined
-MAX_CHI2_LINEAR = 1000.0  # above it a rival is too far away for linearised runs
-MAX_STEPS_OWN, MAX_STEPS = 4, 12  # Gauss-Newton steps: planned run alone, all runs
 
 
 @dataclass(frozen=True)
@@ -149,17 +142,19 @@ class ModelDiscrimination:
     rival: Explanation
 
     @cached_property
-    def noise_free_pieces(self) -> list[Piece]:
-        """The present runs as the true explanation predicts them, without noise."""
-        model_y = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in self.truth.conservative.responses}
-        return [replace(p, y=model_y[p.run, float(p.t[0])]) for p in self.rival.solution.problem.pieces]
+    def fitted_rival(self) -> Solution:
+        """The rival fitted to what the truth predicts of the present runs, without noise."""
+        rival, tau = self.rival.solution, max(self.truth.conservative.tau, 1e-3)
+        true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in self.truth.conservative.responses}
+        pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
+        predicted = [_with_measurement(r, p.y) for r, p in zip(rival.responses, pieces, strict=True)]
+        start = refine_rival(RivalOfAllRuns((rival, predicted), rival.problem.layout), rival.p, rival.starts, tau)
+        return refine_rival(rival.problem.rebuild(rival.problem.layout, pieces), start.p, rival.starts, tau)
 
     @cached_property
-    def fitted_rival(self) -> Solution:
-        """The rival fitted to what the truth predicts of the present runs."""
-        rival = self.rival.solution
-        problem = rival.problem.rebuild(rival.problem.layout, self.noise_free_pieces)
-        return refine(problem, rival.p, rival.starts, tau=max(self.truth.conservative.tau, 1e-3), max_steps=MAX_STEPS)
+    def _present(self) -> tuple[Solution, list[PieceResponse]]:
+        """The fitted rival, and its compressed responses in the present runs."""
+        return self.fitted_rival, [compress_response(r) for r in self.fitted_rival.responses]
 
     @property
     def expected_delta_bic_now(self) -> float:
@@ -191,18 +186,14 @@ class ModelDiscrimination:
         span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * design.rate)[0]
         tau = expected_scatter(truth, piece.run + 1)
         layout, p = extend_layout(self.fitted_rival, span, design.phase, free=True)
-        p, start = _initialise_planned_run(rival, layout, piece, (p, np.array(design.start), tau))
+        planned = RivalOfPlannedRun(layout, piece, np.array(design.start))
+        p, start = start_rival(planned, p, tau)
         starts = [*self.fitted_rival.starts, start]
-        found = refine(_LinearisedRuns(self.fitted_rival, layout, piece), p, starts, tau=tau, max_steps=MAX_STEPS)
-        if found.objective > MAX_CHI2_LINEAR:
-            found = refine(
-                rival.problem.rebuild(layout, [*self.noise_free_pieces, piece]), p, starts, tau=tau, max_steps=MAX_STEPS
-            )
+        found = refine_rival(RivalOfAllRuns(self._present, layout, planned), p, starts, tau)
         truth_layout, q = extend_layout(truth, span, design.phase)
         constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
-        return min(
-            self._bic(s, constraint, count) for s in (found, _with_amplitude_per_run(found, self.rival.effect, tau))
-        )
+        untied = self._with_amplitude_per_run(found, planned, tau)
+        return min(self._bic(s, constraint, count) for s in (found, untied))
 
     def _bic(self, rival: Solution, constraint: Array, count: int) -> float:
         """Difference of BIC between a rival and a truth that explains everything, with the penalty of its levels."""
@@ -212,100 +203,42 @@ class ModelDiscrimination:
         penalty = count_unknowns(rival.problem.layout) - count - fixed
         return rival.objective - float(constraint @ constraint) + penalty * float(np.log(rival.problem.n_frames))
 
+    def _with_amplitude_per_run(self, tied: Solution, planned: RivalOfPlannedRun, tau: float) -> Solution:
+        """The rival with an amplitude per run, if one common amplitude is significantly worse."""
+        layout, effect = tied.problem.layout, self.rival.effect
+        old = next(e for e in layout.model.effects if e.name == effect)
+        sizes = {
+            p.name: {"per_run": True}
+            for p in old.parameters
+            if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
+        }
+        more = len(layout.run_names) - 1
+        worse = float(chi2_isf(ALPHA_SHARED_AMPLITUDE, more))
+        needed = max(worse, len(sizes) * more * float(np.log(tied.problem.n_frames)))  # with less, BIC cannot fall
+        if not (sizes and has_per_run_coefficients(old)) or tied.objective < needed:
+            return tied
+        effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
+        free = replace(layout, model=replace(layout.model, effects=effects))
+        values_by_name = dict(zip(layout.names, tied.p, strict=True))
+        p = np.array(
+            [
+                values_by_name.get(n, values_by_name.get(f"{s.effect}.{s.parameter}", 0.0))
+                for n, s in zip(free.names, free.slots, strict=True)
+            ]
+        )
+        try:
+            untied = refine_rival(RivalOfAllRuns(self._present, free, planned.with_layout(free)), p, tied.starts, tau)
+        except FrictrackError:
+            return tied
+        return untied if tied.objective - untied.objective > worse else tied
 
-class _LinearisedRuns(LeastSquaresProblem):
-    """A planned run and the present runs; the latter answer linearly about a fit and are not simulated again."""
 
-    def __init__(self, fitted_rival: Solution, layout: ParameterLayout, piece: Piece) -> None:
-        super().__init__(layout.model, layout, [*fitted_rival.problem.pieces, piece])
-        self._fitted_rival = fitted_rival
-        position_by_name = {name: i for i, name in enumerate(layout.names)}
-        self._positions = [position_by_name[name] for name in fitted_rival.problem.layout.names]
-        self._compressed = [_compress_response(r) for r in fitted_rival.responses]
-
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        if i == len(self._fitted_rival.responses):
-            return super()._respond(i, p, start)
-        linear = self._compressed[i]
-        active = [self._positions[k] for k in linear.active]
-        residual = linear.r - linear.jac @ (p[active] - self._fitted_rival.p[linear.active])
-        return replace(linear, active=active, r=residual, r_full=residual)
-
-
-def _compress_response(response: PieceResponse) -> PieceResponse:
-    """The same linear response in as many rows as it has unknowns (QR)."""
-    upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
-    none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
-    return replace(response, jac=upper[:, :-1], r=upper[:, -1], r_full=upper[:, -1], q=none)
-
-
-def _with_amplitude_per_run(tied: Solution, effect: str, tau: float) -> Solution:
-    """The rival with an amplitude per run, if one common amplitude is significantly worse."""
-    layout = tied.problem.layout
-    old = next(e for e in layout.model.effects if e.name == effect)
-    sizes = {
-        p.name: {"per_run": True}
-        for p in old.parameters
-        if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
-    }
-    runs = len(layout.run_names)
-    worse = float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
-    if not (sizes and has_per_run_coefficients(old)) or tied.objective < worse:
-        return tied
-    effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
-    free = replace(layout, model=replace(layout.model, effects=effects))
-    values_by_name = dict(zip(layout.names, tied.p, strict=True))
-    p = np.array(
-        [
-            values_by_name.get(n, values_by_name.get(f"{s.effect}.{s.parameter}", 0.0))
-            for n, s in zip(free.names, free.slots, strict=True)
-        ]
-    )
-    try:
-        untied = refine(tied.problem.rebuild(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
-    except FrictrackError:
-        return tied
-    return untied if tied.objective - untied.objective > worse else tied
+def _with_measurement(response: PieceResponse, y: Array) -> PieceResponse:
+    """The same response to other measured positions y (n,)."""
+    change = response.piece.whitened(y - response.piece.y)
+    return replace(response, r=response.r + change - response.q @ (response.q.T @ change))
 
 
 def count_unknowns(layout: ParameterLayout) -> int:
     """Number of parameters without the friction levels."""
     return len(layout.slots) - len(layout.levels)
-
-
-def _initialise_planned_run(
-    rival: Solution, layout: ParameterLayout, piece: Piece, begin: tuple[Array, Array, float]
-) -> tuple[Array, Array]:
-    """Best values of the rival's own parameters in the planned run, and its initial conditions."""
-    p, start, tau = begin
-    problem = LeastSquaresProblem(layout.model, layout, [piece])
-    own = np.array([s.run == piece.run for s in layout.slots])
-    tried = []
-    for trial in _start_values(rival, layout, p, piece):
-        with suppress(FrictrackError):  # a start too wild to be integrated
-            tried.append(predicted_objective(problem, trial, [start], tau=tau, free=own))
-    tried.sort(key=lambda t: t[0])
-    found = [refine_further(s, tau, free=own, max_steps=MAX_STEPS_OWN) for _, s in tried[:N_STARTS_REFINED]]
-    best = min(found, key=lambda s: s.objective, default=None)
-    return (p, start) if best is None else (best.p, best.starts[0])
-
-
-def _start_values(rival: Solution, layout: ParameterLayout, p: Array, piece: Piece) -> Iterator[Array]:
-    """Starting values (P,) for the parameters of the planned run: phases and times of events."""
-    roles = {(e.name, q.name): q.role for e in rival.problem.model.effects for q in e.parameters}
-    own = [i for i, s in enumerate(layout.slots) if s.run == piece.run and s.effect != LEVEL]
-    phases = [i for i in own if roles[layout.slots[i].effect, layout.slots[i].parameter] == "phase"]
-    moments = [i for i in own if not layout.slots[i].linear and layout.slots[i].unit == "s" and i not in phases]
-    yield p
-    for i in phases:
-        for phase in START_PHASES:
-            yield _with_value(p, i, float(phase))
-    for i in moments:
-        for share in START_TIMES:
-            yield _with_value(p, i, float(piece.t[0] + share * (piece.t[-1] - piece.t[0])))
-
-
-def _with_value(p: Array, i: int, value: float) -> Array:
-    out = p.copy()
-    out[i] = value
-    return out

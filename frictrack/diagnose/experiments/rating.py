@@ -25,7 +25,6 @@ MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run th
 MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations
 MAX_EXPLANATIONS = 3  # that are compared with each other
 MAX_EXPERIMENTS = 5  # that are proposed
-MAX_AXES = 2  # over which an unexplained force is compared
 AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that separate axes
 COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # to buy, mount and synchronise
 COST_FACTOR = 10.0  # times the evidence of a film that a costly check must give
@@ -144,7 +143,7 @@ def plan_for_unexplained(solution: Solution, notify: Progress = lambda what: Non
     """
     if is_measured_friction(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
-    return propose_experiments(explain_by_axes(solution)[:MAX_AXES], notify, AXIS_RUN_KEYS)
+    return propose_experiments(explain_by_axes(solution), notify, AXIS_RUN_KEYS)
 
 
 def plan_for_candidates(

@@ -17,6 +17,7 @@ from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import Effect, Nonlinear, Parameter, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
+from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.records import Array
 
 INVARIANTS = {  # by axis: what a force over it keeps when a run is made differently
@@ -26,11 +27,13 @@ INVARIANTS = {  # by axis: what a force over it keeps when a run is made differe
 }
 N_HATS = 14  # knots of a free curve
 PRIOR_STD_RATIO = 0.5  # of friction: prior standard deviation of a height
+MAX_AXES = 2  # over which an unexplained force is compared
 MAX_STEPS = 8
+MIN_CHI2_FALL = 0.1  # of a step; less does not change which runs separate two curves
 
 
 def explain_by_axes(solution: Solution) -> list[Explanation]:
-    """Explain the residual of a fit by a free curve over each axis.
+    """Explain the residual of a fit by a free curve over each of its most likely axes.
 
     Parameters
     ----------
@@ -44,15 +47,17 @@ def explain_by_axes(solution: Solution) -> list[Explanation]:
 
     """
     friction = float(np.median(np.abs(np.concatenate([r.piece.mass * r.motion.a for r in solution.responses]))))
-    found = []
+    likeliest: dict[str, SmoothForce] = {}  # by axis, over its factors
     for smooth in smooth_forces(compress_residual(solution)):
-        if smooth.axis.name in AXIS_SYMBOLS:
-            try:
-                made = _fit_free_curve(solution, smooth, PRIOR_STD_RATIO * friction)
-            except FrictrackError:  # a curve under which no motion can be integrated
-                continue
-            gain = max(solution.objective - made.objective, 0.0)
-            found.append(Explanation(AXES[smooth.axis.name].name, made, gain, made))
+        likeliest.setdefault(smooth.axis.name, smooth)
+    found = []
+    for name in [name for name in likeliest if name in AXIS_SYMBOLS][:MAX_AXES]:
+        try:
+            made = _fit_free_curve(solution, likeliest[name], PRIOR_STD_RATIO * friction)
+        except FrictrackError:  # a curve under which no motion can be integrated
+            continue
+        gain = max(solution.objective - made.objective, 0.0)
+        found.append(Explanation(AXES[name].name, made, gain, made))
     return sorted(found, key=lambda e: -e.gain)
 
 
@@ -66,15 +71,14 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     values_by_name |= {f"{effect.name}.h{k}": float(h) for k, h in enumerate(np.interp(knots, smooth.at, smooth.force))}
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
     p = np.array([values_by_name[name] for name in layout.names])
-    return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_STEPS)
+    return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 
 
 def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) -> Effect:
     """An effect that is any piecewise linear curve over an axis, constant beyond its knots (K,)."""
 
     def columns(path: Path, nonlinear: Nonlinear) -> Array:
-        at = np.clip(axis.of(path), knots[0], knots[-1])
-        hats = np.stack([np.interp(at, knots, row) for row in np.eye(len(knots))], axis=1)
+        hats = linear_interpolation_matrix(np.clip(axis.of(path), knots[0], knots[-1]), knots)
         return np.asarray(axis.times(path)[:, None] * hats)
 
     heights = tuple(Parameter(f"h{k}", "N", linear=True, prior=(0.0, prior_std)) for k in range(len(knots)))
