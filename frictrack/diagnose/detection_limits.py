@@ -11,7 +11,7 @@ from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.distributions import noncentral_chi2_sf
 from frictrack.effects import Effect
-from frictrack.fit.linearised import MIN_UNEXPLAINED_SHARE, CandidateScan
+from frictrack.fit.linearised import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.records import Array
 
 POWER = 0.95  # probability of detection at the limit
@@ -70,7 +70,7 @@ def detection_limit(
     family = first_scan.grid
     threshold = scanned.quantile + critical
     if len(scanned.scans) > 1:
-        threshold += 2 * np.log(len(draws.series.data))
+        threshold += 2 * np.log(len(draws.series.measured))
     per_amplitude = _unit_gain(first_scan, draws.residual_projector)
     needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
@@ -87,33 +87,24 @@ def detection_limit(
 
 def _unit_gain(scan: CandidateScan, projector: Array) -> Array:
     """Expected likelihood ratio of every grid point at size one, other coefficients least favourable, (G,)."""
-    schur, full = scan.schur(projector), scan.full()
     of_block = _wave_gain if _is_wave(scan.grid.effect) else _first_coefficient_gain
-    gains = []
-    for i in range(0, schur.shape[1], scan.grid.k):
-        mine = slice(i, i + scan.grid.k)
-        least, whole = of_block(schur[:, mine, mine], full[:, mine])
-        gains.append(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0))  # less is rounding
-    return np.asarray(np.sum(gains, axis=0))
+    least, whole = of_block(scan.schur(projector), scan.squares)
+    return np.asarray(np.sum(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0), axis=1))  # less is rounding
 
 
 def _wave_gain(schur: Array, full: Array) -> tuple[Array, Array]:
-    """Gain per amplitude (G,) of sine and cosine coefficients, and the square of the columns."""
-    return np.asarray(np.linalg.eigvalsh(schur)[:, 0], dtype=np.float64), full.sum(axis=1)
+    """Gain per amplitude (G, B) of sine and cosine coefficients, and the square of the columns."""
+    return np.asarray(np.linalg.eigvalsh(schur)[..., 0], dtype=np.float64), full.sum(axis=-1)
 
 
 def _first_coefficient_gain(schur: Array, full: Array) -> tuple[Array, Array]:
-    """Gain (G,) per unit of the first coefficient with the others free, and the square of its column."""
-    rest = schur[:, 1:, 1:]
-    if not rest.shape[1]:
-        return schur[:, 0, 0], full[:, 0]
-    size = np.sqrt(np.maximum(full[:, 1:], 1e-300))
-    unit = rest / size[:, :, None] / size[:, None, :]
-    across = schur[:, 1:, 0] / size
-    absorbed = np.einsum(
-        "gi,gij,gj->g", across, np.linalg.pinv(unit, rcond=MIN_UNEXPLAINED_SHARE, hermitian=True), across
-    )
-    return schur[:, 0, 0] - absorbed, full[:, 0]
+    """Gain (G, B) per unit of the first coefficient with the others free, and the square of its column."""
+    size = np.sqrt(full[..., 1:])
+    size[full[..., 1:] < MIN_COLUMN_SQUARE] = np.inf  # columns of places that no run reaches
+    unit = schur[..., 1:, 1:] / size[..., :, None] / size[..., None, :]
+    across = schur[..., 1:, 0] / size
+    inverse = np.linalg.pinv(unit, rcond=MIN_UNEXPLAINED_SHARE, hermitian=True)
+    return schur[..., 0, 0] - np.einsum("...i,...ij,...j->...", across, inverse, across), full[..., 0]
 
 
 def _is_wave(effect: Effect) -> bool:

@@ -158,7 +158,7 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
     """
     candidates = map_in_threads(lambda e: _scan(solution, draws, e), library)
     scanned = [s for s in candidates if s is not None]
-    max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
+    max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.residuals.shape[1])
     p = {s.effect.name: _p_value(max_excess[1:], s.excess[0]) for s in scanned}
     return SearchTests(
         p_lack_of_fit=lack_of_fit(draws),
@@ -210,7 +210,7 @@ def lack_of_fit(draws: NullEnsemble) -> float:
     Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test.
 
     """
-    residual = draws.residuals()
+    residual = draws.series.residuals
     energy = []
     at = 0
     for r in draws.law.solution.responses:

@@ -44,28 +44,17 @@ class NullEnsemble:
         The linearised model.
     series
         Data and draws, grouped by their spread of friction levels.
-    shrinks
-        Shrinkage matrix for each spread.
 
     """
 
     law: LinearisedModel
     series: ScannedSeries
-    shrinks: list[Array]
 
     @property
     def residual_projector(self) -> Array:
         """Projector of the model's residual at the data's own spread, (L, L)."""
         own_group = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
         return self.series.residual_projectors[own_group]
-
-    def residuals(self) -> Float32Array:
-        """Residuals of the refitted model for the data and every draw, (N, D)."""
-        out = self.series.data.copy()
-        u, coordinates = self.law.basis.u.astype(np.float32), self.law.basis_coordinates.T @ self.series.coordinates
-        for columns, shrink in zip(self.series.groups, self.shrinks, strict=True):
-            out[:, columns] -= u @ (shrink @ coordinates[:, columns]).astype(np.float32)
-        return out
 
 
 def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:
@@ -104,15 +93,13 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     used = list(dict.fromkeys(best[order].tolist()))
     ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
     groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
-    empty = slice(0, 0)
-    series = ScannedSeries(
-        np.ascontiguousarray(data[:, order]),
-        coordinates[:, order],
-        [law.residual_projector(tau) for tau in taus],
-        [groups.get(t, empty) for t in range(len(taus))],
-        profile[:, order],
-    )
-    return NullEnsemble(law, series, [basis.shrink(tau) for tau in taus])
+    spreads = [groups.get(t, slice(0, 0)) for t in range(len(taus))]
+    data, coordinates = data[:, order], coordinates[:, order]
+    for tau, columns in zip(taus, spreads, strict=True):
+        data[:, columns] = law.residuals(data[:, columns], coordinates[:, columns], tau)
+    projectors = [law.residual_projector(tau) for tau in taus]
+    measured = fitted.random_effect_data()
+    return NullEnsemble(law, ScannedSeries(measured, data, coordinates, taus, projectors, spreads, profile[:, order]))
 
 
 def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generator) -> None:

@@ -12,6 +12,7 @@ from frictrack.effects.in_study import DirectCheck, EffectInStudy
 from frictrack.effects.path import NEEDS, Nonlinear, Path
 from frictrack.effects.plausibility import Check
 from frictrack.effects.scans import Span, Within
+from frictrack.effects.waves import ScanWave
 from frictrack.records import Array, Mask
 
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
@@ -182,6 +183,8 @@ class Effect:
         True over recorded time of a run, for an effect of the clock.
     quote : callable, optional
         Map own fitted values, and all values of the model, to values as they are quoted, where these differ.
+    scan_wave : ScanWave, optional
+        The parameter on which the columns depend only as the frequency or period of a sinusoid.
 
     """
 
@@ -223,6 +226,7 @@ class Effect:
     test_draw: TestDraw = field(default_factory=TestDraw, compare=False)
     clock: Callable[[Nonlinear], float] | None = field(default=None, compare=False)
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
+    scan_wave: ScanWave | None = field(default=None, compare=False)
 
     @property
     def kind(self) -> str:

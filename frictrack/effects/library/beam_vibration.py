@@ -11,7 +11,7 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import Span
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -137,6 +137,7 @@ beam_vibration = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("frequency", lambda path, nonlinear: _cycles(path, {**nonlinear, "frequency": 1.0})),
     what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
     looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
     mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",

@@ -7,7 +7,7 @@ from frictrack.effects.in_study import DirectCheck, EffectInStudy, oscillation, 
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, within_picture
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
@@ -34,6 +34,7 @@ camera_shake = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
     what="The camera or its stand vibrates.",
     looks_like="a line in time of the same size in x whatever the mass; the background moves too",
     mistaken_for="vibration of the course (same shape in one run)",

@@ -9,7 +9,7 @@ from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, rings
 from frictrack.effects.scans import Span
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -48,6 +48,7 @@ decaying_vibration = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
     what="The blow or push that starts the run sets the beam or course ringing; damping takes it away.",
     looks_like="a line that is strong just after release and gone at the end of the run",
     mistaken_for="vibration (when the damping is weak), Stribeck effect (when it is gone within a period or two)",

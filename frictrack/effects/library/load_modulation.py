@@ -9,7 +9,7 @@ from frictrack.effects.in_study import ACCELEROMETER_STD, DirectCheck, EffectInS
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array
 
@@ -45,6 +45,7 @@ load_modulation = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
     what="The beam vibrates vertically: the mass is pressed on harder and lighter in turn.",

@@ -7,7 +7,7 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import is_periodic_in
 from frictrack.effects.scans import spatial_periods
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_length
 from frictrack.records import Array
 
@@ -34,6 +34,7 @@ texture = Effect(
         Parameter("phase", "rad", role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("period", lambda path, nonlinear: path.x, is_period=True),
     scales_with="load",
     what="Machining marks, joints or waviness of the course.",
     looks_like="ripples at the same places in every run; a chirp in time as the mass slows",

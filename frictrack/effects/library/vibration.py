@@ -9,7 +9,7 @@ from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import wave
+from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
@@ -38,6 +38,7 @@ vibration = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
+    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
     what="The beam or course vibrates and pushes the mass to and fro at a fixed frequency.",
     looks_like="a line at the same frequency in every run, whatever the speed",
     mistaken_for="camera shake (same shape in one run), load modulation, texture at one speed",

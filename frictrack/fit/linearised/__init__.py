@@ -1,18 +1,13 @@
 """Linearise a fitted model about the measured motion, and scan a candidate effect on it."""
 
+from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE
+from frictrack.fit.linearised.grid import candidate_grids, has_per_run_coefficients
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
-from frictrack.fit.linearised.scan import (
-    MIN_UNEXPLAINED_SHARE,
-    CandidateScan,
-    Float32Array,
-    ScannedSeries,
-    candidate_grids,
-    has_per_run_coefficients,
-    measured_series,
-    scan_candidate,
-)
+from frictrack.fit.linearised.scan import CandidateScan, scan_candidate
+from frictrack.fit.linearised.series import Float32Array, ScannedSeries, measured_series
 
 __all__ = [
+    "MIN_COLUMN_SQUARE",
     "MIN_UNEXPLAINED_SHARE",
     "CandidateScan",
     "Float32Array",

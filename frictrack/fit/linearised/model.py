@@ -250,6 +250,11 @@ class LinearisedModel:
         """The pieces as data that forces along the measured motion explain."""
         return [s.block() for s in self.pieces]
 
+    @cached_property
+    def level_coordinates(self) -> Array:
+        """Coordinates (L, R) of the sensitivities to the friction levels in the bases of the pieces."""
+        return self.coordinates(self.solution.jac[:, self.solution.problem.layout.levels])
+
     def coordinates(self, series: Array | NDArray[np.float32]) -> Array:
         """Compute the coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
         basis_parts = [s.basis[:, s.starts :].T @ series[rows] for s, rows in zip(self.pieces, self.rows, strict=True)]
@@ -262,6 +267,11 @@ class LinearisedModel:
         """
         absorbed = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
         return np.asarray(np.eye(len(absorbed)) - absorbed)
+
+    def residuals(self, data: NDArray[np.float32], coordinates: Array, tau: float) -> NDArray[np.float32]:
+        """Compute what the refitted model leaves of whitened data (N, D) with coordinates (L, D), at one scatter."""
+        absorbed = self.basis.shrink(tau) @ (self.basis_coordinates.T @ coordinates)
+        return data - self.basis.u.astype(np.float32) @ absorbed.astype(np.float32)
 
 
 def linearise(solution: Solution) -> LinearisedModel:

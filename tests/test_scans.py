@@ -1,0 +1,119 @@
+"""Scans of a candidate: few nodes instead of many frequencies, runs one by one, columns of any size.
+
+The truth is the long way: every grid point computed itself, and all runs in one least-squares problem written out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, Spec, study
+
+from frictrack import effects, models
+from frictrack.diagnose import detection_limits
+from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.fit import fit
+from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
+
+LAW = ["coulomb", "viscous"]
+SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.06), Spec(3.5, 1, 0.07))
+DRAWS = 30
+
+
+@pytest.fixture(scope="module")
+def solution():
+    law = {name: BASE[name] for name in LAW}
+    runs, _ = study(models.of(law), law, specs=SPECS, sigma=1e-5, scatter=0.05, rng=np.random.default_rng(5))
+    return fit(LAW, runs).solution
+
+
+@pytest.fixture(scope="module")
+def ensemble(solution):
+    return draw_null_ensemble(solution, np.random.default_rng(1), DRAWS)
+
+
+@pytest.mark.parametrize("name", ["vibration", "texture", "camera_shake", "load_modulation", "decaying_vibration"])
+def test_interpolated_waves_gain_what_waves_computed_at_every_frequency_gain(ensemble, name):
+    effect, every = effects.get(name), replace(effects.get(name), scan_wave=None)
+    fast, slow = (_scan(ensemble, e) for e in (effect, every))
+    np.testing.assert_allclose(fast.gains, slow.gains, rtol=2e-3, atol=2e-2)
+    np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-3)
+    left = ensemble.residual_projector
+    np.testing.assert_allclose(fast.schur(left), slow.schur(left), rtol=0, atol=2e-3 * np.abs(slow.schur(left)).max())
+    g = int(np.argmax(slow.gains))
+    data = ensemble.series.coordinates[:, 0]
+    np.testing.assert_allclose(fast.coefficients(g, left, data), slow.coefficients(g, left, data), rtol=0.02, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["vibration", "texture", "patch", "drag"])
+def test_gains_of_draws_are_those_of_all_runs_in_one_least_squares_problem(ensemble, name):
+    law, series = ensemble.law, ensemble.series
+    (grid,) = candidate_grids(law, effects.get(name))
+    g = len(grid.values) // 2
+    grid = replace(grid, values=grid.values[g : g + 1], shape=(1,) * len(grid.shape))
+    rows = np.zeros((len(series.measured), grid.size))
+    for i, block in zip(grid.members, grid.block, strict=True):
+        piece, mine = law.pieces[i], slice(block * grid.k, (block + 1) * grid.k)
+        raw = grid.raw_columns(piece, grid.values)[0]
+        rows[law.rows[i], mine] = piece.without_start(piece.whitened_rows(raw, grid.effect.acts_on == "measurement")).T
+    u, gains = law.basis.u, []
+    draws = _series_written_out(ensemble)
+    for tau, profile in zip(series.taus, series.profile, strict=True):
+        metric = np.eye(len(u)) - u @ law.basis.shrink(tau) @ u.T
+        products = rows.T @ metric @ draws
+        if grid.size == 1 and grid.low[0] >= 0:
+            products = np.maximum(products, 0)
+        gain = np.einsum("kd,kl,ld->d", products, np.linalg.pinv(rows.T @ metric @ rows), products)
+        gains.append(profile - gain)
+    expected = series.profile.min(axis=0) - np.min(gains, axis=0)
+    found = scan_candidate(law, grid, series)
+    np.testing.assert_allclose(found.max_gains, expected, rtol=1e-3, atol=1e-3)
+
+
+def _series_written_out(ensemble):
+    """The whitened data and draws: residuals with what the model absorbs put back."""
+    law, series = ensemble.law, ensemble.series
+    out = np.array(series.residuals, dtype=float)
+    for t, columns in enumerate(series.groups):
+        out[:, columns] += (
+            law.basis.u @ law.basis.shrink(series.taus[t]) @ (law.basis_coordinates.T @ series.coordinates[:, columns])
+        )
+    return out
+
+
+@pytest.mark.parametrize("decades", [0.0, 100.0])
+def test_gains_do_not_depend_on_the_size_of_the_columns(ensemble, decades):
+    patch = effects.get("patch")
+    (grid,) = candidate_grids(ensemble.law, patch)
+    wide = grid.values[grid.values[:, 1] == grid.values[:, 1].max()][20:40]  # a run reaches every one of them
+    grid = replace(grid, values=wide, shape=(len(wide), 1))
+
+    def columns(path, nonlinear):  # squares leave the range of a float32, at all points or from point to point
+        size = 10 ** (37 + decades * np.asarray(nonlinear["x_c"]))
+        return patch.columns(path, nonlinear) * size.reshape(-1, 1)
+
+    expected = scan_candidate(ensemble.law, grid, ensemble.series)
+    found = scan_candidate(ensemble.law, replace(grid, effect=replace(patch, columns=columns)), ensemble.series)
+    np.testing.assert_allclose(found.gains, expected.gains, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.max_gains, expected.max_gains, rtol=1e-4)
+
+
+def _scan(ensemble, effect):
+    return scan_candidate(ensemble.law, candidate_grids(ensemble.law, effect)[0], ensemble.series)
+
+
+def test_measured_data_alone_gain_what_they_gain_among_draws(solution, ensemble):
+    law = linearise(solution)
+    (grid,) = candidate_grids(law, effects.get("patch"))
+    alone = scan_candidate(law, grid, measured_series(law))
+    among = scan_candidate(ensemble.law, grid, ensemble.series)
+    np.testing.assert_allclose(alone.gains, among.gains, rtol=0.05, atol=0.05)  # the scatter is read off a grid there
+
+
+def test_a_column_that_no_run_reaches_leaves_the_limit_of_the_first_as_it_is():
+    schur = np.array([[[4.0, 0.0], [0.0, 1e-312]]])
+    gain, square = detection_limits._first_coefficient_gain(schur, np.array([[4.0, 1e-312]]))
+    assert gain[0] == pytest.approx(4.0)
+    assert square[0] == 4.0
