@@ -16,7 +16,7 @@ from frictrack.effects.in_study import (
 )
 from frictrack.effects.memory import direction_of_motion
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, known, order
+from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, order
 from frictrack.effects.scans import Span, Within, frequencies, spatial_periods
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
 from frictrack.effects.user import effect
@@ -53,6 +53,7 @@ __all__ = [
     "formula",
     "frequencies",
     "get",
+    "is_library",
     "known",
     "order",
     "read_settings",

@@ -149,6 +149,8 @@ class Effect:
         Integration panels per frame that its columns need.
     memory : bool
         Whether its columns depend on the whole motion so far and not on the moment alone.
+    counts_from_release : bool
+        Whether its columns also depend on the motion from release to the first sample of a path, `Path.before`.
     state : callable, optional
         What it remembers at every sample, (n, k), of the same arguments as `columns`.
     turns : bool
@@ -209,6 +211,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     fine: int = 1
     memory: bool = False
+    counts_from_release: bool = False
     state: Columns | None = None
     turns: bool = False
     rank: int = 0

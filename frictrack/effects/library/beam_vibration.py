@@ -138,6 +138,7 @@ beam_vibration = Effect(
     ),
     columns=columns,
     scan_wave=ScanWave("frequency", lambda path, nonlinear: _cycles(path, {**nonlinear, "frequency": 1.0})),
+    counts_from_release=True,
     what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
     looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
     mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",

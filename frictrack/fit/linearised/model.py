@@ -20,8 +20,9 @@ from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
+from frictrack.fit.linearised.stacked_pieces import ForceMap, stack_blocks
 from frictrack.fit.parameters import JacobianBasis
-from frictrack.fit.separable import DataBlock, path_at_compared, rows_at_compared
+from frictrack.fit.separable import BlockStack, DataBlock, path_at_compared, rows_at_compared
 from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
@@ -153,6 +154,14 @@ class LinearisedPiece:
         force: Array = np.sum([columns[name] @ model.coefficients(name, self.values) for name in reshaped], axis=0)
         return force[:, None]
 
+    @property
+    def forces(self) -> ForceMap | None:
+        """The map from forces to the data, where pieces can be joined; None where friction was measured."""
+        if self._rows is None or self._rows.stiff:
+            return None
+        factor = -(1 + self.response.shift_slope) / self.response.piece.mass
+        return ForceMap(self.response.piece, self._rows, factor, self.basis[:, : self.starts])
+
     def block(self) -> DataBlock:
         """Return the piece as data that forces along its path explain linearly. Its level is one there."""
         model, response = self.problem.model, self.response
@@ -254,6 +263,11 @@ class LinearisedModel:
     def level_coordinates(self) -> Array:
         """Coordinates (L, R) of the sensitivities to the friction levels in the bases of the pieces."""
         return self.coordinates(self.solution.jac[:, self.solution.problem.layout.levels])
+
+    @cached_property
+    def stacks(self) -> list[BlockStack]:
+        """The same data, those pieces together that can be evaluated together."""
+        return stack_blocks(self.blocks, [s.forces for s in self.pieces])
 
     def coordinates(self, series: Array | NDArray[np.float32]) -> Array:
         """Compute the coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""

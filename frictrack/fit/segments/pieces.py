@@ -61,27 +61,28 @@ class Piece:
     clock: float = 1.0  # factor on the recorded times
 
     @cached_property
-    def _whitening(self) -> Whitening | None:
+    def whitening(self) -> Whitening | None:
+        """The map of correlated noise to white noise; None where the noise is white."""
         return Whitening.of(self.t, self.sigma, (self.correlated[0], self.correlated[1])) if self.correlated else None
 
     def whitened(self, errors: Array) -> Array:
         """Convert errors (n, ...) at the frames, m, to independent numbers of standard deviation one."""
-        way = self._whitening
+        way = self.whitening
         return np.asarray((errors.T / self.sigma).T) if way is None else way.whitened(errors)
 
     def coloured(self, white: Array) -> Array:
         """Convert independent numbers (n, ...) of standard deviation one to errors, m: the inverse of `whitened`."""
-        way = self._whitening
+        way = self.whitening
         return np.asarray((white.T * self.sigma).T) if way is None else way.coloured(white)
 
     def whitened_transposed(self, white: Array) -> Array:
         """Apply the transpose of `whitened`."""
-        way = self._whitening
+        way = self.whitening
         return np.asarray((white.T / self.sigma).T) if way is None else way.transposed(white)
 
     def coloured_transposed(self, rows: Array) -> Array:
         """Apply the transpose of `coloured`."""
-        way = self._whitening
+        way = self.whitening
         return np.asarray((rows.T * self.sigma).T) if way is None else way.coloured_transposed(rows)
 
     @property
@@ -216,6 +217,18 @@ class Piece:
         s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(lambda q: make_interp_spline(self.panels.t, q, k=1)(self.t)) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+
+def joined_whitening(pieces: Sequence[Piece]) -> Callable[[Array], Array]:
+    """Return the map that whitens errors (m, ...) at the frames of several pieces end to end.
+
+    The pieces all have correlated noise, or none has.
+    """
+    parts = [w for p in pieces if (w := p.whitening) is not None]
+    if parts:
+        return Whitening.joined(parts).whitened
+    sigma = np.concatenate([p.sigma for p in pieces])
+    return lambda errors: np.asarray((errors.T / sigma).T)
 
 
 def pieces_of(

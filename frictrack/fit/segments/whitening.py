@@ -12,6 +12,7 @@ Kalman, R. E. (1960). A new approach to linear filtering and prediction problems
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,13 @@ class Whitening:
             if i < len(decay):
                 before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
         return cls(decay * (1 - share[:-1]), decay * share[:-1], np.sqrt(variance))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Whitening]) -> Whitening:
+        """Return the map of several series end to end, each independent of the one before."""
+        persistence = np.concatenate([np.append(w.persistence, 0.0) for w in parts])[:-1]
+        gain = np.concatenate([np.append(w.gain, 0.0) for w in parts])[:-1]
+        return cls(persistence, gain, np.concatenate([w.size for w in parts]))
 
     def whitened(self, errors: Array) -> Array:
         """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""

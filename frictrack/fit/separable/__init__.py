@@ -29,9 +29,11 @@ from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
 from frictrack.fit.separable.scan_tables import is_scannable
+from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path
 from frictrack.fit.separable.varpro import VariableProjection
 
 __all__ = [
+    "BlockStack",
     "ConstrainedVariableProjection",
     "DataBlock",
     "PopulationMisfit",
@@ -40,10 +42,12 @@ __all__ = [
     "SeparableModel",
     "SeparableSolution",
     "VariableProjection",
+    "are_stackable",
     "chain_block",
     "displacement_block",
     "force_block",
     "is_scannable",
+    "joined_path",
     "path_at_compared",
     "rows_at_compared",
     "variable_projection",

@@ -10,63 +10,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from frictrack.effects import Effect, Path, Tie
+from frictrack.effects import Effect, Path, Tie, is_library
 from frictrack.fit.parameters import ParameterLayout, apply_constraints
 from frictrack.fit.separable.blocks import DataBlock
+from frictrack.fit.separable.groups import (
+    QUADRATURES,
+    Coefficient,
+    EffectGroup,
+    FreeValue,
+    Indices,
+    Segment,
+    Values,
+    coupled_effects,
+    is_depth,
+)
+from frictrack.fit.separable.stacks import BlockStack
 from frictrack.models import Model
-from frictrack.records import Array
-
-Indices = NDArray[np.int_]
-Values = dict[str, dict[str, Any]]
-QUADRATURES = (0.0, np.pi / 2)
-NO_INDICES: Indices = np.zeros(0, dtype=int)
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """One linear coefficient: a parameter of an effect, shared (run None) or of one run.
-
-    Of a sinusoid it is one quadrature.
-    """
-
-    effect: str
-    parameter: str
-    run: int | None
-    bounds: tuple[float, float]
-    quadrature: int | None = None
-    loaded: bool = False
-
-
-@dataclass(frozen=True)
-class EffectGroup:
-    """Effects that are evaluated together.
-
-    `nonlinear_slots` are the positions in the layout of the parameters that their columns depend on. The phases of a
-    sinusoid (`phase_slots`) are separate, because its quadratures do not depend on them.
-    """
-
-    model: Model
-    is_sinusoid: bool
-    is_measurement: bool
-    nonlinear_slots: tuple[int, ...]
-    phase_slots: tuple[int, ...] = ()
-
-    @property
-    def names(self) -> list[str]:
-        """Names of its effects."""
-        return self.model.names
-
-    def columns(self, path: Path, values: Values) -> Array:
-        """Compute all columns of the group, (n, k)."""
-        if len(self.model.effects) == 1:
-            effect = self.model.effects[0]
-            return effect.columns(path, values[effect.name])
-        return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
+from frictrack.records import Array, Mask
 
 
 @dataclass(eq=False)
@@ -79,6 +42,8 @@ class SeparableModel:
         The unknowns.
     blocks : sequence of DataBlock
         The data.
+    stacks : sequence of BlockStack
+        The same blocks, those together that can be; default each alone.
     groups : list of EffectGroup
         Effects that are evaluated together.
     coefficients : list of Coefficient
@@ -92,6 +57,7 @@ class SeparableModel:
 
     layout: ParameterLayout
     blocks: Sequence[DataBlock]
+    stacks: Sequence[BlockStack] = ()
     groups: list[EffectGroup] = field(init=False)
     coefficients: list[Coefficient] = field(init=False)
     column_positions: list[dict[int, Indices]] = field(init=False)
@@ -100,7 +66,7 @@ class SeparableModel:
     def __post_init__(self) -> None:
         self.blocks = list(self.blocks)
         self.runs = sorted({b.run for b in self.blocks})
-        self.groups = [self._group(effects) for effects in _coupled_effects(self.layout.model)]
+        self.groups = [self._group(effects) for effects in coupled_effects(self.layout.model)]
         self.coefficients = []
         self.column_positions = [self._column_positions(group) for group in self.groups]
         self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
@@ -113,8 +79,10 @@ class SeparableModel:
             np.unique([i for at in column_positions.values() for i in at if i >= 0])
             for column_positions in self.column_positions
         ]
-        self._tiled: dict[tuple[int, int, int], Path] = {}
-        self._fixed_and_free_cache: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
+        self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
+        self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
+        self._fixed_and_free_cache: dict[tuple[int, tuple[int, ...]], tuple[Values, list[FreeValue]]] = {}
+        self._segments_cache: dict[tuple[int, tuple[int, ...]], list[Segment]] = {}
 
     # --- positions of parameters
 
@@ -196,6 +164,29 @@ class SeparableModel:
 
     # --- evaluation
 
+    def stacks_of(self, g: int) -> Sequence[BlockStack]:
+        """Return the blocks as one group is evaluated along them.
+
+        Blocks stay alone for effects that depend on the motion before, and for effects of the user.
+        """
+        effects = self.groups[g].model.effects
+        together = all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
+        return self.stacks if together and self.stacks else self._single_blocks
+
+    def segments(self, g: int, stack: BlockStack) -> list[Segment]:
+        """Return the parts of a stack in which the columns of a group belong to the same coefficients."""
+        key = g, stack.members
+        if key not in self._segments_cache:
+            at = [self.column_positions[g][run] for run in stack.runs]
+            cuts = [self.slices[b] for b in stack.members]
+            if all(np.array_equal(at[0], other) for other in at):
+                whole = slice(cuts[0].start, cuts[-1].stop)
+                self._segments_cache[key] = [Segment(at[0], slice(0, sum(stack.lengths)), whole, tuple(range(len(at))))]
+            else:
+                parts = zip(at, stack.slices, cuts, range(len(at)), strict=True)
+                self._segments_cache[key] = [Segment(own, inside, cut, (m,)) for own, inside, cut, m in parts]
+        return self._segments_cache[key]
+
     def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Compute the forwarded rows of one group in one block.
 
@@ -214,95 +205,128 @@ class SeparableModel:
             Data per unit coefficient, in standard deviations.
 
         """
-        parts = list(self.parts(g, b, nonlinear_values, level))
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        return _joined(list(self.parts(g, b, nonlinear_values, level)))
 
     def parts(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Iterator[Array]:
         """Yield the same rows part by part: one quadrature of a sinusoid after the other."""
-        group, block = self.groups[g], self.blocks[b]
-        forward = block.picture if group.is_measurement else block.forward
+        return self._parts(g, self._single_blocks[b], nonlinear_values[:, None], level)
+
+    def stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, levels: Array) -> Array:
+        """Compute the forwarded rows of one group in all blocks of a stack.
+
+        Parameters
+        ----------
+        g : int
+            Index of the group.
+        stack : BlockStack
+            B blocks.
+        nonlinear_values : array of shape (Q, B, P)
+            Parameter vectors of Q individuals in every block.
+        levels : array of shape (B,)
+            Friction levels in the blocks.
+
+        Returns
+        -------
+        array of shape (Q, k, m)
+            Data per unit coefficient, in standard deviations.
+
+        """
+        if len(levels) == 1:
+            return _joined(list(self._parts(g, stack, nonlinear_values, float(levels[0]))))
+        rows = _joined(list(self._parts(g, stack, nonlinear_values, 1.0)))
+        load, mass = levels * stack.loads, np.array(stack.mass_ratios)
+        for carried, scale in zip(self._carried_by(g), (load, mass), strict=True):
+            if carried.any() and np.any(scale != 1.0):
+                rows *= np.where(carried[:, None], np.repeat(scale, stack.lengths), 1.0)
+        return rows
+
+    def _carried_by(self, g: int) -> tuple[Mask, Mask]:
+        """Which columns of a group carry the normal load of the run, and which its mass."""
+        group = self.groups[g]
+        columns = [(p.loaded, e.scales_with == "mass") for e in group.model.effects for p in e.linear]
+        loaded, heavy = np.array(columns * (len(QUADRATURES) if group.is_sinusoid else 1), dtype=bool).reshape(-1, 2).T
+        return loaded, heavy
+
+    def _parts(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Iterator[Array]:
+        group = self.groups[g]
+        forward = stack.picture if group.is_measurement else stack.forward
         if not group.is_sinusoid:
-            yield forward(self.unit_rows(g, b, nonlinear_values, level))
+            yield forward(self._unit_rows(g, stack, nonlinear_values, level))
             return
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         effect = group.model.effects[0]
         phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-        own, path = self._values(g, b, nonlinear_values[:p])[effect.name], self._path(g, b, p, level)
+        own, path = self._values(g, stack, nonlinear_values[:p])[effect.name], self._path(g, stack, p, level)
         for q in QUADRATURES:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
 
     def unit_rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Compute rows (Q, k, n) along block b per unit of every linear parameter, N or m; sinusoids at their phase."""
+        return self._unit_rows(g, self._single_blocks[b], nonlinear_values[:, None], level)
+
+    def _unit_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
         group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
-        return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, nonlinear_values[:p])), p)
+        values = self._values(g, stack, nonlinear_values[:p])
+        return _by_individual(group.columns(self._path(g, stack, p, level), values), p)
 
-    def _evaluation_path(self, g: int, b: int) -> Path:
-        """Path on which a group is evaluated: effects without memory at the compared samples only."""
-        block = self.blocks[b]
-        return block.path if block.compared_path is None or self.groups[g].model.memory else block.compared_path
-
-    def _path(self, g: int, b: int, p: int, level: float) -> Path:
-        path = self._evaluation_path(g, b) if p == 1 else self.tiled_path(g, b, p)
+    def _path(self, g: int, stack: BlockStack, p: int, level: float) -> Path:
+        path = stack.population_path(self.groups[g].model.memory, p)
         return path if level == 1.0 else replace(path, load=path.load * level)
 
-    def _values(self, g: int, b: int, nonlinear_values: Array) -> Values:
-        """Non-linear values of a group along one block: one number, or one per frame for a population."""
-        n, run = len(self._evaluation_path(g, b).t), self.blocks[b].run
+    def _values(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Values:
+        """Non-linear values of a group along a stack: one number, or one per sample where they differ."""
+        n = len(nonlinear_values) * len(stack.evaluation_path(self.groups[g].model.memory).t)
+        samples = n // len(nonlinear_values)
         if self.layout.constraints:
-            return self._constrained_values(g, b, nonlinear_values)
-        fixed, places = self._fixed_and_free(g, run)
+            return self._constrained_values(g, stack, nonlinear_values, samples)
+        fixed, free = self._fixed_and_free(g, stack.runs)
         values = {name: own.copy() for name, own in fixed.items()}
-        for i, effect, parameter, is_depth in places:
-            values[effect][parameter] = repeat_values(nonlinear_values[:, i], n, is_depth)
+        for one in free:
+            each = np.ones(nonlinear_values.shape[:2])
+            for i, members in one.places:
+                each[:, members] = nonlinear_values[:, members, i]
+            values[one.effect][one.parameter] = stack.repeat_values(each, samples, one.is_depth)
         return values
 
-    def _fixed_and_free(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
-        """Fixed values of a group and positions of its free ones, for one run."""
-        if (g, run) not in self._fixed_and_free_cache:
+    def _fixed_and_free(self, g: int, runs: tuple[int, ...]) -> tuple[Values, list[FreeValue]]:
+        """Fixed values of a group and positions of its free ones, for blocks of some runs."""
+        if (g, runs) not in self._fixed_and_free_cache:
             group, layout = self.groups[g], self.layout
             fixed: Values = {e.name: {} for e in group.model.effects}
             for e in group.model.effects:
                 for q in e.nonlinear:
                     fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
-            places = [
-                (i, s.effect, s.parameter, _is_depth(group.model, s.effect, s.parameter))
-                for i in (*group.nonlinear_slots, *group.phase_slots)
-                if (s := layout.slots[i]).run in (None, run)
-            ]
-            self._fixed_and_free_cache[g, run] = fixed, places
-        return self._fixed_and_free_cache[g, run]
+            places: dict[tuple[str, str], list[tuple[int, list[int]]]] = {}
+            for i in (*group.nonlinear_slots, *group.phase_slots):
+                slot = layout.slots[i]
+                members = [m for m, run in enumerate(runs) if slot.run in (None, run)]
+                if members:
+                    places.setdefault((slot.effect, slot.parameter), []).append((i, members))
+            free = [FreeValue(*name, is_depth(group.model, *name), each) for name, each in places.items()]
+            self._fixed_and_free_cache[g, runs] = fixed, free
+        return self._fixed_and_free_cache[g, runs]
 
-    def _constrained_values(self, g: int, b: int, nonlinear_values: Array) -> Values:
+    def _constrained_values(self, g: int, stack: BlockStack, nonlinear_values: Array, samples: int) -> Values:
         """The same where parameters are tied: all values first, then the constraints."""
-        model, block = self.layout.model, self.blocks[b]
-        all_values: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
+        model, shape = self.layout.model, nonlinear_values.shape[:2]
+        all_values: Values = {e.name: {q.name: np.ones(shape) for q in e.parameters} for e in model.effects}
         for (effect, name), value in self.layout.fixed.items():
-            all_values[effect][name] = np.full(1, value)
+            all_values[effect][name] = np.full(shape, value)
         for i, s in enumerate(self.layout.slots):
-            if s.effect in all_values and s.run in (None, block.run) and not s.linear:
-                all_values[s.effect][s.parameter] = nonlinear_values[:, i]
+            members = [m for m, run in enumerate(stack.runs) if s.run in (None, run)]
+            if s.effect in all_values and not s.linear and members:
+                all_values[s.effect][s.parameter][:, members] = nonlinear_values[:, members, i]
         apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), all_values)
-        own_slots, n = self.groups[g].model, len(self._evaluation_path(g, b).t)
         return {
-            e.name: {q.name: repeat_values(all_values[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
-            for e in own_slots.effects
-        }
-
-    def tiled_path(self, g: int, b: int, p: int) -> Path:
-        """Return one path through p individuals laid end to end, as a group is evaluated along a block."""
-        path = self._evaluation_path(g, b)
-        n = len(path.t)
-        if (b, p, n) not in self._tiled:
-            if len(self._tiled) > 2 * len(self.blocks):
-                self._tiled.clear()
-            repeated: dict[str, Any] = {
-                name: np.tile(value, p)
-                for name, value in vars(path).items()
-                if isinstance(value, np.ndarray) and value.shape == (n,)
+            e.name: {
+                q.name: stack.repeat_values(
+                    np.broadcast_to(all_values[e.name][q.name], shape), samples, q.role == "depth"
+                )
+                for q in e.nonlinear
             }
-            self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **repeated)
-        return self._tiled[b, p, n]
+            for e in self.groups[g].model.effects
+        }
 
     # --- conversion to the unknowns of the layout
 
@@ -342,29 +366,10 @@ class SeparableModel:
         return p
 
 
-def repeat_values(each: Array, n: int, is_depth: bool = False) -> Any:
-    """Repeat the values (Q,) of a population frame by frame, (Q n,); a single value stays a number.
-
-    A depth multiplies whole columns (n, k), so it has shape (Q n, 1).
-    """
-    if len(each) == 1:
-        return float(each[0])
-    repeated = np.repeat(each, n)
-    return repeated[:, None] if is_depth else repeated
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 def _by_individual(columns: Array, p: int) -> Array:
     """Columns (Q n, k) of individuals laid end to end as rows (Q, k, n)."""
     return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
-
-
-def _is_depth(model: Model, effect: str, parameter: str) -> bool:
-    return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
-
-
-def _coupled_effects(model: Model) -> list[list[Effect]]:
-    """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
-    kinds = {k for e in model.effects for k in e.modifies}
-    joined = [e for e in model.effects if e.modifies or e.kind in kinds]
-    out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]
-    return [joined, *out] if joined else out

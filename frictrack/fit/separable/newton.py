@@ -21,15 +21,14 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.fit.parameters import LEVEL, penalty_jacobian
-from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
+from frictrack.fit.separable.derivatives import RELATIVE_STEP, EvaluatedStack, RowChange
+from frictrack.fit.separable.groups import NO_INDICES, Indices
+from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array, Mask
 
-RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
 RIDGE = 1e-12  # relative; keeps nearly equal columns solvable
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
 MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
-
-Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m) per unit of a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class LevelSlopes:
     Attributes
     ----------
     rows : array of shape (R, M)
-        Change of the modelled data per unit of every level.
+        RowChange of the modelled data per unit of every level.
     precision : array of shape (R, R)
         Precision of the penalty on the levels.
     gradient : array of shape (R,)
@@ -90,7 +89,7 @@ class SeparableSolution:
     excluded: Mask
     versions: tuple[int, ...]
     levels: LevelSlopes
-    row_derivatives: dict[int, list[Change]] = field(default_factory=dict)
+    row_derivatives: dict[int, list[RowChange]] = field(default_factory=dict)
 
 
 def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
@@ -235,51 +234,40 @@ class ProjectedProblem:
         return self._solution_of(nonlinear_values, rows, excluded, (tuple(versions), row_derivatives))
 
     def _rescale_levels(
-        self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]
+        self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[RowChange]], list[int]]
     ) -> None:
         """Rescale rows and derivatives to new friction levels, and renew the versions of the groups that change."""
         separable, (row_derivatives, versions) = self.separable, kept
         factor = new[self.levels] / old[self.levels]
         if np.all(factor == 1.0):
             return
-        for block, cut in zip(separable.blocks, separable.slices, strict=True):
-            rows[self._loaded, cut] *= factor[block.run]
+        factors = factor[separable.run_of_datum]
+        rows[self._loaded] *= factors
         for i, own in row_derivatives.items():
-            row_derivatives[i] = [(g, b, change * self._level_factors(g, b, factor)) for g, b, change in own]
+            row_derivatives[i] = [change.rescaled(self._loaded, factors) for change in own]
         for g in range(len(separable.groups)):
             if self._loaded[separable.coefficients_of(g)].any():
                 versions[g] = next(self._versions)
 
-    def _level_factors(self, g: int, b: int, factor: Array) -> Array:
-        """Factors (columns, 1) by which the columns of a group follow the levels."""
-        run = self.separable.blocks[b].run
-        at = self.separable.column_positions[g][run]
-        return np.where((at >= 0) & self._loaded[at], factor[run], 1.0)[:, None]
-
-    def _evaluate(self, g: int, nonlinear_values: Array, rows: Array, row_derivatives: dict[int, list[Change]]) -> None:
-        """Rows of one group and their derivatives, from one evaluation."""
-        separable, group = self.separable, self.separable.groups[g]
-        for i in group.nonlinear_slots:
-            row_derivatives[i] = [c for c in row_derivatives.get(i, []) if c[0] != g]
-        for b, block in enumerate(separable.blocks):
-            own_slots = [i for i in group.nonlinear_slots if separable.layout.slots[i].run in (None, block.run)]
-            moved = np.tile(nonlinear_values, (1 + len(own_slots), 1))
-            steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values[own_slots]), self._min_step[own_slots])
-            moved[np.arange(1, len(moved)), own_slots] += steps
-            level = float(nonlinear_values[self.levels[block.run]]) if self.levels else 1.0
-            rows_made = separable.rows(g, b, moved, level)
-            at = separable.column_positions[g][block.run]
-            kept = at >= 0
-            rows[at[kept], separable.slices[b]] = rows_made[0, kept]
-            for j, i in enumerate(own_slots):
-                row_derivatives[i].append((g, b, (rows_made[1 + j] - rows_made[0]) / steps[j]))
+    def _evaluate(
+        self, g: int, nonlinear_values: Array, rows: Array, row_derivatives: dict[int, list[RowChange]]
+    ) -> None:
+        """Rows of one group and their derivatives, from one evaluation per stack."""
+        separable = self.separable
+        for i in separable.groups[g].nonlinear_slots:
+            row_derivatives[i] = [c for c in row_derivatives.get(i, []) if c.g != g]
+        for stack in separable.stacks_of(g):
+            made = EvaluatedStack.of(separable, (g, stack), nonlinear_values, self._min_step)
+            made.write_rows(rows)
+            for i, change in made.changes():
+                row_derivatives[i].append(change)
 
     def _solution_of(
         self,
         nonlinear_values: Array,
         rows: Array,
         excluded: Mask,
-        kept: tuple[tuple[int, ...], dict[int, list[Change]]],
+        kept: tuple[tuple[int, ...], dict[int, list[RowChange]]],
     ) -> SeparableSolution:
         """Solve the coefficients for given rows."""
         gram, right = rows @ rows.T, rows @ self.data
@@ -301,8 +289,8 @@ class ProjectedProblem:
         residual, departure = left
         if self.levels:
             dry = c[self._loaded] @ rows[self._loaded]
-            for block, cut in zip(separable.blocks, separable.slices, strict=True):
-                slope[block.run, cut] = dry[cut] / nonlinear_values[self.levels[block.run]]
+            run = separable.run_of_datum
+            slope[run, np.arange(separable.size)] = dry / nonlinear_values[self.levels][run]
         return LevelSlopes(
             slope, self._level_precision, slope @ residual - self._prior_rows[:, self.levels].T @ departure
         )
@@ -366,9 +354,8 @@ class ProjectedProblem:
         slope = np.zeros((len(free), self.separable.size))
         slope[[i in self.levels for i in free]] = state.levels.rows
         for row, i in zip(slope, free, strict=True):
-            for g, b, change in state.row_derivatives.get(i, []):
-                at = self.separable.column_positions[g][self.separable.blocks[b].run]
-                row[self.separable.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
+            for change in state.row_derivatives.get(i, []):
+                row[change.cut] += np.where(change.at >= 0, state.coefficients[change.at], 0.0) @ change.rows
         rows = state.rows[state.unconstrained]
         normal, gradient = slope @ slope.T, slope @ state.residual
         if len(rows):

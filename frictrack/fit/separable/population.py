@@ -14,7 +14,8 @@ import numpy as np
 
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, prior_misfit
 from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
+from frictrack.fit.separable.groups import NO_INDICES, Indices
+from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array
 
 MAX_AT_ONCE = 20  # individuals evaluated at once, so that they fit into the cache

@@ -123,7 +123,9 @@ def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, othe
     """
     true_problem = _projected_problem(linearised, true.layout)
     ideal = true_problem.data - true_problem.at(np.array(true.p)).residual
-    problem = ProjectedProblem(TiedSeparableModel(other.layout, linearised.blocks), ideal, true_problem.tau)
+    problem = ProjectedProblem(
+        TiedSeparableModel(other.layout, linearised.blocks, linearised.stacks), ideal, true_problem.tau
+    )
     found = problem.refine(problem.at(np.array(other.p)), steps=FINAL_STEPS, enough=ROUGH_MIN_FALL)
     return found.misfit - ProjectedProblem(true_problem.separable, ideal, true_problem.tau).at(np.array(true.p)).misfit
 
@@ -138,7 +140,7 @@ class TiedSeparableModel(SeparableModel):
 
 
 def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
-    separable = TiedSeparableModel(layout, linearised.blocks)
+    separable = TiedSeparableModel(layout, linearised.blocks, linearised.stacks)
     return ProjectedProblem(separable, separable.data, linearised.solution.tau or 0.03)
 
 

@@ -8,6 +8,8 @@ a panel g is the cubic through its values at the nearest four edges.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +37,9 @@ class EdgeResponse:
         State (x, v) at each edge per unit of the state at the first edge, shape (p + 1, 2, 2).
     stiff
         Whether panels are chained one by one, because the fundamental matrix is ill-conditioned.
+    weights
+        Of the running sums, shape (5, p + 1), unless stiff: two rows multiply the accelerations before each sum, two
+        the sums, the last one the acceleration at the edge.
 
     """
 
@@ -48,7 +53,8 @@ class EdgeResponse:
         size = np.abs(self.fundamental).max(axis=(1, 2)) * np.abs(inverse).max(axis=(1, 2))
         self.stiff = not float(size.max()) < MAX_CONDITION
         if not self.stiff:
-            self._sum_weights, self._own_weight = self._running_sums(inverse[1:] @ self._kick)
+            sums, own = self._running_sums(inverse[1:] @ self._kick)
+            self.weights = np.concatenate([sums, self.fundamental[:, 0].T, own[None]])
 
     @property
     def starts(self) -> Array:
@@ -57,16 +63,7 @@ class EdgeResponse:
 
     def __call__(self, g: Array) -> Array:
         """Displacements (k, p + 1) for accelerations (k, p + 1)."""
-        if self.stiff:
-            return self._by_chaining(g)
-        x = self.fundamental[:, 0]
-        out = np.cumsum(g * self._sum_weights[0], axis=1)
-        out *= x[:, 0]
-        other = np.cumsum(g * self._sum_weights[1], axis=1)
-        other *= x[:, 1]
-        out += other
-        out += np.multiply(g, self._own_weight, out=other)
-        return out
+        return self._by_chaining(g) if self.stiff else _by_running_sums(g, self.weights)
 
     def _by_chaining(self, g: Array) -> Array:
         """The same displacements by the banded system of `LinearResponse.chain_panels`."""
@@ -95,6 +92,42 @@ class EdgeResponse:
                 np.add.at(early, last[before], kick[before, :, k])
                 np.add.at(early, last[counted], -kick[counted, :, k])
         return sums, np.einsum("mc,mc->m", early, self.fundamental[:, 0])
+
+
+class StackedEdgeResponse:
+    """Map accelerations along several motions at once, laid side by side: (..., B, n) to displacements (..., B, n).
+
+    Parameters
+    ----------
+    responses
+        The B responses, none of them stiff.
+    n
+        Number of edges of the longest motion; the others end earlier.
+
+    """
+
+    def __init__(self, responses: Sequence[EdgeResponse], n: int) -> None:
+        self._weights = np.zeros((5, len(responses), n))
+        for i, response in enumerate(responses):
+            own = response.weights
+            self._weights[:, i, : own.shape[1]] = own
+
+    def __call__(self, g: Array) -> Array:
+        """Displacements (..., B, n) for accelerations (..., B, n)."""
+        return _by_running_sums(g, self._weights)
+
+
+def _by_running_sums(g: Array, weights: Array) -> Array:
+    """Displacements (..., n) for accelerations (..., n), by the weights of the running sums."""
+    out = g * weights[0]
+    np.cumsum(out, axis=-1, out=out)
+    out *= weights[2]
+    other = g * weights[1]
+    np.cumsum(other, axis=-1, out=other)
+    other *= weights[3]
+    out += other
+    out += np.multiply(g, weights[4], out=other)
+    return out
 
 
 def _stencils(panels: Panels) -> tuple[NDArray[np.int_], Array]:
