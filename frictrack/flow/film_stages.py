@@ -80,7 +80,13 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         Positions of the target in px, one row per frame.
 
     """
-    from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
+    from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
+        Areas,
+        is_polygon,
+        learn_target,
+        track,
+        track_same_target,
+    )
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
@@ -90,8 +96,32 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         rectangle, frame = resolve_target(opened, run.target, run.template or 0)
         where = run.target if is_polygon(run.target) else rectangle
         areas = Areas(where, run.exclude, run.obstacles)
+        known = _target_of_first_film(pipeline)
+        shared = known and track_same_target(opened, areas, known, template=frame, progress=pipeline.progress)
+        if shared:
+            found, pipeline.lesson = shared
+            return found
         pipeline.lesson = learn_target(opened, areas, template=frame, progress=pipeline.progress)
         return track(opened, areas, template=frame, known=pipeline.lesson, progress=pipeline.progress)
+
+
+def _target_of_first_film(pipeline: RunPipeline) -> TargetModel | None:
+    """Return the target that the first film of the study shows, if it may be the same in this film."""
+    anchor = pipeline.anchor
+    if anchor is None or _has_drawn_areas(pipeline.run) or _has_drawn_areas(anchor.run):
+        return None
+    track: Track = anchor.get("track")  # learns the target if this process tracks the film
+    if anchor.lesson is None:
+        with anchor.open_film() as opened:
+            anchor.lesson = _learn_again(opened, track)
+    return anchor.lesson
+
+
+def _has_drawn_areas(run: RunTable) -> bool:
+    """Whether outline, excluded parts or obstacles were drawn for a film."""
+    from frictrack.tracking import is_polygon  # noqa: PLC0415
+
+    return bool(is_polygon(run.target) or run.exclude or run.obstacles)
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:

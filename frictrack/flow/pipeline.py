@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from frictrack.recording import Recording
     from frictrack.tracking import TargetModel
 
+STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
+
 Progress = Callable[[int, int, str], None]
 """Callable ``progress(done, total, what)``, called while something is being done."""
 
@@ -204,7 +206,7 @@ class RunPipeline:
         if name not in self._inputs:
             stage = self.stages[name]
             groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
-            if name == "displacement" and self.anchor:
+            if name in STAGES_FROM_FIRST_FILM and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
             files = [(self.as_written(path), self.content_hash(path)) for path in self.input_files(stage)]
             self._inputs[name] = groups + files

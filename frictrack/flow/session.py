@@ -19,7 +19,7 @@ from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.stages import run_pipeline
+from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
@@ -102,7 +102,7 @@ class Session:
 
     def _load(self, study: Study) -> None:
         self.study = study
-        self.runs = [run_pipeline(study, run, self.progress) for run in study.runs]
+        self.runs = run_pipelines(study, self.progress)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self._findings: Findings | None = None
         self.path = study.output / "study.h5"

@@ -100,3 +100,21 @@ def run_pipeline(
 
     """
     return RunPipeline(study, run, FILM if run.video else TABLE, progress, stored_only=stored_only)
+
+
+def run_pipelines(study: Study, progress: Progress = no_progress) -> list[RunPipeline]:
+    """Return the pipelines of all runs; those of films share that of the first film, and the target learnt from it.
+
+    Parameters
+    ----------
+    study
+        The study.
+    progress
+        Called while a stage is being computed.
+
+    """
+    found = [run_pipeline(study, run, progress) for run in study.runs]
+    films = [pipeline for pipeline in found if pipeline.run.video]
+    for pipeline in films[1:]:
+        pipeline.anchor = films[0]
+    return found

@@ -8,6 +8,7 @@ detection           what to track: moving bodies, clicks, rectangles, a fixed re
 batch_tracker       predict, read and refine batches of frames; search where that fails
 template_learning   the template and the noise of its pixels; learning_rounds repeats it with measurement
 measure, occlusion  positions in every frame, without pixels that do not fit
+shared_target       a target that several films of a study show
 pose_tracker        targets that rotate by any angle
 checks              self-checks of a track
 show                contact sheet and overlay video
@@ -15,7 +16,7 @@ show                contact sheet and overlay video
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
-from frictrack.tracking.driver import learn_target, track
+from frictrack.tracking.driver import learn_target, track, track_same_target
 from frictrack.tracking.registration import aligned
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
 from frictrack.tracking.target_model import TargetModel
@@ -32,4 +33,5 @@ __all__ = [
     "overlay_video",
     "target_line",
     "track",
+    "track_same_target",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import track_known_rotating, track_rotating
 from frictrack.tracking.raw_track import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.rotation_test import min_frames_if_rotating
+from frictrack.tracking.shared_target import adapt_known_target, place_known_target
 from frictrack.tracking.super_resolution import peak_locking_correction
 from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
@@ -89,17 +90,83 @@ def track(
     drawn = target if isinstance(target, Areas) else Areas(target)
     with random_access(recording, once=_single_pass(drawn.target, template, known)) as film:
         if known is None:
-            rectangle, template, raw_track, target_model = _learn_and_track(film, drawn, template, progress)
-            rows = np.flatnonzero(raw_track.found & ~target_model.rotates)
+            followed = _learn_and_track(film, drawn, template, progress)
         else:
-            rectangle, template = _locate_known(film, drawn.target, template, known)
-            drawn.check(film.shape)
-            blocked = drawn.obstacle_mask(film.shape)
-            target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
-            raw_track = _track_known(film, target_model, blocked, np.array(rectangle[:2]), template, progress)
-            rows = np.flatnonzero(raw_track.found & (target_model.pattern is not None) & ~target_model.rotates)
-        measured = raw_track if target_model.rotates else _measure_all(film, raw_track, rows, target_model, progress)
-        change = _frame_changes(film) if recording.interframe else None
+            followed = _follow_known(film, drawn, template, known, progress)
+        return _measure_track(recording, film, drawn, followed, name, progress)
+
+
+def track_same_target(
+    recording: Recording, target: Areas, known: TargetModel, *, template: int = 0, progress: Progress | None = None
+) -> tuple[Track, TargetModel] | None:
+    """Track a target with the model learnt from another film, if it looks the same here.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    target, template, progress
+        As in `track`.
+    known : TargetModel
+        Model of the target, learnt from another film.
+
+    Returns
+    -------
+    track : Track
+        Positions of the same point of the body as in the other film.
+    target_model : TargetModel
+        The model with the position errors of this film. None instead of both where the target looks different.
+
+    """
+    if known.rotates or known.pattern is not None:
+        return None  # a fixed pattern is that of one film
+    with random_access(recording) as film:
+        rectangle, template = resolve_target(film, target.target, template)
+        placed = place_known_target(film, rectangle, template, known)
+        if placed is None:
+            return None
+        raw_track = BatchTracker(film, known.template).follow(np.array(placed[:2]), template, progress)
+        adapted = adapt_known_target(film, raw_track, known)
+        if adapted is None:
+            return None
+        followed = _Followed(placed, template, raw_track, adapted, np.arange(0))
+        return _measure_track(recording, film, Areas(), followed, "target", progress), adapted
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """A target that was followed: rectangle in frame `template`, track, model, and frames to be measured again."""
+
+    rectangle: Rectangle
+    template: int
+    raw_track: RawTrack
+    target_model: TargetModel
+    rows: NDArray[np.int64]
+
+
+def _follow_known(
+    film: Recording, drawn: Areas, template: int, known: TargetModel, progress: Progress | None
+) -> _Followed:
+    """Follow a target with a known model."""
+    rectangle, template = _locate_known(film, drawn.target, template, known)
+    drawn.check(film.shape)
+    blocked = drawn.obstacle_mask(film.shape)
+    target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
+    raw_track = _track_known(film, target_model, blocked, np.array(rectangle[:2]), template, progress)
+    rows = np.flatnonzero(raw_track.found & (target_model.pattern is not None) & ~target_model.rotates)
+    return _Followed(rectangle, template, raw_track, target_model, rows)
+
+
+def _measure_track(
+    recording: Recording, film: Recording, drawn: Areas, followed: _Followed, name: str, progress: Progress | None
+) -> Track:
+    """Measure the frames of a target that was followed, and state the errors of its positions."""
+    target_model, template, rectangle = followed.target_model, followed.template, followed.rectangle
+    raw_track = followed.raw_track
+    measured = (
+        raw_track if target_model.rotates else _measure_all(film, raw_track, followed.rows, target_model, progress)
+    )
+    change = _frame_changes(film) if recording.interframe else None
     result = _to_track(recording, measured, rectangle, name)
     result = _with_systematic_error(result, target_model)
     if np.count_nonzero(result.found) < 2:
@@ -149,16 +216,12 @@ def learn_target(
 
     """
     with random_access(recording) as film:
-        return _learn_and_track(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
+        drawn = target if isinstance(target, Areas) else Areas(target)
+        return _learn_and_track(film, drawn, template, progress).target_model
 
 
-def _learn_and_track(
-    film: Recording, drawn: Areas, template: int, progress: Progress | None
-) -> tuple[Rectangle, int, RawTrack, TargetModel]:
-    """Find the target, follow it roughly and learn its model.
-
-    Returns the rectangle, the number of its frame, the rough track and the model.
-    """
+def _learn_and_track(film: Recording, drawn: Areas, template: int, progress: Progress | None) -> _Followed:
+    """Find the target, follow it roughly and learn its model."""
     if progress:
         progress(0, film.n_frames, "find the target")
     drawn.check(film.shape)
@@ -178,8 +241,10 @@ def _learn_and_track(
     if min_frames is not None:
         pose_track = track_rotating(film, rotatable, start, template, min_frames, progress)
         if pose_track is not None:
-            return rectangle, template, pose_track.to_raw_track(), TargetModel(pose_track.template, rotates=True)
-    return rectangle, template, raw_track, learn_target_model(film, raw_track, first_template, blocked)
+            model = TargetModel(pose_track.template, rotates=True)
+            return _Followed(rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
+    model = learn_target_model(film, raw_track, first_template, blocked)
+    return _Followed(rectangle, template, raw_track, model, np.flatnonzero(raw_track.found))
 
 
 def _track_known(
