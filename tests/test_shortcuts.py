@@ -8,7 +8,8 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.spectral_lines import sine_cosine_columns, time_wave_traces
+from frictrack.compare.force_traces import ForceTraces
+from frictrack.compare.spectral_lines import sine_cosine_columns
 from frictrack.diagnose.experiments.rival_runs import RivalOfPlannedRun, compress_response
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError
@@ -120,10 +121,14 @@ def test_matrices_of_panels_are_inverted():
         _invert_3x3(a)
 
 
-def test_waves_are_traced_some_at_a_time(slide):
-    response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)
+def test_waves_from_the_edges_of_panels_are_traced_as_from_the_nodes(slide):
+    response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)  # at 2000 frames per second
     whole = displacement_response(response, sine_cosine_columns(response.piece.panels.t, f))
-    np.testing.assert_allclose(time_wave_traces(response, f), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
+    whole = whole.reshape(-1, len(f), 2).transpose(2, 1, 0)
+    traces = ForceTraces.of(slide, response)
+    error = np.linalg.norm(traces.of_waves(traces.t, f) - whole, axis=2) / np.linalg.norm(whole, axis=2)
+    radians = 2 * np.pi * f / 2000.0  # between two frames; a cubic errs by the fourth power
+    assert np.all(error < 1e-5 + 0.04 * radians**4)
 
 
 def test_a_trial_goes_to_its_end_where_little_is_left_and_stops_early_where_much_is():

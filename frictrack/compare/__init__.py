@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.compare.bump_dictionary import NodeMotion, course_ends, motion_at_nodes
+from frictrack.compare.bump_dictionary import course_ends
 from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
+from frictrack.compare.force_traces import ForceTraces, WaveScan, WaveTraces, pair_products
 from frictrack.compare.spans import failing_spans
-from frictrack.compare.spectral_lines import SpectralLine, scan_frequencies, time_wave_traces, wave_traces
+from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.threads import one_thread
@@ -17,17 +18,16 @@ from frictrack.threads import one_thread
 __all__ = [
     "Comparison",
     "DeconvolvedForce",
-    "NodeMotion",
+    "ForceTraces",
     "SpectralLine",
+    "WaveScan",
+    "WaveTraces",
     "compare",
     "course_ends",
     "deconvolve_force",
     "failing_spans",
     "history",
-    "motion_at_nodes",
-    "scan_frequencies",
-    "time_wave_traces",
-    "wave_traces",
+    "pair_products",
 ]
 
 

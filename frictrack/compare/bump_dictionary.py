@@ -9,15 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
+from frictrack.compare.bumps import Bump
+from frictrack.compare.force_traces import ForceTraces
 from frictrack.compare.global_significance import GlobalSignificance, curve_length
-from frictrack.fit.least_squares import (
-    ModelProjection,
-    PieceResponse,
-    Solution,
-    displacement_response,
-    position_and_velocity,
-)
-from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.least_squares import ModelProjection, PieceResponse, position_and_velocity
 from frictrack.motion.noise import CORRELATION_COST
 from frictrack.records import Array
 
@@ -31,104 +26,13 @@ MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain beside the mode
 
 
 @dataclass(frozen=True)
-class Bump:
-    """A Gaussian force in time or in place.
-
-    Parameters
-    ----------
-    piece
-        Index of its piece for a bump in time; None for a bump at a place, common to all runs.
-    centre, width
-        Centre and standard deviation: s since release, or m.
-    size
-        Peak force, N; for a place at the reference load.
-    z
-        Size in units of its standard deviation.
-
-    """
-
-    piece: int | None
-    centre: float
-    width: float
-    size: float = 0.0  # N, at the reference load for a place
-    z: float = 0.0
-
-    @property
-    def at_place(self) -> bool:
-        """Whether it is a bump at a place of the course."""
-        return self.piece is None
-
-    def shape(self, axis: Array) -> Array:
-        """Its shape along an axis (n,), one at the centre."""
-        return np.exp(-(((axis - self.centre) / self.width) ** 2) / 2)
-
-
-@dataclass(frozen=True)
-class NodeMotion:
-    """Motion of one piece at its integration nodes, all (3 p,).
-
-    Parameters
-    ----------
-    t, x, v
-        Time since release s, position m, velocity m/s.
-    dry_factor
-        Force of a dry friction of 1 N at the reference load: load ratio times direction of motion.
-
-    """
-
-    t: Array
-    x: Array
-    v: Array
-    dry_factor: Array
-
-    def axis(self, bump: Bump) -> Array:
-        """Times or positions, whichever the bump depends on."""
-        return self.x if bump.at_place else self.t
-
-    def force(self, bump: Bump) -> Array:
-        """Force of a bump of size one, (3 p,)."""
-        return bump.shape(self.axis(bump)) * (self.dry_factor if bump.at_place else 1.0)
-
-    def force_derivatives(self, bump: Bump) -> Array:
-        """Force of a bump of size one, with its derivatives by centre and by log width, (3 p, 3)."""
-        u = (self.axis(bump) - bump.centre) / bump.width
-        f = self.force(bump)
-        return np.stack([f, f * u / bump.width, f * u**2], axis=1)
-
-
-def motion_at_nodes(solution: Solution, response: PieceResponse) -> NodeMotion:
-    """Motion of one piece at its integration nodes.
-
-    Parameters
-    ----------
-    solution
-        A fit.
-    response
-        One of its pieces.
-
-    Returns
-    -------
-    NodeMotion
-        The motion as the fit solved it; for measured friction the measured motion.
-
-    """
-    piece = response.piece
-    _, level = solution.problem.layout.values(solution.p, piece.run)
-    x, v = (
-        (piece.path.x, piece.path.v)
-        if isinstance(piece, MeasuredFrictionPiece)
-        else (response.motion.x, response.motion.v)
-    )
-    path = piece.path_at_nodes(x, v, level)
-    return NodeMotion(piece.panels.t, path.x, path.v, path.load * path.s)
-
-
-@dataclass(frozen=True)
 class BumpDictionary:
     """All bumps of a search and their traces in the displacement.
 
     Parameters
     ----------
+    maps
+        Map from forces to traces of every piece.
     time_columns
         Traces of the bumps in time, (n_i, k_i) for piece i.
     time_bumps
@@ -140,6 +44,7 @@ class BumpDictionary:
 
     """
 
+    maps: list[ForceTraces]
     time_columns: list[Array]
     time_bumps: list[list[Bump]]
     place_columns: list[Array]
@@ -156,15 +61,13 @@ class BumpDictionary:
         return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.place_columns], axis=0))
 
 
-def build_dictionary(law: ModelProjection, at: Sequence[NodeMotion]) -> BumpDictionary:
+def build_dictionary(law: ModelProjection) -> BumpDictionary:
     """Build all bumps of the search with their traces.
 
     Parameters
     ----------
     law
         Residual and directions of the model.
-    at
-        Motion of every piece at its nodes.
 
     Returns
     -------
@@ -173,15 +76,19 @@ def build_dictionary(law: ModelProjection, at: Sequence[NodeMotion]) -> BumpDict
     """
     time_bumps = [_bumps_in_time(i, r) for i, r in enumerate(law.responses)]
     place_bumps = _bumps_in_place(law.responses)
-    time_columns = [
-        displacement_response(r, np.stack([n.force(b) for b in bumps], axis=1))
-        for r, n, bumps in zip(law.responses, at, time_bumps, strict=True)
-    ]
-    place_columns = [
-        displacement_response(r, np.stack([n.force(b) for b in place_bumps], axis=1))
-        for r, n in zip(law.responses, at, strict=True)
-    ]
-    return BumpDictionary(time_columns, time_bumps, place_columns, place_bumps)
+    maps = [ForceTraces.of(law.solution, r) for r in law.responses]
+    time_columns = [trace_bumps(q, bumps).T for q, bumps in zip(maps, time_bumps, strict=True)]
+    place_columns = [trace_bumps(q, place_bumps).T for q in maps]
+    return BumpDictionary(maps, time_columns, time_bumps, place_columns, place_bumps)
+
+
+def trace_bumps(traces: ForceTraces, bumps: Sequence[Bump]) -> Array:
+    """Traces (k, n) in one piece of bumps of one kind, of size one."""
+    at_place = bumps[0].at_place
+    axis = traces.x if at_place else traces.t
+    centre, width = np.array([b.centre for b in bumps]), np.array([b.width for b in bumps])
+    shapes = np.exp(-(((axis - centre[:, None]) / width[:, None]) ** 2) / 2)
+    return traces(shapes * traces.dry_factor if at_place else shapes)
 
 
 def _widths(shortest: float, widest: float) -> Array:

@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from frictrack.compare.force_traces import ForceTraces, WaveScan
 from frictrack.compare.local_forces import ALPHA, bump_forces, find_local_forces
 from frictrack.compare.spectral_lines import SpectralLine, line_at, strongest_line, strongest_spatial_wave
 from frictrack.fit.least_squares import (
     ModelProjection,
     PieceResponse,
     Solution,
-    displacement_response,
     position_and_velocity,
 )
 from frictrack.fit.measured_friction import MeasuredFrictionPiece
@@ -108,13 +108,17 @@ class _Process:
         return variances_of_parts, normal_matrix, np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64), right_side
 
 
-def deconvolve_force(solution: Solution) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
+def deconvolve_force(
+    solution: Solution, waves: WaveScan | None = None
+) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
     """Deconvolve the force that a fitted model lacks.
 
     Parameters
     ----------
     solution
         The fit.
+    waves
+        Traces of the waves that are scanned for, if they were computed before.
 
     Returns
     -------
@@ -126,9 +130,11 @@ def deconvolve_force(solution: Solution) -> tuple[list[DeconvolvedForce], Spectr
     """
     found = find_local_forces(solution)
     known_frequency = _vibration(solution)
-    line = strongest_line(found.law) if known_frequency is None else line_at(found.law, known_frequency)
+    if waves is None or found.law.solution is not waves.solution:  # refitted beside the local forces
+        waves = WaveScan(found.law.solution)
+    line = strongest_line(found.law, waves.in_time) if known_frequency is None else line_at(found.law, known_frequency)
     explained = float(found.law.r @ found.law.r - found.residual.r @ found.residual.r)
-    wave = strongest_spatial_wave(found.law)
+    wave = strongest_spatial_wave(found.law, waves.in_place)
     if wave is not None and wave.p < ALPHA and wave.gain > max(explained, 0.0 if line is None else line.gain):
         residual = found.law.with_columns(wave.columns)
         means, variances = _model_averaged_force(residual)
@@ -186,9 +192,9 @@ def _knots(response: PieceResponse) -> Array:
 
 def _normal_products(law: ModelProjection, i: int, knots: Array) -> tuple[Array, Array, Array]:
     """Gram matrix (K, K) of a force through knots, and its products with model (K, P') and residual (K,)."""
-    response, rows = law.responses[i], law.rows[i]
-    columns = displacement_response(response, linear_interpolation_matrix(response.piece.panels.t, knots))
-    return columns.T @ columns, columns.T @ law.u[rows], columns.T @ law.r[rows]
+    traces, rows = ForceTraces.of(law.solution, law.responses[i]), law.rows[i]
+    own = traces(linear_interpolation_matrix(traces.t, knots).T)
+    return own @ own.T, own @ law.u[rows], own @ law.r[rows]
 
 
 def _make_process(

@@ -19,17 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.compare.bump_dictionary import (
-    Bump,
     BumpDictionary,
-    NodeMotion,
     build_dictionary,
     column_norms,
     families,
-    motion_at_nodes,
     quotients,
     search_significance,
     width_limits,
 )
+from frictrack.compare.bumps import Bump, NodeMotion, motion_at_nodes
 from frictrack.compare.global_significance import GlobalSignificance
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
@@ -117,7 +115,7 @@ class LocalForces:
 def start_search(law: ModelProjection) -> LocalForces:
     """Prepare a search for local forces."""
     at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    dictionary = build_dictionary(law, at)
+    dictionary = build_dictionary(law)
     return LocalForces([], law, law, at, dictionary, *search_significance(law, dictionary))
 
 

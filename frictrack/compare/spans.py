@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.compare.bump_dictionary import Bump, width_limits
+from frictrack.compare.bump_dictionary import trace_bumps, width_limits
+from frictrack.compare.bumps import Bump
 from frictrack.compare.effect_forces import effect_force, effect_force_at_nodes
 from frictrack.compare.local_forces import (
     ALPHA,
@@ -207,10 +208,18 @@ def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
 
 
 def _relative_likelihood(found: LocalForces, law: ModelProjection, bumps: Sequence[Bump]) -> Array:
-    """Likelihood of every bump relative to the best, (k,), each at its best size; 0 where negligible."""
-    columns = bump_columns(found, bumps, derivatives=False)[:, :, 0]
-    clean = columns - law.u @ (law.u.T @ columns)
-    gain = (clean.T @ law.r) ** 2 / np.maximum(np.sum(clean**2, axis=0), 1e-300)
+    """Likelihood of every bump of one piece or of all, relative to the best, (k,), each at its best size.
+
+    It is 0 where negligible.
+    """
+    squares, data, on_law = np.zeros(len(bumps)), np.zeros(len(bumps)), np.zeros((len(bumps), law.u.shape[1]))
+    for i, (rows, traces) in enumerate(zip(law.rows, found.dictionary.maps, strict=True)):
+        if bumps[0].piece in (None, i):
+            own = trace_bumps(traces, bumps)
+            squares += np.einsum("kn,kn->k", own, own)
+            data += own @ law.r[rows]
+            on_law += own @ law.u[rows]
+    gain = data**2 / np.maximum(squares - np.einsum("kp,kp->k", on_law, on_law), 1e-300)
     return np.asarray(np.where(gain > gain.max() - MAX_CHI2_DIFFERENCE, np.exp((gain - gain.max()) / 2), 0.0))
 
 

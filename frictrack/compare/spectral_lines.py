@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from frictrack.compare.bump_dictionary import NodeMotion, motion_at_nodes
+from frictrack.compare.bumps import NodeMotion, motion_at_nodes
+from frictrack.compare.force_traces import WaveTraces, pair_products, visible_part
 from frictrack.distributions import chi2_sf
-from frictrack.effects import frequencies, spatial_periods
-from frictrack.fit.least_squares import ModelProjection, PieceResponse, displacement_response
+from frictrack.fit.least_squares import ModelProjection, displacement_response
+from frictrack.fit.linearised import Float32Array
 from frictrack.records import Array
 
-MIN_PERIODS = 3.0  # in the longest run
 MAX_REFINEMENT_STEPS = 12  # of a frequency between two scanned ones
-CHUNK_COLUMNS = 32  # frequencies computed together so that they stay in the cache
-FREQUENCY_STRIDE = 2  # of the library's scan, which has steps of a quarter Rayleigh cell
 
 
 @dataclass(frozen=True)
@@ -83,69 +81,36 @@ def sine_cosine_columns(t: Array, f: Array) -> Array:
     return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(t), -1)
 
 
-def scan_frequencies(law: ModelProjection) -> Array:
-    """Frequencies to scan, Hz; at least `MIN_PERIODS` periods in the longest run."""
-    span = law.solution.problem.layout.span
-    f = frequencies(span)[::FREQUENCY_STRIDE]
-    return f[f >= MIN_PERIODS / span.duration]
-
-
-def time_wave_traces(response: PieceResponse, f: Array) -> Array:
-    """Traces (n, 2 G) of sines and cosines in time in one piece."""
-    return wave_traces(response, response.piece.panels.t, f)
-
-
-def wave_traces(response: PieceResponse, position: Array, f: Array, dry_factor: Array | None = None) -> Array:
-    """Traces in the displacement of forces that are sinusoidal along a variable.
-
-    Parameters
-    ----------
-    response
-        One piece.
-    position
-        The variable (time or place) at the nodes, (3 p,).
-    f
-        Frequencies (G,), in cycles per unit of `position`.
-    dry_factor
-        Factor on the force at the nodes, (3 p,); default 1.
-
-    Returns
-    -------
-    ndarray, shape (n, 2 G)
-
-    """
-    out = np.empty((len(response.r), 2 * len(f)))
-    for first in range(0, len(f), CHUNK_COLUMNS):
-        waves = sine_cosine_columns(position, f[first : first + CHUNK_COLUMNS])
-        out[:, 2 * first : 2 * (first + CHUNK_COLUMNS)] = displacement_response(
-            response, waves if dry_factor is None else waves * dry_factor[:, None]
-        )
-    return out
-
-
-def strongest_line(law: ModelProjection) -> SpectralLine | None:
+def strongest_line(law: ModelProjection, waves: WaveTraces) -> SpectralLine | None:
     """The frequency that lowers chi-squared of all runs most; None if there is nothing to scan."""
-    f = scan_frequencies(law)
-    runs = sorted({r.piece.run for r in law.responses})
+    f, runs = waves.f, sorted({r.piece.run for r in law.responses})
     if not len(f) or not runs:
         return None
-    gain = np.zeros(len(f))
-    for run in runs:
-        gram, data = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2))
-        for rows, response in zip(law.rows, law.responses, strict=True):
-            if response.piece.run == run:
-                traces = time_wave_traces(response, f)
-                on_law = (law.u[rows].T @ traces).reshape(-1, len(f), 2)
-                pairs = traces.reshape(len(traces), len(f), 2)
-                gram += np.einsum("nfi,nfj->fij", pairs, pairs) - np.einsum("pfi,pfj->fij", on_law, on_law)
-                data += (law.r[rows] @ traces).reshape(len(f), 2)
-        gain += np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
+    whole, absorbed = np.zeros((len(runs), len(f), 2, 2)), np.zeros((len(runs), len(f), 2, 2))
+    data = np.zeros((len(runs), len(f), 2))
+    for rows, response, traces in zip(law.rows, law.responses, waves.of_pieces, strict=True):
+        run, on_law = runs.index(response.piece.run), _inner_products(traces, law.u[rows])
+        whole[run] += pair_products(traces)
+        absorbed[run] += pair_products(on_law)
+        data[run] += _inner_products(traces, law.r[rows, None])[:, :, 0].T
+    gram = visible_part(whole.reshape(-1, 2, 2), absorbed.reshape(-1, 2, 2))
+    gain = _gains(gram, data.reshape(-1, 2)).reshape(len(runs), -1).sum(axis=0)
     best, step = float(f[int(np.argmax(gain))]), float(f[1] - f[0]) if len(f) > 1 else 0.0
     around = (max(best - step, 0.5 * best), best + step)
     found = minimize_scalar(
         lambda at: -_at(law, float(at), 1).gain, bounds=around, options={"maxiter": MAX_REFINEMENT_STEPS}
     )
     return _at(law, float(found.x), len(f))
+
+
+def _inner_products(traces: Float32Array, columns: Array) -> Array:
+    """Inner products (2, G, k) of traces (2, G, n) with columns (n, k)."""
+    return np.asarray((traces.reshape(-1, traces.shape[2]) @ columns.astype(np.float32)).reshape(*traces.shape[:2], -1))
+
+
+def _gains(gram: Array, data: Array) -> Array:
+    """Fall of chi-squared (G,) with waves of Gram matrices (G, 2, 2) and products (G, 2) with the residual."""
+    return np.einsum("ga,gab,gb->g", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
 
 
 def line_at(law: ModelProjection, frequency: float) -> SpectralLine:
@@ -159,7 +124,8 @@ def _at(law: ModelProjection, frequency: float, tried: int) -> SpectralLine:
     columns = np.zeros((len(law.r), 2 * len(runs)))
     for rows, response in zip(law.rows, law.responses, strict=True):
         k = 2 * runs.index(response.piece.run)
-        columns[rows, k : k + 2] = time_wave_traces(response, np.array([frequency]))
+        waves = sine_cosine_columns(response.piece.panels.t, np.array([frequency]))
+        columns[rows, k : k + 2] = displacement_response(response, waves)
     clean = columns - law.u @ (law.u.T @ columns)
     size: Array = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-8)[0], dtype=np.float64)
     gain = float(np.sum((clean @ size) ** 2))
@@ -178,19 +144,16 @@ class SpatialWave:
     columns: Array  # (N + m, 2)
 
 
-def strongest_spatial_wave(law: ModelProjection) -> SpatialWave | None:
+def strongest_spatial_wave(law: ModelProjection, waves: WaveTraces) -> SpatialWave | None:
     """The spatial period that lowers chi-squared of all runs most; None if there is nothing to refine."""
-    f = np.sort(1 / spatial_periods(law.solution.problem.layout.span))
-    at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    gram, data, on_law = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
-    for rows, response, n in zip(law.rows, law.responses, at, strict=True):
-        traces = wave_traces(response, n.x, f, n.dry_factor)
-        pairs = traces.reshape(len(traces), len(f), 2)
-        gram += np.einsum("nfi,nfj->fij", pairs, pairs, optimize=True)
-        data += (law.r[rows] @ traces).reshape(len(f), 2)
-        on_law += (law.u[rows].T @ traces).reshape(-1, len(f), 2)
-    gram -= np.einsum("pfi,pfj->fij", on_law, on_law, optimize=True)
-    gain = np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
+    f, at = waves.f, [motion_at_nodes(law.solution, r) for r in law.responses]
+    whole, data = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2))
+    on_law = np.zeros((2, len(f), law.u.shape[1]))
+    for rows, traces in zip(law.rows, waves.of_pieces, strict=True):
+        whole += pair_products(traces)
+        data += _inner_products(traces, law.r[rows, None])[:, :, 0].T
+        on_law += _inner_products(traces, law.u[rows])
+    gain = _gains(visible_part(whole, pair_products(on_law)), data)
     best = int(np.argmax(gain))
     around = float(f[max(best - 1, 0)]), float(f[min(best + 1, len(f) - 1)])
     if around[0] == around[1]:

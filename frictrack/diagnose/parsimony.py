@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, information_criterion, parameter_penalty
 from frictrack.diagnose.rounds import RefinedCandidate, Round
@@ -20,6 +20,8 @@ from frictrack.fit.stepwise import (
     try_linear_effects,
 )
 from frictrack.fit.uncertainty import dispersion
+
+MIN_CHI2_FALL = 1.0  # of a step of a model that is fitted only for a share of the misfit
 
 
 def is_smooth(effect: Effect) -> bool:
@@ -119,10 +121,16 @@ def nested_models(found: Sequence[RefinedCandidate]) -> list[Solution | None]:
     if not found:
         return []
     out: list[Solution | None] = [found[-1].law]
-    for t in reversed(found[1:]):
+    for smaller, t in reversed(list(pairwise(found))):
         law = out[0]
         try:
-            out.insert(0, None if law is None else remove_effect(law, t.effect.name))
+            out.insert(0, None if law is None else _model_before(smaller.law, law, t.effect.name))
         except FrictrackError:
             out.insert(0, None)
     return out
+
+
+def _model_before(known: Solution, law: Solution, name: str) -> Solution:
+    """The model without one effect: the one to which it was added, if that is still known, else fitted again."""
+    names = set(law.problem.model.names) - {name}
+    return known if set(known.problem.model.names) == names else remove_effect(law, name, MIN_CHI2_FALL)

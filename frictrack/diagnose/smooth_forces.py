@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -112,11 +113,9 @@ def gain_of_separate_curves(compressed: CompressedResidual) -> float:
             for run in sorted(set(compressed.runs))
         ]
     )
-    gram, right_side, span = traces.T @ traces, traces.T @ compressed.residual, float(np.ptp(t))
+    gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     identity = np.eye(len(set(compressed.runs)))
-    roots: list[Array] = [
-        np.asarray(np.kron(identity, _covariance_root(knots, span * length)), np.float64) for length in LENGTH_RATIOS
-    ]
+    roots: list[Array] = [np.asarray(np.kron(identity, root), np.float64) for root in _covariance_roots()]
     return max(_most_likely(gram, right_side, root)[0] for root in roots)
 
 
@@ -155,7 +154,7 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
-    fits = [_most_likely(gram, right_side, _covariance_root(knots, span * length)) for length in LENGTH_RATIOS]
+    fits = [_most_likely(gram, right_side, root) for root in _covariance_roots()]
     best = int(np.argmax([t[0] for t in fits]))
     gain, mean, root = fits[best]
     spread = root @ root.T
@@ -177,11 +176,16 @@ def _knots(low: float, high: float) -> Array:
     )
 
 
-def _covariance_root(knots: Array, length: float) -> Array:
-    """Square root (m, m) of the Matern 5/2 covariance of spline coefficients of a given length."""
+@cache
+def _covariance_roots() -> list[Array]:
+    """Square roots (m, m) of the Matern 5/2 covariance of spline coefficients for every length ratio."""
+    knots = _knots(0.0, 1.0)
     centres = np.array([knots[i + 1 : i + SPLINE_DEGREE + 1].mean() for i in range(N_SPLINES)])
-    z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
-    return np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES))
+    roots = []
+    for length in LENGTH_RATIOS:
+        z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
+        roots.append(np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES)))
+    return roots
 
 
 def _most_likely(gram: Array, right_side: Array, root: Array) -> tuple[float, Array, Array]:

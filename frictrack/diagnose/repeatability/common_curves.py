@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare import NodeMotion, course_ends, motion_at_nodes, wave_traces
+from frictrack.compare import ForceTraces, WaveScan, WaveTraces, course_ends, pair_products
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.repeatability.axis_result import AxisRepeatability, describe_axes, sort_axes
 from frictrack.diagnose.repeatability.common_frequency import (
@@ -29,8 +29,7 @@ from frictrack.diagnose.repeatability.common_frequency import (
     restricted_likelihood_gain,
 )
 from frictrack.diagnose.smooth_forces import gain_of_separate_curves, smooth_forces
-from frictrack.effects import spatial_periods
-from frictrack.fit.least_squares import ModelProjection, Solution, displacement_response, model_projection
+from frictrack.fit.least_squares import ModelProjection, Solution, model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
@@ -88,7 +87,7 @@ class _Runs:
     """
 
     law: ModelProjection
-    at: list[NodeMotion]
+    maps: list[ForceTraces]
     run: list[int]
     own: list[Array]
     shared: list[Array]
@@ -109,21 +108,24 @@ class _Runs:
             data[run] += both.T @ self.series[i]
         return gram, data
 
-    def wave_products(self, columns: Sequence[Array]) -> _WaveProducts:
-        """The same for columns (n_i, 2 G) of which only pairs are combined."""
-        g, s, d = columns[0].shape[1] // 2, self.shared[0].shape[1], self.series[0].shape[1]
+    def wave_products(self, waves: WaveTraces) -> _WaveProducts:
+        """The same for waves, of which only sine and cosine of one frequency are combined."""
+        g, s, d = len(waves.f), self.shared[0].shape[1], self.series[0].shape[1]
         out = _WaveProducts(*(np.zeros((self.count, g, 2, k)) for k in (2, s, d)))
         for i, run in enumerate(self.run):
-            clean = columns[i] - self.own[i] @ (self.own[i].T @ columns[i])
-            cube = clean.reshape(-1, g, 2)
-            for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                out.pairs[run, :, a, b] += np.einsum("nf,nf->f", cube[:, :, a], cube[:, :, b])
-            out.cross[run] += (clean.T @ self.shared[i]).reshape(g, 2, s)
-            out.data[run] += (clean.T @ self.series[i]).reshape(g, 2, d)
+            own = self.own[i].astype(np.float32)
+            clean = waves.of_pieces[i] - (waves.of_pieces[i] @ own) @ own.T
+            out.pairs[run] += pair_products(clean)
+            both = np.hstack([self.shared[i], self.series[i]]).astype(np.float32)
+            products = (clean.reshape(2 * g, -1) @ both).reshape(2, g, s + d).transpose(1, 0, 2)
+            out.cross[run] += products[:, :, :s]
+            out.data[run] += products[:, :, s:]
         return out
 
 
-def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Repeatability:
+def assess_repeatability(
+    solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS, waves: WaveScan | None = None
+) -> Repeatability:
     """Test over which axis the misfit of a fit repeats from run to run.
 
     Parameters
@@ -134,12 +136,15 @@ def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: in
         Random generator.
     draws
         Number of draws of the null distribution.
+    waves
+        Traces of the waves that are scanned for, if they were computed before.
 
     Returns
     -------
     Repeatability
 
     """
+    waves = waves or WaveScan(solution)
     law = model_projection(solution)
     runs = sorted({r.piece.run for r in law.responses})
     if len(runs) < 2:
@@ -152,10 +157,10 @@ def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: in
     for axis in N_KNOTS:
         gains, curves[axis] = _best_smooth_curve([_curve_products(projected, axis, dry) for dry in (True, False)])
         if axis == "x":
-            wave, wave_evidence = _best_wave_gains(projected)
+            wave, wave_evidence = _best_wave_gains(projected, waves.in_place)
             gains, evidence[axis] = _larger_gains(gains, wave), max(evidence[axis], wave_evidence)
         found.append(replace(_axis_result(axis, gains, excess), evidence=evidence[axis] - separate_evidence))
-    phase = assess_common_frequency(law, runs, rng, draws)
+    phase = assess_common_frequency(law, waves.in_time, rng, draws)
     found.append(
         AxisRepeatability(
             "phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - separate_evidence
@@ -189,8 +194,8 @@ def _project_own_columns(law: ModelProjection, runs: Sequence[int], series: Arra
         residuals.append(series[rows] - q @ (q.T @ series[rows]))
     norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
     shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
-    at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    return _Runs(law, at, [runs.index(r.piece.run) for r in law.responses], own_columns, shared, residuals)
+    maps = [ForceTraces.of(law.solution, r) for r in law.responses]
+    return _Runs(law, maps, [runs.index(r.piece.run) for r in law.responses], own_columns, shared, residuals)
 
 
 def _excess_chi2(projected: _Runs) -> Array:
@@ -223,9 +228,9 @@ def _knots(projected: _Runs, axis: str) -> Array:
     if axis == "x":
         low, high = course_ends(projected.law.responses)
     elif axis == "t":
-        low, high = min(float(n.t[0]) for n in projected.at), max(float(n.t[-1]) for n in projected.at)
+        low, high = min(float(q.t[0]) for q in projected.maps), max(float(q.t[-1]) for q in projected.maps)
     else:
-        speeds = [np.abs(n.v) for n in projected.at]
+        speeds = [np.abs(q.v) for q in projected.maps]
         low, high = min(float(s.min()) for s in speeds), max(float(s.max()) for s in speeds)
     return np.linspace(low, high, N_KNOTS[axis])
 
@@ -233,12 +238,12 @@ def _knots(projected: _Runs, axis: str) -> Array:
 def _curve_products(projected: _Runs, axis: str, dry: bool) -> _CurveProducts:
     """Products of a curve over an axis; a dry force goes with load, level and direction."""
     knots = _knots(projected, axis)
-    traces = []
-    for response, n in zip(projected.law.responses, projected.at, strict=True):
-        values = {"x": n.x, "t": n.t, "v": np.abs(n.v)}[axis]
-        factor = n.dry_factor if dry else np.sign(n.dry_factor) if axis == "v" else np.ones_like(n.dry_factor)
-        traces.append(displacement_response(response, linear_interpolation_matrix(values, knots) * factor[:, None]))
-    return _CurveProducts(knots, *projected.normal_equations(traces))
+    columns = []
+    for traces in projected.maps:
+        values = {"x": traces.x, "t": traces.t, "v": np.abs(traces.v)}[axis]
+        factor = traces.dry_factor if dry else np.sign(traces.dry_factor) if axis == "v" else 1.0
+        columns.append(traces(linear_interpolation_matrix(values, knots).T * factor).T)
+    return _CurveProducts(knots, *projected.normal_equations(columns))
 
 
 def _model_prior(products: _CurveProducts) -> Array:
@@ -282,11 +287,9 @@ def _axis_result(axis: str, gains: Array, excess: Array) -> AxisRepeatability:
     return AxisRepeatability(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
-def _best_wave_gains(projected: _Runs) -> tuple[Array, float]:
+def _best_wave_gains(projected: _Runs, waves: WaveTraces) -> tuple[Array, float]:
     """Fall of chi-squared (R, D) with a dry force periodic in place, fitted to the other runs; and its evidence."""
-    f = 1 / spatial_periods(projected.law.solution.problem.layout.span)
-    traces = [wave_traces(r, n.x, f, n.dry_factor) for r, n in zip(projected.law.responses, projected.at, strict=True)]
-    runs = projected.wave_products(traces)
+    runs = projected.wave_products(waves)
     gram, data = projected.normal_equations([np.zeros((len(c), 0)) for c in projected.shared])
     total = _WaveProducts(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))
     prior, out = _model_prior(_CurveProducts(np.empty(0), gram, data)), np.zeros((projected.count, data.shape[2]))
@@ -303,7 +306,9 @@ def _best_wave_gains(projected: _Runs) -> tuple[Array, float]:
         out[run] = _predicted_gain(
             own_products, (gram[run], data[run]), (inverse @ data_of_others, absorbed), size, best
         )
-    return out, restricted_likelihood_gain(_best_wave(total, gram.sum(axis=0) + prior, data.sum(axis=0)), 2, len(f))
+    return out, restricted_likelihood_gain(
+        _best_wave(total, gram.sum(axis=0) + prior, data.sum(axis=0)), 2, len(waves.f)
+    )
 
 
 def _best_wave(total: _WaveProducts, law: Array, data: Array) -> float:

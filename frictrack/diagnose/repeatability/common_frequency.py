@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.compare import scan_frequencies, time_wave_traces
+from frictrack.compare import WaveTraces, pair_products
 from frictrack.fit.least_squares import ModelProjection
 from frictrack.records import Array
 
@@ -69,7 +69,7 @@ def restricted_likelihood_gain(gain: float, numbers: int, tried: int) -> float:
 
 
 def assess_common_frequency(
-    law: ModelProjection, runs: Sequence[int], rng: np.random.Generator, draws: int
+    law: ModelProjection, waves: WaveTraces, rng: np.random.Generator, draws: int
 ) -> CommonFrequency:
     """Test one frequency for all runs: amplitude from the other runs, phase from the even frames of a run.
 
@@ -79,8 +79,8 @@ def assess_common_frequency(
     ----------
     law
         Residual and directions of the model.
-    runs
-        Indices of the runs.
+    waves
+        Traces of the waves in time.
     rng
         Random generator.
     draws
@@ -91,8 +91,9 @@ def assess_common_frequency(
     CommonFrequency
 
     """
-    f, excess = scan_frequencies(law), _excess_chi2(law, runs)
-    statistics = np.array([_frequency_statistics(*_halves(law, run, f)) for run in runs])
+    f, runs = waves.f, sorted({r.piece.run for r in law.responses})
+    excess = _excess_chi2(law, runs)
+    statistics = np.array([_frequency_statistics(*_halves(law, run, waves)) for run in runs])
     gains, free = _predicted_gains(statistics)
     best = int(np.argmax(free))
     null = []
@@ -120,23 +121,19 @@ def _excess_chi2(law: ModelProjection, runs: Sequence[int]) -> Array:
     return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
 
 
-def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
+def _halves(law: ModelProjection, run: int, waves: WaveTraces) -> _Halves:
     """Gram matrices and data of the waves in the even and the odd frames of a run."""
-    out: list[Array] = [
-        np.zeros((len(f), 2, 2)),
-        np.zeros((len(f), 2, 2)),
-        np.zeros((len(f), 2)),
-        np.zeros((len(f), 2)),
-    ]
-    for rows, response in zip(law.rows, law.responses, strict=True):
+    count = len(waves.f)
+    gram, data = np.zeros((2, count, 2, 2)), np.zeros((2, count, 2))
+    for rows, response, traces in zip(law.rows, law.responses, waves.of_pieces, strict=True):
         if response.piece.run == run:
-            traces = time_wave_traces(response, f)
-            traces -= law.u[rows] @ (law.u[rows].T @ traces)
-            pairs = traces.reshape(len(traces), len(f), 2)
+            u, r = law.u[rows].astype(np.float32), law.r[rows].astype(np.float32)
+            clean = traces - (traces @ u) @ u.T
             for k in (0, 1):
-                out[k] += np.einsum("nfi,nfj->fij", pairs[k::2], pairs[k::2])
-                out[2 + k] += np.einsum("nfi,n->fi", pairs[k::2], law.r[rows][k::2])
-    return out[0], out[1], out[2], out[3]
+                half = np.ascontiguousarray(clean[:, :, k::2])
+                gram[k] += pair_products(half)
+                data[k] += (half @ r[k::2]).T
+    return gram[0], gram[1], data[0], data[1]
 
 
 def _frequency_statistics(even: Array, odd: Array, b_even: Array, b_odd: Array) -> Array:
@@ -150,8 +147,8 @@ def _frequency_statistics(even: Array, odd: Array, b_even: Array, b_odd: Array) 
     gain, noise = np.sum(wave * (b_even + b_odd), axis=1), np.einsum("fii->f", inverse)
     direction = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
     direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
-    time_wave_traces = np.sum(direction * b_odd, axis=1), np.einsum("fi,fij,fj->f", direction, odd, direction)
-    return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, *time_wave_traces])
+    product, square = np.sum(direction * b_odd, axis=1), np.einsum("fi,fij,fj->f", direction, odd, direction)
+    return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, product, square])
 
 
 def _predicted_gains(statistics: Array) -> tuple[Array, Array]:

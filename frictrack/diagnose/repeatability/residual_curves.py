@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.compare import DeconvolvedForce, SpectralLine, deconvolve_force
+from frictrack.compare import DeconvolvedForce, SpectralLine, WaveScan, deconvolve_force
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
@@ -42,8 +42,9 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
 
     """
     solution = keep_compared_frames(solution)
-    pieces, line = deconvolve_force(solution)
-    return FailurePattern(assess_repeatability(solution, rng), residual_figures(pieces, line))
+    waves = WaveScan(solution)
+    pieces, line = deconvolve_force(solution, waves)
+    return FailurePattern(assess_repeatability(solution, rng, waves=waves), residual_figures(pieces, line))
 
 
 def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:

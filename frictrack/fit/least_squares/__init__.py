@@ -12,6 +12,7 @@ from frictrack.fit.least_squares.covariance import (
     white_noise_covariance,
 )
 from frictrack.fit.least_squares.gauss_newton import (
+    MIN_CHI2_FALL,
     Solution,
     fit_with_scatter,
     predicted_objective,
@@ -30,6 +31,7 @@ from frictrack.fit.least_squares.projection import (
 
 __all__ = [
     "HIDDEN_SIGMA_FACTOR",
+    "MIN_CHI2_FALL",
     "MIN_SINGULAR_VALUE",
     "NORMAL_QUANTILE_975",
     "LeastSquaresProblem",

@@ -8,7 +8,14 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import LeastSquaresProblem, Solution, fit_with_scatter, refine, refit_with_scatter
+from frictrack.fit.least_squares import (
+    MIN_CHI2_FALL,
+    LeastSquaresProblem,
+    Solution,
+    fit_with_scatter,
+    refine,
+    refit_with_scatter,
+)
 from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
@@ -201,7 +208,7 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
-def remove_effect(solution: Solution, name: str) -> Solution:
+def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL) -> Solution:
     """Remove an effect from a fitted model and refine the rest.
 
     Parameters
@@ -210,6 +217,8 @@ def remove_effect(solution: Solution, name: str) -> Solution:
         The fitted model.
     name : str
         Name of the effect.
+    min_fall : float
+        A step is not taken if it is predicted to lower chi-squared by less.
 
     Returns
     -------
@@ -222,4 +231,5 @@ def remove_effect(solution: Solution, name: str) -> Solution:
     layout = replace(old, model=model_without(solution, name), absent=absent)
     values = dict(zip(old.names, solution.p, strict=True))
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    return fit_with_scatter(problem, np.array([values[n] for n in layout.names]), solution.starts, solution.tau or 0.03)
+    p = np.array([values[n] for n in layout.names])
+    return fit_with_scatter(problem, p, solution.starts, solution.tau or 0.03, min_fall=min_fall)
