@@ -266,7 +266,7 @@ class Model:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
             if states is not None and e.state is not None:
                 states[e.name] = e.state(entered, values[e.name], *inner)[-1:]
-            return e.columns(entered, values[e.name], *inner)
+            return _columns_run_by_run(e, entered, values[e.name], inner)
 
         made = {e.name: columns(e) for e in self.effects if e.acts_on == "force" and not e.modifies}
         for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
@@ -298,11 +298,30 @@ class Model:
             (n,) force, N.
 
         """
-        columns = self.force_columns(path, values)
-        total = np.zeros_like(path.v)
-        for name, block in columns.items():
-            total += block @ self.coefficients(name, values)
-        return total
+        return self.force_of(self.force_columns(path, values), values, np.zeros_like(path.v))
+
+    def force_of(self, columns: Mapping[str, Array], values: Values, start: Array) -> Array:
+        """Add the forces of effects with the given columns (n, k) to `start` (n,), in place."""
+        for e in self.effects:
+            if e.name in columns:
+                for column, p in zip(columns[e.name].T, e.linear, strict=True):
+                    start += column * values[e.name][p.name]
+        return start
+
+    def interacting(self, names: Iterable[str]) -> Model | None:
+        """The part of the model whose force depends on the columns of some effects; None if they are no forces.
+
+        These are the effects, what modifies them, and what is modified together with them.
+        """
+        forces = [e for e in self.effects if e.acts_on == "force"]
+        part, last = set(names) & {e.name for e in forces}, set[str]()
+        while part != last:
+            last = set(part)
+            kinds = {e.kind for e in forces if e.name in part}
+            for modifier in (e for e in forces if e.modifies):
+                if modifier.name in part or kinds & modifier.modifies:
+                    part |= {modifier.name, *(e.name for e in forces if e.kind in modifier.modifies)}
+        return Model(tuple(e for e in forces if e.name in part)) if part else None
 
     def effect_contribution(self, name: str, path: Path, values: Values) -> Array:
         """Compute what one effect adds to the friction force, or to the measured position.
@@ -342,6 +361,23 @@ class Model:
         """Linear coefficients of one effect, in the order of its columns."""
         effect = next(e for e in self.effects if e.name == name)
         return np.array([values[name][p.name] for p in effect.linear])
+
+
+def _columns_run_by_run(e: Effect, path: Path, values: Mapping[str, Any], inner: Sequence[Array]) -> Array:
+    """Columns of an effect; of one that looks along the path, run by run if the path joins several."""
+    if not path.runs or e.varies_with is not None:
+        return e.columns(path, values, *inner)
+    return np.concatenate(
+        [
+            e.columns(own, {k: _value_in(v, rows) for k, v in values.items()}, *(part[rows] for part in inner))
+            for rows, own in path.apart()
+        ]
+    )
+
+
+def _value_in(value: Any, rows: slice) -> float:
+    """The value of a parameter in one of the runs that a path joins."""
+    return float(np.ravel(value)[rows.start]) if isinstance(value, np.ndarray) else float(value)
 
 
 def _inline(value: Mapping[str, Any]) -> Any:

@@ -163,7 +163,7 @@ class FittedEffect:
         piece = response.piece
         x, v = position_and_velocity(response)
         noise, block = np.broadcast_to(piece.noise, piece.t.shape), self._block(response)
-        return EffectRecord(piece.t, x, v, block, noise, piece.whitened, float(piece.mass), piece.path.gravity)
+        return EffectRecord(piece.t, x, v, block, noise, piece.whitened, float(piece.mass), float(piece.path.gravity))
 
     def rms(self, parameter: str) -> float:
         """Return the root mean square of a parameter over the runs."""

@@ -94,6 +94,7 @@ def atm2(order: int) -> Effect:
         ),
         parameters=(F_C, F_S, F_V, V_S, *(replace(p, name=f"{k}_{p.name}_{i}") for k, i in lines for p in SINE)),
         columns=columns,
+        varies_with="v",
         relaxed=(RelaxedPart(STATIC, ("f_s", "v_s")), *waves),
         replaces=frozenset({"coulomb", "stribeck", "viscous"}),
         scales_with="load",

@@ -127,6 +127,10 @@ class Effect:
     columns : callable
         Map a `Path` and the non-linear parameters to columns (n, k): N or m per unit of each linear parameter. A
         modifier takes the columns that it modifies as third argument.
+    varies_with : {"", "x", "v", "xv"}, optional
+        Which of position and velocity its columns at a sample depend on (not counting the direction of motion), if
+        they depend on that sample alone. Runs that are laid end to end on one path are then evaluated at once.
+        Without it they are evaluated run by run.
     modifies, replaces : frozenset of str
         Effects whose columns it changes; effects that cannot stand beside it in a model.
     scales_with : {"nothing", "load", "mass", "drive"}
@@ -195,6 +199,7 @@ class Effect:
     equation: str
     parameters: tuple[Parameter, ...]
     columns: Columns
+    varies_with: str | None = None
     modifies: frozenset[str] = frozenset()
     replaces: frozenset[str] = frozenset()
     scales_with: str = "nothing"

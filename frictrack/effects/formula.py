@@ -83,6 +83,7 @@ def formula(
         equation=("" if acts_on == "force" else "y: ") + " ".join(text.split()),
         parameters=tuple(made),
         columns=Formula(name, text, tuple(linear)),
+        varies_with="xv",
         scales_with="load" if any(loads.values()) else "nothing",
         may_pull=True,
         what="An effect of your own, given as a formula.",

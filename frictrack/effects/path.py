@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ class Path:
     All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
     that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
     friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
-    what integrates along the path begins anew at each of `starts`. `before` (3, k) holds t, x, v of the run's motion
+    what integrates along the path begins anew at each of `starts`. Several `runs` may be laid end to end too; what
+    differs between them is then an array with one value per sample. `before` (3, k) holds t, x, v of the run's motion
     from release up to where the path begins, for what depends on the way so far.
     """
 
@@ -27,14 +28,14 @@ class Path:
     x: Array  # m
     v: Array  # m/s
     s: Array
-    load: float = 1.0
-    mass_ratio: float = 1.0
+    load: float | Array = 1.0
+    mass_ratio: float | Array = 1.0
     pixel_pitch: float | None = None  # m
     drive: Array | None = None  # N
     drive_at: Callable[[Array], Array] | None = None  # N at any times since release
     lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
-    mass: float | None = None  # kg, where it is known
-    gravity: float = GRAVITY  # normal load per mass of a mass at rest, m/s^2
+    mass: float | Array | None = None  # kg, where it is known
+    gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped
     beam_length: float | None = None  # m
@@ -44,6 +45,7 @@ class Path:
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
     states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
     begin: Array | None = None  # that of the effect at hand, (P, k)
+    runs: tuple[Path, ...] = ()  # the path of each run, if it joins several; their motion is not that of this path
 
     @property
     def speed(self) -> Array:
@@ -55,6 +57,13 @@ class Path:
         """Distance slid since release, m."""
         first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
         return np.asarray(self.travelled + np.abs(self.x - first))
+
+    def apart(self) -> Iterator[tuple[slice, Path]]:
+        """Rows and path of every run that is joined here."""
+        for begin, end, run in zip(self.starts, [*self.starts[1:], len(self.t)], self.runs, strict=True):
+            rows = slice(begin, end)
+            load = np.broadcast_to(self.load, self.t.shape)[begin]
+            yield rows, replace(run, x=self.x[rows], v=self.v[rows], s=self.s[rows], load=float(load))
 
     def each(self, values: Array) -> Array:
         """One value per individual (P,), spread over the frames of each, (n,)."""

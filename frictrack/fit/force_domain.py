@@ -51,8 +51,12 @@ class ForceProblem(LeastSquaresProblem):
         self.chains = list(chains)
         self.noise = acceleration_noise(chains)
 
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        displacement = super()._respond(i, p, start)
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
+        """Simulate every piece and linearise it, seen through its chain."""
+        return [self._filtered(i, r) for i, r in enumerate(super().evaluate(p, starts))]
+
+    def _filtered(self, i: int, displacement: PieceResponse) -> PieceResponse:
+        """The response of piece i after its chain."""
         columns = displacement.piece.coloured(np.column_stack([displacement.jac, displacement.r]))
         filtered = self.chains[i].apply(columns) / self.noise
         known = {name: getattr(displacement, name) for name in PieceResponse.__dataclass_fields__}

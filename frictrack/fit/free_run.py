@@ -216,8 +216,8 @@ def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
 
     return Conditions(
         mass=piece.mass,
-        load=path.load * level,
-        mass_ratio=path.mass_ratio,
+        load=float(path.load) * level,
+        mass_ratio=float(path.mass_ratio),
         pixel_pitch=path.pixel_pitch,
         incline=run.incline,
         drive=path.drive_at,

@@ -67,7 +67,7 @@ def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]
                 [own[c] for c in coefficient_names(term)],
             )
         )
-    loads = [p.path.load for p in solution.problem.pieces]
+    loads = [float(p.path.load) for p in solution.problem.pieces]
     added = [
         n
         for n in found.solution.problem.model.names

@@ -34,6 +34,7 @@ asymmetry = Effect(
     equation="dF L + dF_v |v|",
     parameters=(Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True)),
     columns=columns,
+    varies_with="v",
     scales_with="load",
     what="The surfaces resist more one way than the other: wear, tilted asperities, a screw.",
     looks_like="forward and reversed runs need different friction laws",

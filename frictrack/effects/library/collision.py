@@ -67,6 +67,7 @@ collision = Effect(
         Parameter("width", "s", scan=widths),
     ),
     columns=columns,
+    varies_with="",
     what="The mass strikes a joint, an edge or the course itself.",
     looks_like="a kink in displacement, a step in velocity, a spike in force",
     mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",

@@ -11,7 +11,7 @@ from frictrack.records import Array
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s, shape (n, 1): N per N of F_c."""
-    return path.load * path.s[:, None]
+    return (path.load * path.s)[:, None]
 
 
 coulomb = Effect(
@@ -20,6 +20,7 @@ coulomb = Effect(
     equation="F_c L s",
     parameters=(Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),),
     columns=columns,
+    varies_with="",
     scales_with="load",
     what="Dry friction of the sliding pair at its steady level.",
     looks_like="a constant deceleration; a parabola in displacement",

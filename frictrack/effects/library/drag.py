@@ -27,6 +27,7 @@ drag = Effect(
     equation="c v |v|",
     parameters=(Parameter("c", "N s^2/m^2", linear=True, passive=True),),
     columns=columns,
+    varies_with="v",
     what="Air pushed aside by the moving mass.",
     looks_like="a curve against v that bends upward at the fast end",
     mistaken_for="viscous friction, wear along the path",

@@ -13,7 +13,7 @@ from frictrack.records import Array
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s t, shape (n, 1): N per N/s of k; t since release."""
-    return np.asarray(path.load * (path.s * path.t)[:, None])
+    return np.asarray((path.load * path.s * path.t)[:, None])
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -29,6 +29,7 @@ drift = Effect(
     equation="k L s t",
     parameters=(Parameter("k", "N/s", linear=True, loaded=True),),
     columns=columns,
+    varies_with="",
     scales_with="load",
     what="Dry friction changes steadily during a run: lubricant is squeezed out (k > 0), surfaces warm up (k < 0).",
     looks_like="a slow change of deceleration that follows the clock, whatever the place and the speed",

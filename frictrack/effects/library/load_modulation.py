@@ -46,6 +46,7 @@ load_modulation = Effect(
     ),
     columns=columns,
     scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    varies_with="",
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
     what="The beam vibrates vertically: the mass is pressed on harder and lighter in turn.",

@@ -22,6 +22,7 @@ measured_load = Effect(
     equation="(coulomb + stribeck) N/(m g), N = m (g + coefficient y'') >= 0",
     parameters=(Parameter("coefficient", "1", (0.0, 2.0), role="depth"),),
     columns=columns,
+    varies_with="",
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
     what="The mass hops or is carried up and down; it is pressed on by what its vertical motion tells.",

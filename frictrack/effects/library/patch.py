@@ -15,7 +15,7 @@ from frictrack.records import Array, Mask
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s exp(-((x - x_c)/w)^2/2), shape (n, 1): N per N of F."""
     bump = np.exp(-(((path.x - nonlinear["x_c"]) / nonlinear["w"]) ** 2) / 2)
-    return path.load * (path.s * bump)[:, None]
+    return (path.load * path.s * bump)[:, None]
 
 
 def places(span: Span) -> Array:
@@ -51,6 +51,7 @@ patch = Effect(
         Parameter("w", "m", scan=widths),
     ),
     columns=columns,
+    varies_with="x",
     scales_with="load",
     what="Dirt, wear or a repair: one stretch of the course rubs differently.",
     looks_like="a step in velocity at the same place in every run",

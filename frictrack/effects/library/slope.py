@@ -13,7 +13,7 @@ from frictrack.records import Array
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """m/m_ref, shape (n, 1): N per N of F at the reference mass."""
-    return np.full((len(path.t), 1), path.mass_ratio)
+    return np.broadcast_to(path.mass_ratio, path.t.shape)[:, None]
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -34,6 +34,7 @@ slope = Effect(
     equation="F m/m_ref",
     parameters=(Parameter("F", "N", linear=True),),
     columns=columns,
+    varies_with="",
     scales_with="mass",
     what="The course is tilted, or a constant force pulls one way.",
     looks_like="forward runs slow faster than reversed ones, by the same deceleration whatever the mass",

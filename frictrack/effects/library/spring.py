@@ -48,6 +48,7 @@ spring = Effect(
     equation="k (x + x_0)",
     parameters=(Parameter("k", "N/m", linear=True), Parameter("x_0", "m", linear=True)),
     columns=columns,
+    varies_with="x",
     what="A cable, hose or soft guide pulls the mass back.",
     looks_like="a straight line against x that does not turn round with the direction",
     mistaken_for="viscous friction and drift, in one direction at one speed",

@@ -13,7 +13,7 @@ from frictrack.records import Array
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s exp(-(|v|/v_s)^delta), shape (n, 1): N per N of F_s - F_c."""
     decay = np.exp(-((path.speed / nonlinear["v_s"]) ** nonlinear["delta"]))
-    return path.load * (path.s * decay)[:, None]
+    return (path.load * path.s * decay)[:, None]
 
 
 def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
@@ -31,6 +31,7 @@ stribeck = Effect(
         Parameter("delta", "1", (0.5, 2.0), fixed=1.0),
     ),
     columns=columns,
+    varies_with="v",
     scales_with="load",
     what="Dry friction rises as the mass slows, because the film between the surfaces collapses and bonds form.",
     looks_like="a hook at the slow end, only below about four Stribeck velocities",

@@ -15,7 +15,7 @@ from frictrack.records import Array
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s sin(2 pi x/period + phase), shape (n, 1): N per N of amplitude."""
     ripple = wave(path.x / nonlinear["period"], nonlinear["phase"])
-    return path.load * path.s[:, None] * ripple
+    return (path.load * path.s)[:, None] * ripple
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -35,6 +35,7 @@ texture = Effect(
     ),
     columns=columns,
     scan_wave=ScanWave("period", lambda path, nonlinear: path.x, is_period=True),
+    varies_with="x",
     scales_with="load",
     what="Machining marks, joints or waviness of the course.",
     looks_like="ripples at the same places in every run; a chirp in time as the mass slows",

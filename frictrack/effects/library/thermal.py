@@ -15,7 +15,7 @@ from frictrack.records import Array
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """-L s (1 - exp(-distance/length)), shape (n, 1): N per N of dF; the distance is slid since release."""
     gone = -np.expm1(-path.distance / nonlinear["length"])
-    return -path.load * (path.s * gone)[:, None]
+    return -(path.load * path.s * gone)[:, None]
 
 
 def lengths(span: Span) -> Array:
@@ -40,6 +40,7 @@ thermal = Effect(
         Parameter("length", "m", scan=lengths),
     ),
     columns=columns,
+    varies_with="x",
     scales_with="load",
     what="The surfaces warm up, soften or run in (dF > 0), or tear up (dF < 0), as they slide.",
     looks_like="dry friction that moves from one level to another over the first stretch of every run, however fast",

@@ -39,6 +39,7 @@ vibration = Effect(
     ),
     columns=columns,
     scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    varies_with="",
     what="The beam or course vibrates and pushes the mass to and fro at a fixed frequency.",
     looks_like="a line at the same frequency in every run, whatever the speed",
     mistaken_for="camera shake (same shape in one run), load modulation, texture at one speed",

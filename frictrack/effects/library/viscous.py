@@ -20,6 +20,7 @@ viscous = Effect(
     equation="F_v v",
     parameters=(Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True, passive=True),),
     columns=columns,
+    varies_with="v",
     what="A lubricant or a guide sheared by the motion.",
     looks_like="a straight line against v",
     mistaken_for="drift in time, a spring (over one run of one speed)",

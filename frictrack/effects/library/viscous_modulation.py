@@ -34,6 +34,7 @@ viscous_modulation = Effect(
     ),
     columns=columns,
     scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    varies_with="",
     modifies=frozenset({"viscous"}),
     what="The gap between the surfaces breathes, and the film in it resists more and less in turn.",
     looks_like="a line in time whose size falls with the speed, to nothing at the stop",

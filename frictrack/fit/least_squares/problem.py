@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from frictrack.effects import Path
 from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares.joined_law import JoinedLaw, LawStructure, difference_step
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece
-from frictrack.models import Model, Values
+from frictrack.fit.segments import JoinedPieces, Piece, group_by_size, split_motions
+from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, solve_motion
+from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
-SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # arrays of a path with one value per node
+MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
 
 
 @dataclass(frozen=True)
@@ -68,25 +70,57 @@ class PieceResponse:
         return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _PreviousMotion:
-    """The previous motion of a piece, used as a starting point: unknowns p, start, and accelerations a (3 p,).
+    """The previous motion of some pieces: unknowns p, starts (R, 2), and motion with its response and sensitivities."""
 
-    `acceleration_change` (3 p, A + 2) is the derivative of the accelerations by the active unknowns and the start.
+    p: Array
+    starts: Array
+    motion: CollocationSolution
+    linear: MotionResponse
+    sensitivities: Array  # of the acceleration at the nodes to the unknowns, (K, 3 p)
+
+    def extrapolated(self, joined: JoinedPieces, changes: Array, starts: Array) -> Array | None:
+        """Accelerations (3 p,) after changes (R, K) of the unknowns to first order; None if there is no change.
+
+        Pieces whose acceleration would change by more than its size keep their own.
+        """
+        if not (np.any(changes) or np.any(starts != self.starts)):
+            return None
+        each = zip(joined.nodes, changes, strict=True)
+        g = np.concatenate([change @ self.sensitivities[:, rows] for rows, change in each])
+        change = self.linear.respond_to_one(g, (starts - self.starts).T)[0]
+        panels, a = self.motion.panels, self.motion.a
+        small = np.where(panels.largest(np.abs(change)) < panels.largest(np.abs(a)), 1.0, 0.0)
+        return a + panels.per_node(small) * np.nan_to_num(change)
+
+
+@dataclass(eq=False)
+class _Simulation:
+    """Pieces of a problem that are simulated together, and their previous motion.
+
+    Attributes
+    ----------
+    joined : JoinedPieces
+        The pieces.
+    columns : list of list of int
+        Groups of unknowns that affect each piece.
+
     """
 
-    p: Array | None
-    start: Array
-    a: Array
-    acceleration_change: Array
-    active: list[int]
+    joined: JoinedPieces
+    columns: list[list[int]]
+    previous: _PreviousMotion | None = None
 
-    def extrapolated(self, p: Array, start: Array) -> Array | None:
-        """Accelerations (3 p,) at other unknowns to first order; None if they change by more than their size."""
-        if self.p is None or len(p) != len(self.p):
-            return None
-        change = self.acceleration_change @ np.concatenate([(p - self.p)[self.active], start - self.start])
-        return self.a + change if np.max(np.abs(change)) < np.max(np.abs(self.a)) else None
+    def guess(self, law: JoinedLaw, starts: Array) -> tuple[Array, Array | None]:
+        """First guess of the accelerations (3 p,): the previous ones, and if there are any, the extrapolated ones."""
+        if self.previous is None:
+            return np.concatenate([piece.a_hat for piece in self.joined.pieces]), None
+        changes = np.zeros((len(self.columns), len(law.structure.groups)))
+        for row, columns, piece in zip(changes, self.columns, self.joined.pieces, strict=True):
+            active = law.layout.active(piece.run)
+            row[columns] = (law.p - self.previous.p)[active]
+        return self.previous.motion.a, self.previous.extrapolated(self.joined, changes, starts)
 
 
 class LeastSquaresProblem:
@@ -115,9 +149,9 @@ class LeastSquaresProblem:
         paths = [piece.path for piece in self.pieces]
         if missing := [message for effect in model.effects if (message := effect.lacks(paths))]:
             raise FrictrackError("; ".join(missing))
-        self._previous = [
-            _PreviousMotion(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces
-        ]
+        together = model.memory or any(piece.turns for piece in self.pieces)
+        self._structure = LawStructure.of(layout, together=together)
+        self._simulations: dict[tuple[int, ...], _Simulation] = {}
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces."""
@@ -153,23 +187,63 @@ class LeastSquaresProblem:
             If a motion cannot be integrated.
 
         """
-        return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
+        return [r for rows in self._simulated_together for r in self._respond_together(rows, p, starts)]
+
+    @cached_property
+    def _simulated_together(self) -> list[tuple[int, ...]]:
+        """Positions of the pieces that are simulated together; each alone under a model with memory."""
+        counts = [0 if self.model.memory else len(piece.panels.t) for piece in self.pieces]
+        return group_by_size(counts, MAX_JOINED_NODES, alone=self.model.memory)
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        """Simulate and linearise piece i."""
-        piece = self._with_clock(self.pieces[i], p)
-        motion, linear = self._simulate(i, piece, p, start)
-        acceleration_change, motion_sensitivities = self.sensitivities(piece, p, motion, linear)
-        self._previous[i] = _PreviousMotion(
-            p, np.array(start), motion.a, acceleration_change, self.layout.active(piece.run)
-        )
-        return self._linearised_response(piece, p, (motion, linear), (motion.x_edge[piece.at], motion_sensitivities))
+        """Simulate and linearise piece i alone."""
+        return self._respond_together((i,), p, {i: start})[0]
 
-    def _with_clock(self, piece: Piece, p: Array) -> Piece:
-        """A piece with the clock rate that the model gives to its run."""
+    def _respond_together(
+        self, rows: tuple[int, ...], p: Array, starts: Sequence[Array] | Mapping[int, Array]
+    ) -> list[PieceResponse]:
+        """Simulate and linearise some pieces together."""
+        simulation = self._simulation(rows)
+        joined = self._with_clock(simulation.joined, p)
+        law = self._law(joined, p)
+        begin = np.array([starts[i] for i in rows], dtype=float)
+        motion, linear = self._simulate(simulation, law, begin)
+        g = law.sensitivities(motion)
+        edges = linear.edge_states(*_with_starts(g))
+        simulation.previous = _PreviousMotion(p, begin, motion, linear, g)
+        return [
+            self._linearised_response(
+                piece,
+                law,
+                (own, own_linear),
+                (own.x_edge[piece.at], edges[edge_rows, 0][piece.at][:, [*columns, -2, -1]]),
+            )
+            for piece, columns, edge_rows, (own, own_linear) in zip(
+                joined.pieces, simulation.columns, joined.edges, split_motions(joined, motion, linear), strict=True
+            )
+        ]
+
+    def _simulation(self, rows: tuple[int, ...]) -> _Simulation:
+        """The simulation of some pieces together, with their previous motion."""
+        if rows not in self._simulations:
+            pieces = tuple(self.pieces[i] for i in rows)
+            self._simulations[rows] = _Simulation(JoinedPieces(pieces), [self._columns_of(q.run) for q in pieces])
+        return self._simulations[rows]
+
+    def _columns_of(self, run: int) -> list[int]:
+        """Groups of unknowns that affect one run."""
+        return [j for j, group in enumerate(self._structure.groups) if group.slot_in(run) is not None]
+
+    def _law(self, joined: JoinedPieces, p: Array) -> JoinedLaw:
+        """The model along some pieces."""
+        return JoinedLaw(self.layout, self._structure, joined, p, self.model.memory and self.simulates)
+
+    def _with_clock(self, joined: JoinedPieces, p: Array) -> JoinedPieces:
+        """Pieces with the clock rate that the model gives to their runs."""
         if all(e.clock is None for e in self.model.effects):
-            return piece
-        return piece.with_clock(self.model.clock(self.layout.values(p, piece.run)[0]))
+            return joined
+        clocks = [self.model.clock(self.layout.values(p, piece.run)[0]) for piece in joined.pieces]
+        return JoinedPieces(tuple(q.with_clock(clock) for q, clock in zip(joined.pieces, clocks, strict=True)))
 
     def linearised_response(
         self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], x: Array
@@ -193,20 +267,20 @@ class LeastSquaresProblem:
             The response with `x` as its motion at the frames.
 
         """
-        return self._linearised_response(piece, p, about, (x, self.sensitivities(piece, p, *about)[1]))
+        sensitivities = self.motion_sensitivities(piece, p, *about)[:, 0]
+        return self._linearised_response(piece, self._law(JoinedPieces((piece,)), p), about, (x, sensitivities))
 
     def _linearised_response(
         self,
         piece: Piece,
-        p: Array,
+        law: JoinedLaw,
         about: tuple[CollocationSolution, MotionResponse],
         seen_motion: tuple[Array, Array],
     ) -> PieceResponse:
-        """The same from the sensitivities (n, 2, A + 2) of the motion to the active unknowns and the start."""
-        (motion, linear), (x, motion_sensitivities) = about, seen_motion
+        """The same from the sensitivities (n, A + 2) of the position to the active unknowns and the start."""
+        (motion, linear), (x, x_sens) = about, seen_motion
         active = self.layout.active(piece.run)
-        x_sens = motion_sensitivities[:, 0, :]
-        shift, slope, direct = self._measurement_shift(piece, p, motion, active)
+        shift, slope, direct = self._measurement_shift(piece, law.p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
         model_y = x + shift + slope * (x - motion.x_edge[piece.at])
@@ -231,99 +305,35 @@ class LeastSquaresProblem:
 
     def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
         """Return the model's acceleration along one piece as a function of x, v and t."""
-        memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
-        states = self._initial_states(piece, values)
-
-        def acceleration(x: Array, v: Array, t: Array) -> Array:
-            if not memory:
-                return piece.known - self.model.force(piece.path_at_nodes(x, v, level), values) / piece.mass
-            force = self.model.force(replace(piece.path_since_start(x, v, t, level), states=states), values)
-            return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
-
-        return acceleration
-
-    def sensitivities(
-        self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
-    ) -> tuple[Array, Array]:
-        """Compute the sensitivities of one piece to every active unknown and to the start.
-
-        Returns
-        -------
-        accelerations : array of shape (3 p, A + 2)
-            Change of the acceleration at the nodes.
-        motion : array of shape (n, 2, A + 2)
-            Change of position and speed at the frames.
-
-        """
-        active = self.layout.active(piece.run)
-        g = self._acceleration_sensitivities(piece, p, motion, active)
-        acceleration_change, edges = linear.respond(
-            np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active))
-        )
-        return acceleration_change, edges[piece.at]
+        return self._law(JoinedPieces((piece,)), p).acceleration
 
     def motion_sensitivities(
         self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
     ) -> Array:
         """Compute the sensitivities (n, 2, A + 2) of position and speed to the active unknowns and to the start."""
-        return self.sensitivities(piece, p, motion, linear)[1]
+        edges = linear.edge_states(*_with_starts(self._acceleration_sensitivities(piece, p, motion).T))
+        return edges[piece.at]
 
-    def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[CollocationSolution, MotionResponse]:
-        """Solve the motion of a piece, from the extrapolated previous one where that is close enough."""
-        initial = float(start[0]), float(start[1])
-        acceleration, memory, previous = self.acceleration(piece, p), self.model.memory, self._previous[i]
-        extrapolated = previous.extrapolated(p, start)
+    def _acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution) -> Array:
+        """Acceleration at the nodes of one piece per unit of every active unknown, (3 p, A)."""
+        g = self._law(JoinedPieces((piece,)), p).sensitivities(motion)
+        return g[self._columns_of(piece.run)].T
+
+    def _simulate(
+        self, simulation: _Simulation, law: JoinedLaw, starts: Array
+    ) -> tuple[CollocationSolution, MotionResponse]:
+        """Solve the motion of pieces, from the extrapolated previous one where that is close enough."""
+        guess, extrapolated = simulation.guess(law, starts)
         if extrapolated is not None:
-            try:
-                return solve_motion(acceleration, piece.panels, initial, extrapolated, memory=memory)
-            except FrictrackError:  # the extrapolation failed: start from the previous motion
-                pass
-        return solve_motion(acceleration, piece.panels, initial, previous.a, memory=memory)
+            with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
+                return self._solve(law, starts, extrapolated)
+        return self._solve(law, starts, guess)
 
-    def _initial_states(self, piece: Piece, values: Values) -> dict[str, Array]:
-        """States of effects with memory after the motion before a piece; computed once for all motions through it."""
-        path = piece.path
-        if (
-            not (self.simulates and self.model.memory)
-            or path.before is None
-            or path.before.shape[1] < 2
-            or path.s[0] == 0
-        ):
-            return {}
-        two = {name: getattr(path, name)[[0, 0]] for name in SERIES if getattr(path, name) is not None}
-        states = self.model.states(replace(path, **two), values)
-        return {e.name: states[e.name] for e in self.model.effects if e.turns}
-
-    def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
-        """The path of a solved motion at its nodes; with memory it begins at the start."""
-        if not self.model.memory:
-            return piece.path_at_nodes(motion.x, motion.v, level)
-        x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
-        return piece.path_since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
-
-    def _acceleration_sensitivities(
-        self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
-    ) -> Array:
-        """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
-        values, level = self.layout.values(p, piece.run)
-        path = replace(self._solved_path(piece, motion, level), states=self._initial_states(piece, values))
-        columns = self.model.force_columns(path, values)
-        base = self.model.force(path, values)
-        g = np.zeros((len(path.t), len(active)))
-        for j, i in enumerate(active):
-            slot = self.layout.slots[i]
-            leads = i in self.layout.leaders
-            if slot.linear and slot.effect in columns and not leads:
-                g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
-            elif leads or not slot.linear:
-                step = _step(p[i], slot.bounds)
-                values_i, level_i = self.layout.values(_shifted(p, i, step), piece.run)
-                path_i = replace(
-                    self._solved_path(piece, motion, level_i), states=self._initial_states(piece, values_i)
-                )
-                shifted_force = self.model.force(path_i, values_i)
-                g[:, j] = (shifted_force - base) / step
-        return -g[-len(motion.x) :] / piece.mass
+    def _solve(self, law: JoinedLaw, starts: Array, guess: Array) -> tuple[CollocationSolution, MotionResponse]:
+        """Solve the motion of pieces from a first guess of the accelerations (3 p,)."""
+        slopes = None if law.remembers else law.slopes
+        initial, panels = _by_motion(starts), law.joined.panels
+        return solve_motion(law.acceleration, panels, initial, guess, slopes=slopes, memory=law.remembers)
 
     def column(self, effect: str, parameter: str) -> int:
         """Return which column of an effect a linear parameter multiplies."""
@@ -339,10 +349,9 @@ class LeastSquaresProblem:
         """
         x = motion.x_edge[piece.at]
         v = motion.v_edge[piece.at]
-        shift, slope, direct = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), len(active)))
+        direct = np.zeros((len(x), len(active)))
         if all(e.acts_on == "force" for e in self.model.effects):
-            return shift, slope, direct
-
+            return np.zeros_like(x), np.zeros_like(x), direct
         timed = self.layout.values(p, piece.run)[0]
         held = {e.name: self.model.coefficients(e.name, timed) for e in self.model.effects if e.clock is not None}
 
@@ -360,20 +369,24 @@ class LeastSquaresProblem:
             slot = self.layout.slots[i]
             leads = i in self.layout.leaders
             if slot.effect in measurement_effects or leads:
-                step = 1.0 if slot.linear and not leads else _step(p[i], slot.bounds)
+                step = 1.0 if slot.linear and not leads else difference_step(p[i], slot.bounds)
                 direct[:, j] = (total(_shifted(p, i, step), x) - shift) / step
         return shift, slope, direct
 
 
-def _unit_starts(n: int) -> Array:
-    start = np.zeros((2, n + 2))
-    start[0, n] = start[1, n + 1] = 1.0
-    return start
+def _by_motion(starts: Array) -> tuple[Start, Start]:
+    """Positions and velocities of starts (R, 2); numbers if there is only one."""
+    if len(starts) == 1:
+        return float(starts[0, 0]), float(starts[0, 1])
+    return starts[:, 0], starts[:, 1]
 
 
-def _step(value: float, bounds: tuple[float, float]) -> float:
-    width = bounds[1] - bounds[0]
-    return 1e-6 * max(abs(value), 1e-3 * width if np.isfinite(width) else 1.0)
+def _with_starts(g: Array) -> tuple[Array, Array]:
+    """Inputs g (K, 3 p) and two empty ones, (3 p, K + 2), and the starts (2, K + 2) that belong to the latter."""
+    inputs, start = np.zeros((len(g) + 2, g.shape[1])), np.zeros((2, len(g) + 2))
+    inputs[:-2] = g
+    start[0, -2] = start[1, -1] = 1.0
+    return inputs.T, start
 
 
 def _shifted(p: Array, i: int, step: float) -> Array:

@@ -122,6 +122,6 @@ def _stack(blocks: Sequence[DataBlock], maps: Sequence[ForceMap | None], members
         forward=joined.forward,
         picture=joined.picture,
         lengths=tuple(len(blocks[i].data) for i in members),
-        loads=tuple(p.load for p in paths),
-        mass_ratios=tuple(p.mass_ratio for p in paths),
+        loads=tuple(float(p.load) for p in paths),
+        mass_ratios=tuple(float(p.mass_ratio) for p in paths),
     )

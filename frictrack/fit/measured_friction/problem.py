@@ -58,7 +58,7 @@ class DirectForce(LinearResponse):
         """Return the accelerations g (n, k), and the forces behind them as states (n, 2, k)."""
         return g, self.edge_states(g)
 
-    def edge_states(self, g: Array) -> Array:
+    def edge_states(self, g: Array, start: Array | None = None) -> Array:
         """Return the forces as states (n, 2, k)."""
         return np.stack([-g, np.zeros_like(g)], axis=1)
 
@@ -93,9 +93,9 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         """Return empty starts: no piece has an unknown start."""
         return [np.zeros(0) for _ in self.pieces]
 
-    def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
-        """The measured motion; it begins with the run, so there is no earlier memory."""
-        return piece.path_at_nodes(motion.x, motion.v, level)
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
+        """Compute residual and sensitivities of every run."""
+        return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         """Residual and sensitivities of run i."""
@@ -106,7 +106,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         values, level = layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
-        jac = -self._acceleration_sensitivities(piece, p, motion, active)[piece.at] / piece.sigma[:, None]
+        jac = -self._acceleration_sensitivities(piece, p, motion)[piece.at] / piece.sigma[:, None]
         none = np.zeros((0, 0))
         return PieceResponse(
             piece=piece,

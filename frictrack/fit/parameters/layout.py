@@ -168,7 +168,14 @@ class ParameterLayout:
 
     def active(self, run: int) -> list[int]:
         """Return the positions of the unknowns that affect one run."""
-        return [i for i, s in enumerate(self.slots) if s.run in (None, run)]
+        if run not in self._active:
+            self._active[run] = [i for i, s in enumerate(self.slots) if s.run in (None, run)]
+        return list(self._active[run])
+
+    @cached_property
+    def _active(self) -> dict[int, list[int]]:
+        """Unknowns that affect each run, as far as they were asked for."""
+        return {}
 
     def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
         """Compute the internal parameter values of one run.

@@ -36,6 +36,7 @@ MASS_EFFECT = Effect(
     equation="",
     parameters=(Parameter("m", "kg", (MIN_MASS_RATIO - 1.0, np.inf), linear=True),),
     columns=columns,
+    varies_with="",
     what="The mass that slides, where it was not weighed but the drive was measured.",
 )
 

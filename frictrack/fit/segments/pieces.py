@@ -106,8 +106,11 @@ class Piece:
             The path with this motion, its load times `level`.
 
         """
-        s = self._direction(v) if self.turns else self.path.s
-        return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
+        return replace(self.path, x=x, v=v, s=self.direction(v), load=self.path.load * level)
+
+    def direction(self, v: Array) -> Array:
+        """Return the direction of motion (3 p,) at the nodes for velocities there."""
+        return self._direction(v) if self.turns else self.path.s
 
     def path_since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
         """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory."""

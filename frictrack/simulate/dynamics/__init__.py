@@ -8,7 +8,7 @@ The simulator and the fit share this integrator. Three steps use it:
 - `EdgeResponse` applies such a response to many forces at once.
 """
 
-from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels
+from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels, Start
 from frictrack.simulate.dynamics.edge_response import EdgeResponse, StackedEdgeResponse
 from frictrack.simulate.dynamics.linear_response import LinearResponse
 from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
@@ -23,6 +23,7 @@ __all__ = [
     "MotionResponse",
     "Panels",
     "StackedEdgeResponse",
+    "Start",
     "linearise_acceleration",
     "solve_motion",
     "solve_simplified_newton",

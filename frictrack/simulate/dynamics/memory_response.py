@@ -64,6 +64,15 @@ class KrylovResponse:
         a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
         return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
 
+    def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under one small input; see `LinearResponse.respond_to_one`."""
+        a, edges = self.solve(g, start[:, 0])
+        return a, edges.T
+
+    def edge_states(self, g: Array, start: Array) -> Array:
+        """Compute the change of the state at the edges, (p + 1, 2, k), under inputs g (3 p, k) and starts (2, k)."""
+        return self.respond(g, start)[1]
+
     def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:
         """Solve for one input by generalised conjugate residuals, preconditioned from the right.
 

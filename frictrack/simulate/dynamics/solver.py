@@ -14,13 +14,14 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels
+from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels, Start
 from frictrack.simulate.dynamics.linear_response import LinearResponse
 from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
 
 MAX_NEWTON_STEPS = 30
 MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged
 JACOBIAN_REUSE_M = 1e-6  # Newton step below which the linear response is no longer recomputed
+MAX_RATE = 0.1  # of the fall of the error per step, below which the error of the last step is predicted
 RELATIVE_STEP = 1e-7  # of a difference, over the range of x or v: the root of the rounding error, roughly
 DIFFERENCE_STEP = 3e-9  # of a directional difference, over the motion's own size
 
@@ -32,21 +33,25 @@ SEGMENT_PANELS = 16  # panels per segment where all panels together do not conve
 SEGMENT_TOLERANCE_M = 1e-10  # at which a segment has converged
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
+# (x, v, step in x, step in v) -> x'' and its derivatives by x and v, each (3 p,)
+Slopes = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
 
 
 @dataclass(frozen=True)
 class _Law:
     """The problem to solve: acceleration law, time axis and start (m, m/s).
 
-    A law with memory is called with the start in front of the nodes.
+    Several motions without memory may be solved together, each with its own start. A law with memory is called with
+    the start in front of the nodes.
     """
 
     acceleration: Acceleration
     panels: Panels
-    start: tuple[float, float]
+    start: tuple[Start, Start]
     memory: bool
+    slopes: Slopes | None = None
 
-    def at(self, x: Array, v: Array, start: tuple[float, float] | None = None) -> Array:
+    def at(self, x: Array, v: Array, start: tuple[Start, Start] | None = None) -> Array:
         """Acceleration at the nodes (3 p,) for a motion there."""
         t = self.panels.t
         if not self.memory:
@@ -57,8 +62,10 @@ class _Law:
 
     def local(self, x: Array, v: Array) -> tuple[Array, LinearResponse]:
         """Acceleration at the nodes, and the response by its derivatives in x and v there, from differences."""
-        ex = RELATIVE_STEP * max(float(np.ptp(x)), 1e-3)
-        ev = RELATIVE_STEP * max(float(np.max(np.abs(v))), 1e-3)
+        ex, ev = _difference_steps(self.panels, x, v)
+        if self.slopes is not None:
+            f, a_x, a_v = self.slopes(x, v, ex, ev)
+            return f, LinearResponse(self.panels, a_x, a_v)
         f = self.at(x, v)
         # Alternating signs from panel to panel: a law of the distance slid does not change under one common shift.
         e = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2)) if self.memory else ex
@@ -76,22 +83,30 @@ class _Law:
             if not relative_size > 0:
                 return np.zeros_like(f)
             e = DIFFERENCE_STEP / relative_size
-            begin = self.start[0] + e * float(start[0]), self.start[1] + e * float(start[1])
+            begin = float(self.start[0]) + e * float(start[0]), float(self.start[1]) + e * float(start[1])
             return (self.at(x + e * dx, v + e * dv, begin) - f) / e
 
         return KrylovResponse(local, tangent)
 
 
-def solve_motion(
+def _difference_steps(panels: Panels, x: Array, v: Array) -> tuple[Array, Array]:
+    """Steps of differences in position and velocity at every node (3 p,), over the range of its motion."""
+    reach, speed = panels.largest(x) + panels.largest(-x), panels.largest(np.abs(v))
+    ex, ev = RELATIVE_STEP * np.maximum(reach, 1e-3), RELATIVE_STEP * np.maximum(speed, 1e-3)
+    return panels.per_node(ex), panels.per_node(ev)
+
+
+def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     acceleration: Acceleration,
     panels: Panels,
-    start: tuple[float, float],
+    start: tuple[Start, Start],
     guess: Array,
     *,
     tolerance: float = 1e-13,
+    slopes: Slopes | None = None,
     memory: bool = False,
 ) -> tuple[CollocationSolution, MotionResponse]:
-    """Solve x'' = acceleration(x, v, t) from a given start.
+    """Solve x'' = acceleration(x, v, t) from a given start, or several such motions together.
 
     Parameters
     ----------
@@ -99,13 +114,16 @@ def solve_motion(
         Function of position (m), velocity (m/s) and time (s) at the nodes that returns x'' (m/s^2). A law with
         `memory` gets the start and the nodes, (1 + 3 q,), where q counts the panels solved so far.
     panels
-        Time axis of p panels.
+        Time axis of p panels; without `memory` it may hold several motions end to end.
     start
-        Position (m) and velocity (m/s) at the first edge.
+        Position (m) and velocity (m/s) at the first edge of every motion.
     guess
         First guess of x'' at the nodes, m/s^2, shape (3 p,).
     tolerance
         Newton step at which the motion has converged, m; relative beyond 1 m.
+    slopes
+        Function of x, v and the steps of differences in each that returns x'' and its derivatives by x and v, for a
+        law without memory; by default `acceleration` is called three times.
     memory
         Whether the law depends on the whole motion so far.
 
@@ -134,7 +152,7 @@ def solve_motion(
     [0.0, -1.22625, -4.905]
 
     """
-    law = _Law(acceleration, panels, start, memory)
+    law = _Law(acceleration, panels, start, memory, slopes)
     guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a diverging law is reported below
         if memory:
@@ -231,17 +249,23 @@ def _newton(law: _Law, a: Array, tolerance: float) -> tuple[CollocationSolution,
     size = np.inf
     for _ in range(MAX_NEWTON_STEPS):
         x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
-        if size > JACOBIAN_REUSE_M or law.memory:  # near the solution the derivatives no longer change
+        kept = size <= JACOBIAN_REUSE_M and not law.memory  # near the solution the derivatives no longer change
+        if kept:
+            f = law.at(x, v)
+        else:
             f, local = law.local(x, v)
             response = law.response(local, f, x, v)
-        else:
-            f = law.at(x, v)
         step, edges = response.newton_step(f - a)
         a = a + step
-        size = float(np.max(np.abs(edges)))
-        if not max(size, float(np.max(np.abs(x_edge)))) < MAX_DISPLACEMENT_M:
+        reach = np.maximum(1.0, law.panels.largest_at_edges(np.abs(x_edge)))
+        last, sizes = size, law.panels.largest_at_edges(np.abs(edges))
+        size = float(np.max(sizes))
+        if not max(size, float(np.max(reach))) < MAX_DISPLACEMENT_M:
             return None
-        if size <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
+        # with derivatives kept the error falls by a constant factor per step (Hairer & Wanner 1996, section IV.8)
+        rate = size / last if kept and last > 0 else 1.0
+        left = rate / (1 - rate) if rate < MAX_RATE else 1.0
+        if np.all(left * sizes <= tolerance * reach):
             x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
             return CollocationSolution(law.panels, x, v, a, x_edge, v_edge), response
     return None
@@ -250,7 +274,8 @@ def _newton(law: _Law, a: Array, tolerance: float) -> tuple[CollocationSolution,
 def _sweep_windows(law: _Law, a: Array) -> Array:
     """Improve node accelerations (3 p,) under a law with memory, window by window, as far as windows converge."""
     a, done, window, total = a.copy(), 0, SWEEP_PANELS, len(law.panels.h)
-    x, v, start, edges = np.empty(0), np.empty(0), law.start, law.panels.edges
+    start = float(law.start[0]), float(law.start[1])
+    x, v, edges = np.empty(0), np.empty(0), law.panels.edges
     while done < total:
         until = min(done + window, total)
         part, rows = replace(law, panels=Panels(edges[: until + 1])), slice(3 * done, 3 * until)
