@@ -7,7 +7,7 @@ go to the library: a formula must be decisively better, with a penalty for its s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
 
 
-def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability) -> dict[str, Any] | None:
+def find_simpler_model(start: Solution, found: Solution, repeats: Callable[[], Repeatability]) -> dict[str, Any] | None:
     """Find a force of one variable that explains as much as the effects found.
 
     Parameters
@@ -32,7 +32,7 @@ def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability)
     found
         The model with the effects found.
     repeats
-        Whether the misfit repeats, and over which axis.
+        Computes whether the misfit repeats, and over which axis; called only where that matters.
 
     Returns
     -------
@@ -55,13 +55,15 @@ def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability)
     return unexplained | {"decisive": decisive, "words": _words(first, added, decisive=decisive)}
 
 
-def _is_worth_searching(start: Solution, found: Solution, repeats: Repeatability, evidence: float) -> bool:
+def _is_worth_searching(
+    start: Solution, found: Solution, repeats: Callable[[], Repeatability], evidence: float
+) -> bool:
     """Whether formulas should be searched."""
     own = {s.effect for s in found.problem.layout.slots if s.run is not None}
     several = len({p.run for p in start.problem.pieces}) > 1
     may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
-    best_axis = repeats.best
-    if may_imitate and best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
+    best_axis = repeats().best if may_imitate else None
+    if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
     return smooth_forces(compress_residual(start))[0].gain > evidence + MIN_CHI2_SEPARATED
 

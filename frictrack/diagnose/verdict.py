@@ -155,6 +155,8 @@ class Diagnosis:
         Effects by importance.
     repeats
         Whether the misfit repeats from run to run, and over which axis.
+    complete
+        False for the verdict alone: `fails_at`, `importance`, `evidence`, `repeats` and `next_experiment` are empty.
 
     """
 
@@ -178,6 +180,7 @@ class Diagnosis:
     repeats: Repeatability = field(
         default_factory=Repeatability
     )  # whether the failure is common to the runs, and along which axis
+    complete: bool = True  # False: the verdict, and nothing of what follows from it
 
     @property
     def best(self) -> Candidate | None:
@@ -189,6 +192,7 @@ class Diagnosis:
         return {
             "model": self.model,
             "verdict": self.verdict,
+            "complete": self.complete,
             "undetermined": [u.summary() for u in self.undetermined],
             "importance": [i.summary() for i in self.importance],
             "evidence": [e.summary() for e in self.evidence],

@@ -2,6 +2,6 @@
 
 from frictrack.diagnose.repeatability.axis_result import AxisRepeatability
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
-from frictrack.diagnose.repeatability.residual_curves import find_failure_pattern
+from frictrack.diagnose.repeatability.residual_curves import FailurePattern, find_failure_pattern
 
-__all__ = ["AxisRepeatability", "Repeatability", "assess_repeatability", "find_failure_pattern"]
+__all__ = ["AxisRepeatability", "FailurePattern", "Repeatability", "assess_repeatability", "find_failure_pattern"]

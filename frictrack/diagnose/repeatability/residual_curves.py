@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,12 +19,36 @@ SMOOTHING_WIDTH = 1 / 80  # of the axis
 MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point for a run to count there
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FailurePattern:
-    """Whether the misfit repeats, and the curves that show it; see `residual_figures`."""
+    """Whether the misfit of a fit repeats, and the curves that show it; each is computed when it is first asked for.
 
-    repeats: Repeatability
-    figures: dict[str, dict[str, Array]]
+    Parameters
+    ----------
+    solution
+        The fit, with the frames that are compared.
+    rng
+        Random generator.
+
+    """
+
+    solution: Solution
+    rng: np.random.Generator
+
+    @cached_property
+    def repeats(self) -> Repeatability:
+        """Whether the misfit repeats from run to run, and over which axis."""
+        return assess_repeatability(self.solution, self.rng, waves=self._waves)
+
+    @cached_property
+    def figures(self) -> dict[str, dict[str, Array]]:
+        """Curves of the missing force; see `residual_figures`."""
+        return residual_figures(*deconvolve_force(self.solution, self._waves))
+
+    @cached_property
+    def _waves(self) -> WaveScan:
+        """The scan for waves, which both share."""
+        return WaveScan(self.solution)
 
 
 def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
@@ -41,10 +66,7 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
     FailurePattern
 
     """
-    solution = keep_compared_frames(solution)
-    waves = WaveScan(solution)
-    pieces, line = deconvolve_force(solution, waves)
-    return FailurePattern(assess_repeatability(solution, rng, waves=waves), residual_figures(pieces, line))
+    return FailurePattern(keep_compared_frames(solution), rng)
 
 
 def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:

@@ -1,0 +1,359 @@
+"""Draw the conclusion of a finished search: first the verdict, then where the model fails and what to do next.
+
+Everything that can change the verdict is in `Conclusion.verdict`, so that it is never revised: held-out errors,
+objections, what the runs could have shown, and formulas that explain more than the effects found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from frictrack.compare import failing_spans
+from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
+from frictrack.diagnose.detection_limits import detection_limit
+from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose.parsimony import explained_shares, nested_models
+from frictrack.diagnose.power import Undetermined, find_undetermined
+from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
+from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
+from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals
+from frictrack.diagnose.simpler_model import find_simpler_model
+from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
+from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution
+from frictrack.records import Array
+
+MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
+    0.01,
+    6,
+)  # share of the misfit, and number, of further effects in the table of importance
+MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
+MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
+N_CANDIDATES_HELD_OUT = 3  # with held-out error and rivals
+NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedSearch:
+    """Result of a search: start, first and last round, effects found, and random generators for the later steps."""
+
+    start: Solution
+    first: Round
+    last: Round
+    found: list[RefinedCandidate]
+    generators: list[np.random.Generator]
+
+
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """What follows from a finished search; every part is computed when it is first asked for.
+
+    Parameters
+    ----------
+    fit
+        The fit that is diagnosed.
+    search
+        The search.
+    remarks
+        Sentences on how the search was made.
+
+    """
+
+    fit: Fit
+    search: FinishedSearch
+    remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def verdict(self) -> Diagnosis:
+        """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
+        found, search = self._before_formulas, self.search
+        effects_explain_all = bool(search.found) and not search.last.leaves_misfit
+        if found.verdict not in NOTHING_TO_EXPLAIN and effects_explain_all and self._kind.imitates:
+            return self._compare_with_formulas(found)
+        return found
+
+    def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
+        """Return the whole diagnosis: failure pattern, importance, evidence of other signals, next experiments.
+
+        Parameters
+        ----------
+        auxiliary
+            Other measurements; see `diagnose`.
+        notify
+            Called with the current step.
+
+        """
+        notify("finding where the model fails")
+        found = replace(
+            self.verdict,
+            complete=True,
+            fails_at=[] if self._nothing_missing else self._fails_at,
+            importance=_importance(self.search.first, self._named, self.verdict.candidates, self._heldout),
+        )
+        if found.verdict in NOTHING_TO_EXPLAIN:
+            return found
+        found = self._with_pattern(found, self._evidence(auxiliary))
+        notify("planning the next experiment")
+        return replace(found, next_experiment=self._plan_next(found, notify))
+
+    @cached_property
+    def _kind(self) -> ResidualKind:
+        return residual_kind(self.search.start.problem)
+
+    @cached_property
+    def _heldout(self) -> _HeldOutErrors:
+        return _HeldOutErrors(self.search.first.solution)
+
+    @cached_property
+    def _pattern(self) -> FailurePattern:
+        """What the misfit has in common from run to run."""
+        return find_failure_pattern(self.search.start, self.search.generators[1])
+
+    @property
+    def _nothing_missing(self) -> bool:
+        return not self.search.first.leaves_misfit and not self.search.first.passing
+
+    @cached_property
+    def _named(self) -> list[RefinedCandidate]:
+        """The effects found; none if the runs leave the model itself undetermined."""
+        return [] if self._before_formulas.verdict == "undetermined" else self.search.found
+
+    @cached_property
+    def _before_formulas(self) -> Diagnosis:
+        """The verdict from effects alone, with the evidence of every candidate and detection limits."""
+        first, found = self.search.first, self.search.found
+        listed = _tabulate_candidates(first, found, self._heldout)
+        limits, curves = _limits(first)
+        kind = residual_kind(self.fit.solution.problem)
+        noise, misfit = kind.noise(self.fit)
+        verdict, undetermined = self._judge(listed, misfit, find_undetermined(self.fit, first, curves))
+        named = [] if verdict == "undetermined" else found
+        return Diagnosis(
+            model=self.fit.model.names,
+            verdict=verdict,
+            missing=[t.effect.name for t in named if not t.objection],
+            noise_um=1e6 * noise if kind.unit == "um" else None,
+            noise_N=noise if kind.unit == "N" else None,
+            reduced_chi2=misfit,
+            p_lack_of_fit=first.tests.p_lack_of_fit,
+            fails_at=[],
+            candidates=listed,
+            unexplained=None,
+            detection_limits=limits,
+            undetermined=undetermined,
+            remarks=[*_remarks(self.fit, first.excluded), *self.remarks],
+            figures=curves,
+            complete=False,
+        )
+
+    def _judge(
+        self, listed: Sequence[Candidate], misfit: float, gaps: list[Undetermined]
+    ) -> tuple[str, list[Undetermined]]:
+        """Return the verdict, and what the runs leave open where that matters."""
+        last, found = self.search.last, self.search.found
+        if self._nothing_missing:
+            return ("undetermined" if gaps else "complete"), gaps
+        if last.leaves_misfit or not found or not listed[0].helps or any(t.objection for t in found):
+            verdict = "unexplained"
+        else:
+            verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
+        unclear = misfit < 1 or (verdict != "unexplained" and not _is_decisive(listed[0], gaps))
+        return ("undetermined", gaps) if gaps and unclear else (verdict, [])
+
+    def _compare_with_formulas(self, found: Diagnosis) -> Diagnosis:
+        """Return the verdict after comparing the effects found with a force of one variable that they may imitate."""
+        search = self.search
+        simpler = find_simpler_model(search.start, search.last.solution, lambda: self._pattern.repeats)
+        if simpler is None or (found.verdict == "unexplained" and not simpler["decisive"]):
+            return found
+        if not simpler["decisive"]:
+            return replace(found, unexplained=simpler)
+        return replace(found, verdict="unexplained", missing=[], unexplained=simpler)
+
+    @property
+    def _fails_at(self) -> list[dict[str, Any]]:
+        """The spans where the missing force acts or, if none is known, where the residual is significant."""
+        found = self._named
+        if found and found[0].effect.acts_on == "force":
+            return failing_spans(found[0].law, self.fit.runs, found[0].effect.name)
+        return failing_spans(self.fit.solution, self.fit.runs)
+
+    def _evidence(self, auxiliary: AuxiliarySignals | None) -> list[Evidence]:
+        """Other measurements that match the residual."""
+        search, found = self.search, self._before_formulas
+        known = KnownFindings()
+        if search.found:
+            known = KnownFindings(found.candidates[0].delta_bic, search.last.solution, found.missing)
+        return self._kind.auxiliary_evidence(search.start, self.fit.runs, search.generators[0], auxiliary, known)
+
+    def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
+        """Return the diagnosis with the failure pattern, the evidence and the force that no effect explains."""
+        repeats, unexplained = self._pattern.repeats, found.unexplained
+        if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
+            repeats = replace(repeats, words="")  # the formula says it
+        if found.verdict == "unexplained" and unexplained is None:
+            unexplained = unexplained_force(self.search.first.solution, self.search.last.solution)
+        figures = found.figures | self._pattern.figures | evidence_curves(evidence)
+        return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
+
+    def _plan_next(self, found: Diagnosis, notify: Callable[[str], None]) -> list[dict[str, Any]]:
+        """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
+        first, last, effects = self.search.first, self.search.last, self.search.found
+        if found.verdict == "unexplained":
+            return plan_for_unexplained(last.solution if found.missing or not effects else first.solution, notify)
+        best = [t.effect.name for t in effects[:1]]
+        order = sorted(first.passing, key=lambda t: t.effect.name not in best)
+        passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
+        return plan_for_candidates(first.solution, passing, effects[0].indistinguishable_from if best else (), notify)
+
+
+def _is_decisive(best: Candidate, undetermined: Sequence[Undetermined]) -> bool:
+    """Whether the best effect lowers the held-out error enough to be named beside an undetermined model."""
+    if (
+        all(gap.uncertainty is None for gap in undetermined)
+        or best.heldout_after is None
+        or best.heldout_before is None
+    ):
+        return True
+    return best.heldout_after < MAX_ERROR_RATIO_DECISIVE * best.heldout_before
+
+
+def _importance(
+    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: _HeldOutErrors
+) -> list[Importance]:
+    """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
+    alone = explained_shares(first, first.tried)
+    unit = residual_kind(first.solution.problem).unit
+    excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
+    out: list[Importance] = []
+    chi2, error = first.solution.chi2, None
+    for t, law in zip(found, nested_models(found), strict=True):
+        share = heldout_error = None
+        if law is not None:
+            before, heldout_error, _ = heldout(law)
+            share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
+            improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
+            out, error = (_without_stop(out) if improves else out), heldout_error
+        out.append(
+            Importance(
+                t.effect.name,
+                alone.get(t.effect.name),
+                share,
+                heldout_error,
+                unit,
+                stop=heldout_error is not None and improves,
+            )
+        )
+    names = {t.effect.name for t in found}
+    others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
+    shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
+    return out + [Importance(name, alone[name], None, None, unit) for name in shown]
+
+
+def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
+    """Return the same rows with `stop` cleared: the last effect worth adding is marked once."""
+    return [replace(row, stop=False) for row in rows]
+
+
+def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _HeldOutErrors) -> list[Candidate]:
+    """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
+    chosen = {t.effect.name: t for t in found}
+    rivals = {
+        t.effect.name: find_rivals(t, first.tried)
+        for t in first.passing[:N_CANDIDATES_HELD_OUT]
+        if t.effect.name not in chosen
+    }
+    simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
+    out = []
+    for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
+        name = t.effect.name
+        shown = simulated.get(name, t)
+        refined = chosen.get(name, t)
+        indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
+        shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
+        held = heldout if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None
+        out.append(_candidate(shown, held, residual_kind(first.solution.problem)))
+    return out
+
+
+class _HeldOutErrors:
+    """Held-out errors of models and of the bare model; the latter is computed once per hold-out method."""
+
+    def __init__(self, bare: Solution) -> None:
+        self._bare = bare
+        self._bare_errors: dict[str, float] = {}
+        self._heldout_rms = residual_kind(bare.problem).heldout_rms
+
+    def __call__(self, solution: Solution) -> tuple[float, float, str]:
+        """Return the held-out errors of the bare model and of this one, and the hold-out method."""
+        after, how = self._heldout_rms(solution)
+        if how not in self._bare_errors:
+            self._bare_errors[how] = self._heldout_rms(self._bare, how)[0]
+        return self._bare_errors[how], after, how
+
+
+def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None, kind: ResidualKind) -> Candidate:
+    """Convert a refined candidate to its entry in the diagnosis."""
+    effect, solution = tried.effect, tried.solution
+    before = after = how = None
+    parameters: dict[str, Any] = {}
+    if solution is not None:
+        if heldout is not None:
+            before, after, how = heldout(solution)
+        parameters = {
+            name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
+            for name, e in kind.estimates(solution).parameters.items()
+            if name.rsplit(".", 1)[0] == effect.name
+        }
+    return Candidate(
+        effect=effect.name,
+        acts_on=effect.acts_on,
+        parameters=parameters,
+        p=tried.p,
+        delta_bic=float(tried.delta_bic),
+        heldout_before=before,
+        heldout_after=after,
+        heldout=how,
+        indistinguishable_from=tried.indistinguishable_from,
+        implausible=tried.objection,
+        words=kind.describe(effect, solution),
+        unit=kind.unit,
+    )
+
+
+def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+    """Return the detection limit of every scanned effect, and its curve over all settings."""
+    limits, curves = {}, {}
+    for s in first.tests.scanned:
+        limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
+        if len(s.scans) == 1:
+            curve["rise"] = s.scans[0].gains
+        curves[s.effect.name] = curve
+    return limits, curves
+
+
+def _describe_excluded(excluded: dict[str, str]) -> list[str]:
+    """Say in one sentence which effects could not be tried, grouped by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, why in excluded.items():
+        by_reason.setdefault(why.removeprefix(f"{name} "), []).append(name)
+    reasons = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in by_reason.items()]
+    return [f"not tried: {'; '.join(reasons)}"] if reasons else []
+
+
+def _plural(why: str, count: int) -> str:
+    """Put the reason of one effect into the plural: "needs" becomes "need"."""
+    verb, _, rest = why.partition(" ")
+    return why if count == 1 else f"{verb.removesuffix('s')} {rest}"
+
+
+def _remarks(fit: Fit, excluded: dict[str, str]) -> list[str]:
+    """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
+    return _describe_excluded(excluded) + residual_kind(fit.solution.problem).remarks(fit)
