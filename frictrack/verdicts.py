@@ -13,6 +13,11 @@ VERDICTS = {
     "unexplained": "something is missing that no effect of the library explains",
 }
 
+VERDICT_ONLY = (
+    "Only the verdict is known so far, and it is final; `frictrack diagnose` computes where the model fails and the "
+    "next experiments."
+)
+
 
 def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
     """Describe the verdict of a diagnosis and name the effects.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
 
 if TYPE_CHECKING:
     from frictrack.flow import Session
@@ -49,12 +51,40 @@ def options(
 @contextmanager
 def open_session(study: Path) -> Iterator[Session]:
     """Open a study for work; progress is shown on stderr."""
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415 - `--help` need not wait for the science
-    from frictrack.flow import Session, open_study  # noqa: PLC0415
+    with open_with_progress(study) as (session, _):
+        yield session
 
-    opened = open_study(study)
+
+@contextmanager
+def open_with_progress(study: Path) -> Iterator[tuple[Session, ProgressDisplay]]:
+    """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
     with progress_bars() as progress:
-        yield Session(opened, progress, author="cli")
+        progress(0, 0, f"reading {study}")
+        from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first line does not wait for it
+
+        yield Session(open_study(study), progress, author="cli"), progress
+
+
+def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callable[[Mapping[str, Any]], None] | None:
+    """Return a function that prints the verdict while the rest is being computed; None for JSON, which is one document.
+
+    Parameters
+    ----------
+    progress
+        Display of the progress.
+    as_json
+        Whether the command prints JSON.
+    show
+        Name of the function in `frictrack.cli.output` that prints it.
+
+    """
+
+    def show_verdict(result: Mapping[str, Any]) -> None:
+        progress.clear()
+        print_result(result, False, show)
+        sys.stdout.flush()
+
+    return None if as_json else show_verdict
 
 
 def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:

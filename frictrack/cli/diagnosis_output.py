@@ -14,7 +14,7 @@ from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus
-from frictrack.verdicts import describe_verdict
+from frictrack.verdicts import VERDICT_ONLY, describe_verdict
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
@@ -28,14 +28,25 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
         JSON of `frictrack diagnose`.
 
     """
+    verdict(out, result)
+    diagnosis_rest(out, result)
+
+
+def verdict(out: Console, result: dict[str, Any]) -> None:
+    """Print the verdict and the candidates.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack diagnose`, also of one that is not complete.
+
+    """
     out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
-    evidence(out, result.get("evidence") or [])
-    fails_at(out, result.get("fails_at") or [])
-    if result.get("repeats_words"):
-        out.print(escape(result["repeats_words"]))
     findings(out, result.get("findings") or [])
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
@@ -45,12 +56,31 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     for c in result["candidates"]:
         if c.get("implausible"):
             out.print(escape(f"{c['effect']} imitates the misfit and is not plausible: {c['implausible']}"))
+
+
+def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
+    """Print what follows from the verdict: where the model fails, how much each effect explains, what to film next.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack diagnose`.
+
+    """
+    evidence(out, result.get("evidence") or [])
+    fails_at(out, result.get("fails_at") or [])
+    if result.get("repeats_words"):
+        out.print(escape(result["repeats_words"]))
     if result.get("importance"):
         out.print(importance(result["importance"]))
     unexplained(out, result.get("unexplained"))
     for remark in result.get("remarks", []):
         out.print(escape(remark))
     next_experiment(out, result.get("next_experiment") or [])
+    if not result.get("complete", True):
+        out.print(VERDICT_ONLY)
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:

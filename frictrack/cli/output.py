@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.cli.blind_output import blind  # noqa: F401 - `print_result` looks the function up here, as all below
-from frictrack.cli.diagnosis_output import diagnose
+from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, verdict
 from frictrack.cli.fit_output import compare, edit, fit, history  # noqa: F401
 from frictrack.cli.measurement_output import stages, track  # noqa: F401
 from frictrack.cli.plan_output import plan  # noqa: F401
@@ -24,6 +24,17 @@ def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
     fit(out, result["fit"])
     diagnose(out, result["diagnose"])
+
+
+def run_verdict(out: Console, result: dict[str, Any]) -> None:
+    """Print the fit, then the verdict, while the rest is being computed."""
+    fit(out, result["fit"])
+    verdict(out, result["diagnose"])
+
+
+def run_rest(out: Console, result: dict[str, Any]) -> None:
+    """Print what follows from a verdict that was printed before."""
+    diagnosis_rest(out, result["diagnose"])
 
 
 def demo(out: Console, result: dict[str, Any]) -> None:

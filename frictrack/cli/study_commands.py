@@ -9,11 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.cli.common import Effect, Json, Search, Seed, Study, app, open_session, print_result
+from frictrack.cli.common import (
+    Effect,
+    Json,
+    Search,
+    Seed,
+    Study,
+    app,
+    open_session,
+    open_with_progress,
+    print_result,
+    print_verdict,
+)
 from frictrack.errors import FrictrackError
 
 if TYPE_CHECKING:
     from frictrack.flow import Session
+
+Announce = Callable[[Mapping[str, Any]], None]
 
 
 @app.command()
@@ -31,16 +44,15 @@ def run(
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
     """
     path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
-    with open_session(path) as session:
-        result = session.run(seed)
-    print_result(result, as_json, "run", session.study.output / "report.html")
+    with open_with_progress(path) as (session, progress):
+        result, shown = _streamed(
+            lambda announce: session.run(seed, on_verdict=announce), print_verdict(progress, as_json, "run_verdict")
+        )
+    print_result(result, as_json, "run_rest" if shown else "run", session.study.output / "report.html")
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     """Return the study file; if recordings are given, write one."""
-    from frictrack.flow import start_study  # noqa: PLC0415
-    from frictrack.study import TABLES  # noqa: PLC0415
-
     one = paths[0]
     given = [key for key, value in keys.items() if value is not None]
     if one.suffix == ".toml" or (one / "study.toml").exists():
@@ -51,6 +63,9 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
                 f"expected no --{given[0]} together with a study file; set {given[0]} in the file", usage=True
             )
         return one
+    from frictrack.flow import start_study  # noqa: PLC0415
+    from frictrack.study import TABLES  # noqa: PLC0415
+
     if one.is_dir() and not given:
         raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
     filmed = any(path.suffix.lower() not in TABLES for path in paths)
@@ -163,14 +178,39 @@ def compare(study: Study, as_json: Json = False) -> None:
 
 
 @app.command()
-def diagnose(study: Study, seed: Seed = 0, as_json: Json = False) -> None:
+def diagnose(
+    study: Study,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="end with the verdict; without failure pattern and next experiments")
+    ] = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
     """Find the effect that the current model lacks.
 
-    Reads the runs and the current model. Writes the diagnosis into study.h5.
+    Prints the verdict as soon as it is known, then where the model fails and what to film next. Reads the runs and the
+    current model. Writes the diagnosis into study.h5; the verdict is kept if the command is interrupted afterwards.
     """
-    with open_session(study) as session:
-        result = session.diagnose(seed)
-    print_result(result, as_json, "diagnose", session.path)
+    with open_with_progress(study) as (session, progress):
+        result, shown = _streamed(
+            lambda announce: session.diagnose(seed, quick=quick, on_verdict=announce),
+            None if quick else print_verdict(progress, as_json, "verdict"),
+        )
+    print_result(result, as_json, "diagnosis_rest" if shown else "diagnose", session.path)
+
+
+def _streamed(
+    work: Callable[[Announce | None], Mapping[str, Any]], announce: Announce | None
+) -> tuple[Mapping[str, Any], bool]:
+    """Return the result of work that announces its verdict, and whether it did."""
+    shown: list[Mapping[str, Any]] = []
+
+    def show(result: Mapping[str, Any]) -> None:
+        if announce is not None:
+            announce(result)
+            shown.append(result)
+
+    return work(show if announce else None), bool(shown)
 
 
 def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: bool) -> None:

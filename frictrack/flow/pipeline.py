@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
 
 Progress = Callable[[int, int, str], None]
-"""Callable ``progress(done, total, what)``, called while something is being done."""
+"""Callable ``progress(done, total, what)``, called while something is being done; 0 of 0 announces a new step."""
 
 
 def no_progress(done: int, total: int, what: str) -> None:

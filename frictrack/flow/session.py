@@ -23,7 +23,7 @@ from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.store import GroupContent
+from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest
 from frictrack.version import __version__
 
@@ -175,6 +175,9 @@ class Session:
         return self.runs
 
     def _update_runs(self, stage: str) -> None:
+        missing = [p for p in self.runs if stage in p.stages and not p.is_current(stage)]
+        if missing:
+            self.progress(0, 0, f"measuring {len(missing)} runs up to {stage}")
         for i, pipeline in enumerate(self.runs):
             self.progress(i, len(self.runs), "runs")
             if stage in pipeline.stages:
@@ -332,18 +335,26 @@ class Session:
         return self.models.groups.index(self.models.current()[0])
 
     @exclusive
-    def diagnose(self, seed: int = 0) -> dict[str, Any]:
+    def diagnose(
+        self, seed: int = 0, *, quick: bool = False, on_verdict: Callable[[dict[str, Any]], None] | None = None
+    ) -> dict[str, Any]:
         """Find the effect that the current model lacks.
+
+        The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it.
 
         Parameters
         ----------
         seed
             Seed of the random numbers.
+        quick
+            End when the verdict is known; the result has "complete" false.
+        on_verdict
+            Called with that result, if the diagnosis is not stored in full already.
 
         Returns
         -------
         dict
-            JSON of `frictrack diagnose`: "verdict", "missing", "candidates", "next_experiment", ...
+            JSON of `frictrack diagnose`: "verdict", "complete", "missing", "candidates", "next_experiment", ...
 
         Raises
         ------
@@ -353,24 +364,49 @@ class Session:
         """
         self.bring_up_to("friction")
         group, request = self.models.current()
-
-        def make() -> dict[str, Any]:
-            from frictrack.diagnose import diagnose  # noqa: PLC0415
-            from frictrack.flow.auxiliary_signals import auxiliary_signals  # noqa: PLC0415
-            from frictrack.flow.contradictions import withhold_verdict  # noqa: PLC0415
-
-            own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
-            diagnosis = diagnose(self.models.fit(group), own=own, auxiliary=signals, seed=seed, progress=self.progress)
-            summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
-            return {"summary": json.dumps(to_builtins(summary)), "figures": diagnosis.figures}
-
         self.models.fit(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
-        found = self._stored_summary(inside, make, key, seed)
-        if store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
+        more = {"warnings": self.findings.summary, "findings": self._run_notes()}
+        found = self._read_summary(inside, key)
+        if found is None or not (quick or found.get("complete", True)):
+            announce = _once(on_verdict, more)
+            if found is not None:  # an earlier diagnosis was interrupted after its verdict
+                announce(found)
+            found = self._diagnose(group, self.models.provenance(key, json.dumps({"seed": seed})), quick, announce)
+        elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
-        return {**found, "warnings": self.findings.summary, "findings": self._run_notes()}
+        return {**found, **more}
+
+    def _diagnose(
+        self, group: str, provenance: Provenance, quick: bool, announce: Callable[[dict[str, Any]], None]
+    ) -> dict[str, Any]:
+        """Diagnose a model; store the verdict when it is known, and the whole when that is."""
+        from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
+        from frictrack.flow.auxiliary_signals import auxiliary_signals  # noqa: PLC0415
+        from frictrack.flow.contradictions import withhold_verdict  # noqa: PLC0415
+
+        inside = f"models/{group}/diagnosis"
+
+        def keep(diagnosis: Diagnosis) -> dict[str, Any]:
+            summary = to_builtins(withhold_verdict(diagnosis.summary(), self.findings.contradictions))
+            content = {"summary": json.dumps(summary), "figures": diagnosis.figures}
+            store.write(self.path, {inside: GroupContent(content, provenance)}, links={"diagnosis": f"/{inside}"})
+            return dict(summary)
+
+        own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
+        seed = json.loads(provenance.settings)["seed"]
+        self.progress(0, 0, f"diagnosing {group}")
+        diagnosis = diagnose(
+            self.models.fit(group),
+            own=own,
+            auxiliary=signals,
+            seed=seed,
+            progress=self.progress,
+            quick=quick,
+            on_verdict=lambda verdict: announce(keep(verdict)),
+        )
+        return keep(diagnosis) if diagnosis.complete else self._read(inside)
 
     def _diagnosis_inputs(self) -> list[Any]:
         """What a diagnosis depends on besides the fit: sensors, further tracks, contradictions, `[[effect]]` tables."""
@@ -455,18 +491,20 @@ class Session:
         return self.models.attempt(request, path)
 
     @exclusive
-    def run(self, seed: int = 0) -> StudySummary:
-        """Fit, compare, diagnose and report.
+    def run(self, seed: int = 0, *, on_verdict: Callable[[dict[str, Any]], None] | None = None) -> StudySummary:
+        """Fit, diagnose, compare and report.
 
         Parameters
         ----------
         seed
             Seed of the diagnosis.
+        on_verdict
+            Called with "fit" and the incomplete "diagnose" when the verdict is known; see `diagnose`.
 
         """
         fit = self.fit()
-        self.compare()
-        diagnosis = self.diagnose(seed)
+        announce = (lambda found: on_verdict({"fit": fit, "diagnose": found})) if on_verdict else None
+        diagnosis = self.diagnose(seed, on_verdict=announce)
         self.report(seed, anew=False)
         warnings = self.findings.summary
         return {"fit": fit, "diagnose": diagnosis, "warnings": warnings, "output": str(self.study.output)}
@@ -490,6 +528,7 @@ class Session:
         warnings = self.findings.messages
         key = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
         if anew or not _has_key(path, key):
+            self.progress(0, 0, f"writing {path.name}")
             from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw
 
             report.write(replace(read_results(self.study), notes=notes, warnings=warnings), path, key)
@@ -566,16 +605,27 @@ class Session:
             return stored
         provenance = self.models.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
         store.write(self.path, {group: GroupContent(make(), provenance)})
-        found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
-        return found
+        return self._read(group)
 
     def _read_summary(self, group: str, key: str) -> dict[str, Any] | None:
         """Return a stored summary; None if there is none, or if it was computed from something else."""
         held = store.provenance(self.path, group)
-        if held is None or held.key != key:
-            return None
+        return None if held is None or held.key != key else self._read(group)
+
+    def _read(self, group: str) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
+
+
+def _once(call: Callable[[dict[str, Any]], None] | None, more: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
+    """Return a function that calls `call` the first time, with the JSON and `more`."""
+    calls = [call] if call else []
+
+    def announce(summary: dict[str, Any]) -> None:
+        if calls:
+            calls.pop()({**summary, **more})
+
+    return announce
 
 
 def _has_key(path: Path, key: str) -> bool:

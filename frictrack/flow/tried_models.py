@@ -324,6 +324,7 @@ class TriedModels:
     def _fit(self, request: FitRequest) -> Any:
         from frictrack.fit import MAX_SEARCH_GENERATIONS, fit  # noqa: PLC0415
 
+        self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
         how: dict[str, Any] = {
             "domain": request.domain,
             "search": request.search,

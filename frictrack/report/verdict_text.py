@@ -22,7 +22,7 @@ from frictrack.report.candidate_text import (
 )
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
-from frictrack.verdicts import describe_open_question, indistinguishable_effects
+from frictrack.verdicts import VERDICT_ONLY, describe_open_question, indistinguishable_effects
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -74,6 +74,7 @@ def study_verdict(results: Results) -> VerdictText:
     sentences = [_runs_and_model(results, model), *_added_effects(results.models)]
     if diagnosis:
         sentences += [*_VERDICT_SENTENCES[kind](model, diagnosis), *_next_step(diagnosis)]
+        sentences += [] if diagnosis.get("complete", True) else [mark_code(VERDICT_ONLY)]
     return VerdictText(_headline(results, model, kind), tuple(sentences), kind)
 
 

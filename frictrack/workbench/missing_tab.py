@@ -19,7 +19,7 @@ from frictrack.report.tables import (
     inseparable,
     separating_experiments,
 )
-from frictrack.verdicts import describe_verdict
+from frictrack.verdicts import VERDICT_ONLY, describe_verdict
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots
@@ -148,6 +148,8 @@ def _verdict_html(diagnosis: dict[str, Any]) -> str:
     chi2, p = format_number(diagnosis["reduced_chi2"]), format_number(diagnosis["p_lack_of_fit"], 1)
     fit = f"reduced chi-squared {chi2}, p of the lack of fit {p}"
     more = [fit, diagnosis.get("repeats_words") or "", (diagnosis.get("unexplained") or {}).get("words", "")]
+    if not diagnosis.get("complete", True):
+        more.append(mark_code(VERDICT_ONLY))
     head = f"<p class=ft-verdict>{escape(message[:1].upper() + message[1:])}</p>"
     return head + "".join(note(words) for words in more if words)
 
