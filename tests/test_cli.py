@@ -50,12 +50,14 @@ def answer(capsys: pytest.CaptureFixture[str], *argv: str) -> dict[str, Any]:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
-    """Exit code and the one line on stderr of a command that fails."""
+    """Exit code and the one line of the error on stderr; what was done before is one line per step."""
     code, out, err = run(capsys, *argv)
     assert out == ""
-    assert err.count("\n") == 1
+    *steps, error = err.splitlines()
+    assert error.startswith("frictrack: ")
+    assert not any(step.startswith("frictrack:") for step in steps)
     assert "Traceback" not in err
-    return code, err
+    return code, error
 
 
 def test_fit_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:

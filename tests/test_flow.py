@@ -25,6 +25,7 @@ class Found:
     """What a comparison or a diagnosis looks like from outside."""
 
     content: dict[str, Any]
+    complete: bool = True
 
     def summary(self) -> dict[str, Any]:
         return self.content

@@ -59,10 +59,12 @@ def open_session(study: Path) -> Iterator[Session]:
 def open_with_progress(study: Path) -> Iterator[tuple[Session, ProgressDisplay]]:
     """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
     with progress_bars() as progress:
-        progress(0, 0, f"reading {study}")
-        from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first line does not wait for it
+        progress(0, 1, f"reading {study}")
+        from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
 
-        yield Session(open_study(study), progress, author="cli"), progress
+        opened = open_study(study)
+        progress(0, 0, f"study {opened.name}, {len(opened.runs)} runs")
+        yield Session(opened, progress, author="cli"), progress
 
 
 def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callable[[Mapping[str, Any]], None] | None:

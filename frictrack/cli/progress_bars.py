@@ -22,7 +22,7 @@ class ProgressDisplay:
     def __call__(self, done: int, total: int, what: str) -> None:
         """Write one line for a new step, for example into a log file."""
         if total == 0:
-            sys.stderr.write(f"frictrack: {what}\n")
+            sys.stderr.write(f"{what}\n")
             sys.stderr.flush()
 
 
