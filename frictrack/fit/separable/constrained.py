@@ -1,37 +1,42 @@
-"""Fit models with waves of a common amplitude, such as ATM2: free amplitudes first, then constrained ones.
+"""Fit models with waves of a common amplitude, such as ATM2: fast waves, then slow waves, then everything together.
 
-The effect defines its relaxed form: waves of free amplitude, which are linear, and its other columns. Parameters that
-several parts share, such as v_s, are tried at a few values. Slow waves of two sums are confused with each other and
-with everything smooth. They are scanned together over frequency and phase, with their common amplitudes. The run with
-the most frames is solved first; the other runs add only their own parameters.
+The effect defines its relaxed form: waves of free amplitude, which are linear, and its other columns. One wave of
+every sum is taken as slow. The fast waves are found with free amplitudes beside anything slow, at a few values of the
+parameter that several parts share, such as v_s. The slow waves are found beside them with the common amplitudes. At
+the value found, the fast waves are searched again. The run with the most frames is solved first; the other runs add
+only their own parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter, Span
-from frictrack.fit.parameters import ParameterLayout, known_value
+from frictrack.effects import Effect
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.separable.fast_waves import FastWaves, WaveSet
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.relaxed import RelaxedWaves
+from frictrack.fit.separable.slow_waves import SlowWaves
 from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
 
 SCAN_PLACES_FROM_END = (3, 6, 8)  # grid points from the end of the shared parameter's scan at which waves are searched
-LAST_VALUES = 10  # last grid points of that scan, at which slow waves are searched
-MAX_WAVE_SETS = 4  # sets of waves that are refined with common amplitudes
+MAX_WAVE_SETS = 4  # sets of fast waves beside which the slow waves are searched
 MAX_RELAXED_MISFIT_RATIO = 1.5  # times the best misfit; relaxed fits beyond have the wrong waves
-MAX_SLOW_PLACES = 5  # start positions of two slow waves
-MAX_SLOW_PLACES_AGAIN = 8  # the same beside the best fit
-FIRST_STEPS, MAX_STEPS = 4, 30  # steps before a trial may be given up, and in all
-MAX_MISFIT_RATIO = 4.0  # times the best misfit beyond which a trial is given up
+MAX_FINALISTS = 3  # sets of slow waves that are refined together with the fast waves
+MAX_STEPS = 30
+MIN_GAIN_SHARE = 1e-5  # least gain of a trial, share of the misfit
 ROUGH_MIN_FALL = 1e-4  # predicted fall of a step, share of the misfit, during comparisons
+MIN_FAST_PERIODS = 1.9  # periods per run above which a wave may be a fast one
+MAX_MIXED_PERIODS = 4.5  # periods per run up to which a fast wave may be confused with slow ones
+MIXED_PERIODS = (2.2, 2.7, 3.2, 3.7, 4.2)  # frequencies in between, which may be hidden by slow waves
+MAX_CONFUSED_PERIODS = 1.5  # periods per run within which fast waves of two sums may be confused
+MAX_ASSIGNMENTS = 100  # choices of frequencies that are refined
 SAME_WAVE_PERIODS = 0.25  # periods per run; closer waves count as the same
 
 
@@ -64,20 +69,12 @@ class ConstrainedVariableProjection:
         self.effect = next(e for e in separable.layout.model.effects if e.relaxed)
         length = {r: sum(len(b.data) for b in separable.blocks if b.run == r) for r in separable.runs}
         self.runs = sorted(separable.runs, key=lambda r: -length[r])
-        self.single = {r: _single_run(separable, r, separable.layout.model) for r in self.runs}
-        first = self.single[self.runs[0]]
-        shared = _shared_values(separable.layout, self.effect)
-        last = len(shared)
-        start_places = {max(last - k, 0) for k in SCAN_PLACES_FROM_END}
-        scanned = sorted(start_places | set(range(max(last - LAST_VALUES, 0), last)))
-        self.relaxed = [RelaxedWaves(first, self.effect, shared[i]) for i in scanned]
-        self.slow_wave_positions = [r for i, r in zip(scanned, self.relaxed, strict=True) if i in start_places]
+        self.first = _RunSearch(_single_run(separable, self.runs[0], separable.layout.model), self.effect)
 
     def __call__(self, data: Array | None = None) -> SeparableSolution:
         """Return the best solution for data (M,); default those of the blocks."""
         data = self.separable.data if data is None else data
-        state = self._fit_longest_run(self._data_of_run(self.runs[0], data))
-        first = self.single[self.runs[0]]
+        state, first = self.first(self._data_of_run(self.runs[0], data)), self.first.separable
         if first is self.separable:
             return state
         found = dict(zip(first.layout.names, first.law(state.nonlinear_values, state.coefficients), strict=True))
@@ -95,15 +92,7 @@ class ConstrainedVariableProjection:
         """Parameters of one run by address, the shared ones held at their values."""
         fixed_model = Model(tuple(_with_fixed_values(e, found) for e in self.separable.layout.model.effects))
         separable = _single_run(self.separable, run, fixed_model)
-        effect = next(e for e in fixed_model.effects if e.relaxed)
-        shared_values = {
-            name: found.get(f"{effect.name}.{name}", v) for name, v in self.relaxed[0].shared_values.items()
-        }
-        relaxed = RelaxedWaves(separable, effect, shared_values)
-        _, p = min(relaxed.free_amplitude_fits(data), key=lambda law: law[0])
-        state = self._best_refined(
-            ProjectedProblem(separable, data), [p, *(q for _, q in relaxed.slow_wave_positions(p, data))], None
-        )
+        state = _RunSearch(separable, next(e for e in fixed_model.effects if e.relaxed))(data)
         return dict(zip(separable.layout.names, separable.law(state.nonlinear_values, state.coefficients), strict=True))
 
     def _data_of_run(self, run: int, data: Array) -> Array:
@@ -111,50 +100,137 @@ class ConstrainedVariableProjection:
         pairs = zip(self.separable.blocks, self.separable.slices, strict=True)
         return np.concatenate([data[s] for block, s in pairs if block.run == run])
 
-    def _fit_longest_run(self, data: Array) -> SeparableSolution:
-        """The solution of the run with the most frames."""
-        first = self.single[self.runs[0]]
-        problem = ProjectedProblem(first, data)
-        best: SeparableSolution | None = None
-        for misfit, p in self._start_values(data):
-            if best is not None and misfit > MAX_RELAXED_MISFIT_RATIO * best.misfit:
-                break
-            best = self._best_refined(problem, [p, *self._other_slow_positions(p, data)[:MAX_SLOW_PLACES]], best)
+
+class _RunSearch:
+    """The search in one run."""
+
+    def __init__(self, separable: SeparableModel, effect: Effect) -> None:
+        self.separable, self.relaxed = separable, RelaxedWaves(separable, effect)
+        slow = [min(waves, key=lambda w: self.relaxed.bounds(w.frequency)[0]) for waves in self.relaxed.sums.values()]
+        one, other = slow
+        self.slow = SlowWaves(self.relaxed, (one, other))
+        self.fast = [w for w in self.relaxed.waves if w not in slow]
+        self.shared_values = self.relaxed.shared.values if self.relaxed.shared is not None else (1.0,)
+        self._fast_searches: dict[int, FastWaves] = {}
+
+    def __call__(self, data: Array) -> SeparableSolution:
+        """Return the best solution for data (M,)."""
+        problem, best = ProjectedProblem(self.separable, data), None
+        places = self._first_places() if self.fast else []
+        tried = self._promising([self._fast_search(i).first_found(data) for i in places])
+        for waves in tried or [self._no_waves()]:
+            best = self._with_slow_waves(problem, waves, best)
         assert best is not None
-        p = first.law(best.nonlinear_values, best.coefficients)
-        for q in [p, *self.relaxed[0].with_waves_exchanged(p)]:
-            best = self._best_refined(problem, self._other_slow_positions(q, data)[:MAX_SLOW_PLACES_AGAIN], best)
+        searched: list[int] = []
+        while self.fast and (place := self._place_of(best)) not in searched:
+            searched.append(place)
+            waves = self._fast_search(place)(data)
+            if not any(waves.resembles(other, SAME_WAVE_PERIODS) for other in tried):
+                tried.append(waves)
+                best = self._with_slow_waves(problem, waves, best)
+        if self.fast and self._is_ambiguous(best):
+            best = self._with_waves_reassigned(problem, best, tried)
         return problem.refine(best, steps=MAX_STEPS)
 
-    def _start_values(self, data: Array) -> list[tuple[float, Array]]:
-        """Misfits and parameter vectors (P,) of the best relaxed fits, the best one of every set of waves."""
-        found = sorted(
-            (law for r in self.slow_wave_positions for law in r.free_amplitude_fits(data)), key=lambda law: law[0]
-        )
-        chosen: list[tuple[float, Array]] = []
-        for misfit, p in found:
-            periods = self.relaxed[0].fast_periods(p)
-            if all(np.any(np.abs(periods - self.relaxed[0].fast_periods(q)) > SAME_WAVE_PERIODS) for _, q in chosen):
-                chosen.append((misfit, p))
-        return chosen[:MAX_WAVE_SETS]
+    def _periods(self, state: SeparableSolution) -> list[Array]:
+        """Periods per run of the waves of every sum."""
+        duration = self.separable.layout.span.duration
+        return [
+            np.array([duration * self.relaxed.value(state.nonlinear_values, w.frequency) for w in waves])
+            for waves in self.relaxed.sums.values()
+        ]
 
-    def _other_slow_positions(self, p: Array, data: Array) -> list[Array]:
-        """Parameter vectors (P,) with the slowest waves of two sums at other positions, most promising first."""
-        found = [place for r in self.relaxed for place in r.slow_wave_positions(p, data)]
-        costs = np.array([c for c, _ in found])
-        return [found[i][1] for i in np.argsort(costs)]
+    def _is_ambiguous(self, state: SeparableSolution) -> bool:
+        """Whether fast waves of two sums are close enough to be confused, or a wave is neither slow nor fast."""
+        one, other = self._periods(state)
+        both = np.concatenate([one, other])
+        close = np.abs(one[:, None] - other) < MAX_CONFUSED_PERIODS
+        fast = np.minimum(one[:, None], other) > MIN_FAST_PERIODS
+        return bool(np.any(close & fast) or np.any((both > MIN_FAST_PERIODS) & (both < MAX_MIXED_PERIODS)))
 
-    def _best_refined(
-        self, problem: ProjectedProblem, trials: Iterable[Array], best: SeparableSolution | None
+    def _with_waves_reassigned(
+        self, problem: ProjectedProblem, best: SeparableSolution, tried: list[WaveSet]
     ) -> SeparableSolution:
-        """The best refined trial; trials that stay far behind are given up early."""
-        for p in trials:
-            state = problem.refine(problem.at(p), steps=FIRST_STEPS, enough=ROUGH_MIN_FALL)
-            if best is not None and state.misfit > MAX_MISFIT_RATIO * best.misfit:
-                continue
+        """The best solution with every frequency that was found in either sum, until nothing is better."""
+        refined: list[WaveSet] = []
+        better: SeparableSolution | None = best
+        while better is not None:
+            again = WaveSet(self._full_vector(best), best.misfit, self._fast_periods(best))
+            searches = [self._fast_search(i) for i in {*self._first_places(), self._place_of(best)}]
+            sets = [fast.refined(f, problem.data) for f in self._assignments(best, tried) for fast in searches]
+            better = None
+            for waves in [again, *self._promising(sets, 2 * MAX_WAVE_SETS)]:
+                if waves is not again and any(waves.resembles(other, SAME_WAVE_PERIODS / 5) for other in refined):
+                    continue
+                refined.append(waves)
+                state = self._with_slow_waves(problem, waves, best, all_waves=True)
+                if state.misfit < (1 - MIN_GAIN_SHARE) * best.misfit:
+                    best = better = state
+        return best
+
+    def _full_vector(self, state: SeparableSolution) -> Array:
+        """The parameter vector (P,) of a solution."""
+        return self.separable.law(state.nonlinear_values, state.coefficients)
+
+    def _fast_periods(self, state: SeparableSolution) -> Array:
+        """Periods per run of the fast waves, sum after sum, (f,)."""
+        pairs = zip(self.relaxed.sums.values(), self._periods(state), strict=True)
+        return np.concatenate(
+            [sorted(f for w, f in zip(waves, own, strict=True) if w in self.fast) for waves, own in pairs]
+        )
+
+    def _assignments(self, state: SeparableSolution, tried: list[WaveSet]) -> list[tuple[float, ...]]:
+        """Frequencies of the fast waves, in their order: every choice out of all that were found."""
+        duration = self.separable.layout.span.duration
+        seen = np.concatenate([*self._periods(state), *(w.periods for w in tried)])
+        pool: list[float] = []
+        for f in [*seen[seen > MIN_FAST_PERIODS], *MIXED_PERIODS]:
+            if not any(abs(f - g) < SAME_WAVE_PERIODS for g in pool):
+                pool.append(float(f))
+        counts = [sum(w in self.fast for w in waves) for waves in self.relaxed.sums.values()]
+        choices = product(*(combinations(pool, k) for k in counts))
+        return [tuple(f / duration for part in choice for f in part) for choice in choices][:MAX_ASSIGNMENTS]
+
+    def _first_places(self) -> list[int]:
+        """Positions among the values of the shared parameter at which fast waves are searched first."""
+        last = len(self.shared_values)
+        return sorted({max(last - k, 0) for k in SCAN_PLACES_FROM_END})
+
+    def _place_of(self, state: SeparableSolution) -> int:
+        """Position of the value nearest to that of a solution."""
+        shared = self.relaxed.shared
+        value = self.relaxed.value(state.nonlinear_values, shared.name) if shared is not None else 1.0
+        return int(np.argmin(np.abs(np.log(np.array(self.shared_values) / value))))
+
+    def _fast_search(self, place: int) -> FastWaves:
+        """The search for the fast waves at one value of the shared parameter."""
+        if place not in self._fast_searches:
+            value = self.shared_values[place]
+            self._fast_searches[place] = FastWaves(self.relaxed, self.fast, value, self.slow.span)
+        return self._fast_searches[place]
+
+    def _no_waves(self) -> WaveSet:
+        """The set without fast waves."""
+        return WaveSet(VariableProjection(self.separable).start_values(), np.inf, np.zeros(0))
+
+    @staticmethod
+    def _promising(sets: list[WaveSet], most: int = MAX_WAVE_SETS) -> list[WaveSet]:
+        """The best of every set of waves, best first."""
+        chosen: list[WaveSet] = []
+        for waves in sorted(sets, key=lambda w: w.misfit):
+            near = waves.misfit <= MAX_RELAXED_MISFIT_RATIO * (chosen or sets)[0].misfit or not chosen
+            if near and not any(waves.resembles(other, SAME_WAVE_PERIODS) for other in chosen):
+                chosen.append(waves)
+        return chosen[:most]
+
+    def _with_slow_waves(
+        self, problem: ProjectedProblem, waves: WaveSet, best: SeparableSolution | None, all_waves: bool = False
+    ) -> SeparableSolution:
+        """The best refined solution with these fast waves, or with `all_waves` with others near them."""
+        for _, p in self.slow(waves.p, problem.data, all_waves)[: MAX_FINALISTS * (1 + all_waves)]:
             limit = np.inf if best is None else best.misfit
-            state = problem.refine(state, steps=MAX_STEPS, enough=ROUGH_MIN_FALL, below=limit)
-            if best is None or state.misfit < best.misfit:
+            state = problem.refine(problem.at(p), steps=MAX_STEPS, enough=ROUGH_MIN_FALL, below=limit)
+            if state.misfit < limit:
                 best = state
         assert best is not None
         return best
@@ -174,18 +250,3 @@ def _with_fixed_values(effect: Effect, found: dict[str, float]) -> Effect:
     """An effect with those non-linear parameters fixed that the runs share."""
     known = {q.name: found.get(f"{effect.name}.{q.name}") for q in effect.nonlinear if q.free}
     return effect.adjusted(**{name: {"fixed": value} for name, value in known.items() if value is not None})
-
-
-def _shared_values(layout: ParameterLayout, effect: Effect) -> list[dict[str, float]]:
-    """Values to try for the parameters that several parts share."""
-    shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
-    axes = [_values_to_try(q, layout.span) for q in shared]
-    return [dict(zip((q.name for q in shared), map(float, values), strict=True)) for values in product(*axes)]
-
-
-def _values_to_try(q: Parameter, span: Span) -> Sequence[float]:
-    """Values to try for one parameter: its known value, or its scan."""
-    known = known_value(q, span)
-    if known is not None:
-        return [known]
-    return [1.0] if q.scan is None else list(q.scan(span))

@@ -15,9 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import count
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 from scipy.optimize import lsq_linear
 
 from frictrack.fit.parameters import LEVEL, penalty_jacobian
@@ -121,19 +123,40 @@ def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> 
     size = np.sqrt(gram.diagonal())
     dead = size == 0
     size[dead] = 1.0
-    unit = gram / size / size[:, None]
+    unit = gram / (size * size[:, None])
     unit.flat[:: len(size) + 1] += RIDGE + dead
-    fixed = low == high
-    c = np.where(fixed, low, 0.0)
-    if not fixed.any():
-        c = np.linalg.solve(unit, right / size) / size
-    if fixed.any() or (c < low).any() or (c > high).any():
-        free = ~fixed
-        root = np.linalg.cholesky(unit[np.ix_(free, free)]).T
-        target = np.linalg.solve(root.T, (right[free] - gram[np.ix_(free, fixed)] @ low[fixed]) / size[free])
-        box = low[free] * size[free], high[free] * size[free]
-        c[free] = np.clip(lsq_linear(root, target, box, method="bvls").x / size[free], low[free], high[free])
+    if not (low == high).any():
+        c = solve_positive(unit, right / size) / size
+        if not ((c < low) | (c > high)).any():
+            return c, (c > low) & (c < high) & ~dead
+    c = _bounded_solution((unit, size), gram, right, (low, high))
     return c, (c > low) & (c < high) & ~dead
+
+
+def _bounded_solution(scaled: tuple[Array, Array], gram: Array, right: Array, box: tuple[Array, Array]) -> Array:
+    """The minimum within bounds; `scaled` are the Gram matrix of unit diagonal and the sizes of the rows."""
+    (unit, size), (low, high) = scaled, box
+    fixed = low == high
+    free = ~fixed
+    c = np.where(fixed, low, 0.0)
+    root = np.linalg.cholesky(unit[np.ix_(free, free)]).T
+    target = np.linalg.solve(root.T, (right[free] - gram[np.ix_(free, fixed)] @ low[fixed]) / size[free])
+    limits = low[free] * size[free], high[free] * size[free]
+    c[free] = np.clip(lsq_linear(root, target, limits, method="bvls").x / size[free], low[free], high[free])
+    return c
+
+
+def solve_positive(matrix: Array, right: Array) -> Array:
+    """Solve a small symmetric positive definite system; LAPACK is called directly, since checks take longer.
+
+    Examples
+    --------
+    >>> solve_positive(np.array([[4.0, 0.0], [0.0, 2.0]]), np.array([2.0, 2.0])).tolist()
+    [0.5, 1.0]
+
+    """
+    _, solution, info = dposv(matrix, right)
+    return np.asarray(solution if info == 0 else np.linalg.solve(matrix, right))
 
 
 class ProjectedProblem:
@@ -157,6 +180,13 @@ class ProjectedProblem:
         self._loaded = np.array([c.loaded for c in separable.coefficients], dtype=bool)
         self._level_precision = self._prior_rows[:, self.levels].T @ self._prior_rows[:, self.levels]
 
+    @cached_property
+    def _no_levels(self) -> LevelSlopes | None:
+        """The response of a model without friction levels; None if there are levels."""
+        if self.levels:
+            return None
+        return LevelSlopes(np.zeros((0, self.separable.size)), self._level_precision, np.zeros(0))
+
     def _prior_equations(self, tau: float) -> tuple[Array, Array]:
         """Rows (m, P) and targets (m,) of the penalties, in standard deviations, without priors of coefficients."""
         levels = np.zeros(len(self.low))
@@ -174,7 +204,7 @@ class ProjectedProblem:
         k = len(self.separable.coefficients)
         zero = np.zeros((k, self.separable.size))
         no_coefficient = np.zeros(k, dtype=bool)
-        level_slopes = LevelSlopes(
+        level_slopes = self._no_levels or LevelSlopes(
             np.zeros((len(self.levels), self.separable.size)), self._level_precision, np.zeros(len(self.levels))
         )
         versions = (0,) * len(self.separable.groups)
@@ -272,13 +302,15 @@ class ProjectedProblem:
         """Solve the coefficients for given rows."""
         gram, right = rows @ rows.T, rows @ self.data
         if excluded.any():
-            gram[excluded], gram[:, excluded], right[excluded] = 0.0, 0.0, 0.0
+            taking_part = ~excluded
+            gram *= taking_part & taking_part[:, None]
+            right *= taking_part
         c, unconstrained = bounded_coefficients(gram, right, self.separable.low, self.separable.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
         departure = self._prior_rows @ nonlinear_values - self._prior_target
         misfit += float(departure @ departure)
-        levels = self._level_slopes(nonlinear_values, rows, c, (residual, departure))
+        levels = self._no_levels or self._level_slopes(nonlinear_values, rows, c, (residual, departure))
         return SeparableSolution(
             nonlinear_values, rows, c, unconstrained, residual, misfit, excluded, kept[0], levels, kept[1]
         )
@@ -352,19 +384,20 @@ class ProjectedProblem:
     def _normal_equations(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:
         """Normal matrix (d, d) and gradient (d,) of the free non-linear parameters, coefficients projected out."""
         slope = np.zeros((len(free), self.separable.size))
-        slope[[i in self.levels for i in free]] = state.levels.rows
+        if self.levels:
+            slope[[i in self.levels for i in free]] = state.levels.rows
         for row, i in zip(slope, free, strict=True):
             for change in state.row_derivatives.get(i, []):
                 row[change.cut] += np.where(change.at >= 0, state.coefficients[change.at], 0.0) @ change.rows
-        rows = state.rows[state.unconstrained]
+        rows = state.rows if state.unconstrained.all() else state.rows[state.unconstrained]
         normal, gradient = slope @ slope.T, slope @ state.residual
         if len(rows):
             gram, products = rows @ rows.T, rows @ slope.T
             size = np.sqrt(gram.diagonal())
-            unit = gram / size / size[:, None]
+            unit = gram / (size * size[:, None])
             unit.flat[:: len(size) + 1] += RIDGE
             products /= size[:, None]
-            normal -= products.T @ np.linalg.solve(unit, products)
+            normal -= products.T @ solve_positive(unit, products)
         if len(self._prior_target):
             prior_rows = self._prior_rows[:, free]
             normal += prior_rows.T @ prior_rows
@@ -380,20 +413,29 @@ class ProjectedProblem:
         low, high = self.low[free] - state.nonlinear_values[free], self.high[free] - state.nonlinear_values[free]
         fixed_steps = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
         size = np.sqrt(np.where(own > 0, own, 1.0))
-        unit = normal / size / size[:, None]
+        unit = normal / (size * size[:, None])
         unit.flat[:: len(size) + 1] += damping + RIDGE
-        step = np.clip(0.0, low, high)
-        # the first parameter to leave its bounds is set to the bound; the others are solved again
-        while not fixed_steps.all():
-            movable = ~fixed_steps
-            target = gradient[movable] / size[movable] - unit[np.ix_(movable, fixed_steps)] @ (
-                step[fixed_steps] * size[fixed_steps]
-            )
-            step[movable] = np.linalg.solve(unit[np.ix_(movable, movable)], target) / size[movable]
-            outside = movable & ((step < low) | (step > high))
-            if not outside.any():
-                break
-            side = np.where(step < low, low, high)
-            first = int(np.argmin(np.where(outside, side / np.where(outside, step, 1.0), np.inf)))
-            step[first], fixed_steps[first] = side[first], True
+        step, beyond = np.clip(0.0, low, high), fixed_steps
+        if not fixed_steps.any():
+            step = solve_positive(unit, gradient / size) / size
+            beyond = (step < low) | (step > high)
+        if beyond.any():
+            step = _bounded_step(unit, gradient / size, (low * size, high * size), fixed_steps) / size
         return step, float(2 * gradient @ step - step @ normal @ step)
+
+
+def _bounded_step(unit: Array, gradient: Array, bounds: tuple[Array, Array], fixed_steps: Mask) -> Array:
+    """The step of scaled equations: the first parameter to leave its bounds is set there, the others solved again."""
+    low, high = bounds
+    fixed_steps, step = fixed_steps.copy(), np.clip(0.0, low, high)
+    while not fixed_steps.all():
+        movable = ~fixed_steps
+        target = gradient[movable] - unit[np.ix_(movable, fixed_steps)] @ step[fixed_steps]
+        step[movable] = solve_positive(unit[np.ix_(movable, movable)], target)
+        outside = movable & ((step < low) | (step > high))
+        if not outside.any():
+            break
+        side = np.where(step < low, low, high)
+        first = int(np.argmin(np.where(outside, side / np.where(outside, step, 1.0), np.inf)))
+        step[first], fixed_steps[first] = side[first], True
+    return step

@@ -1,30 +1,22 @@
-"""Fit waves of a common amplitude in one run: each with a free amplitude, or pairs with their common amplitudes."""
+"""Evaluate the parts of an effect with common amplitudes in one run: its waves, and what else it consists of.
+
+The effect names its parts (`Effect.relaxed`). The waves of one amplitude make a sum. A parameter that several parts
+share, such as v_s, may have any value in every evaluation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
-from frictrack.effects import Effect, RelaxedPart
+from frictrack.effects import Effect, Parameter, RelaxedPart
+from frictrack.fit.parameters import ParameterLayout, known_value
+from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.varpro import ROUGH_STEPS, VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
-
-MAX_SLOW_PERIODS = 2.1  # periods per run up to which a wave is slow
-MAX_PAIR_PLACES = 3.0  # periods per run within which waves of two sums may be confused
-RELATIVE_STEP = 0.1  # periods per run between the scanned frequencies
-PHASE_COUNT = 16  # phases around the circle
-TRIAL_PHASES = np.arange(PHASE_COUNT) * 2 * np.pi / PHASE_COUNT - np.pi
-MIN_DIFFERENCE_SHARE = 1e-5  # smallest remaining share of two sums
-# coefficients of the two quadratures at these phases
-PHASE_ROTATIONS = np.array([np.cos(TRIAL_PHASES), np.sin(TRIAL_PHASES)])
 
 
 @dataclass(frozen=True)
@@ -32,250 +24,177 @@ class Wave:
     """One wave of a sum: its group in the relaxed model, and the names of its amplitude, frequency and phase."""
 
     g: int
+    part: str
     size: str
     frequency: str
     phase: str
 
 
-class RelaxedWaves:
-    """The relaxed model of one run, at given values of the shared parameters."""
+@dataclass(frozen=True)
+class SharedParameter:
+    """The parameter that several parts share, and the values at which it is first tried."""
 
-    def __init__(self, full_model: SeparableModel, effect: Effect, shared_values: Mapping[str, float]) -> None:
-        self.full_model, self.effect, self.shared_values = full_model, effect, shared_values
+    name: str
+    values: tuple[float, ...]
+
+    @property
+    def is_free(self) -> bool:
+        """Whether there is more than one value to try."""
+        return len(self.values) > 1
+
+
+class RelaxedWaves:
+    """The relaxed form of a model in one run: rows of its waves and of its other parts."""
+
+    def __init__(self, full_model: SeparableModel, effect: Effect) -> None:
+        self.full_model, self.effect = full_model, effect
+        self.shared = _shared_parameter(full_model.layout, effect)
         self.parts = {f"{effect.name}.{part.effect.name}": part for part in effect.relaxed}
-        part_effects = [_effect_of_part(name, part, effect, shared_values) for name, part in self.parts.items()]
-        law = Model(
-            tuple(q for e in full_model.layout.model.effects for q in (part_effects if e.name == effect.name else [e]))
+        self.separable = SeparableModel(
+            _layout_of(full_model.layout, effect, self._part_effects(None)), full_model.blocks
         )
-        self.separable = SeparableModel(replace(full_model.layout, model=law), full_model.blocks)
-        self.search = VariableProjection(self.separable)
         self.waves = list(self._waves())
-        self.slow = np.arange(RELATIVE_STEP / 2, MAX_SLOW_PERIODS, RELATIVE_STEP) / full_model.layout.span.duration
-        self.groups = {w.g for w in self.waves}
-        self._rows: dict[str, Array] = {}
-        self._products: dict[tuple[str, str], tuple[Any, ...]] = {}
+        self.sums = {
+            size: [w for w in self.waves if w.size == size] for size in dict.fromkeys(w.size for w in self.waves)
+        }
+        groups, is_wave = self.separable.groups, {w.g for w in self.waves}
+        self._other_parts = [g for g in range(len(groups)) if g not in is_wave and groups[g].names[0] in self.parts]
+        self._other_effects = [
+            g for g in range(len(groups)) if g not in is_wave and groups[g].names[0] not in self.parts
+        ]
+
+    def _part_effects(self, shared_value: float | None, chosen: Sequence[str] | None = None) -> list[Effect]:
+        """The parts as effects of their own; the shared parameter is free for None."""
+        value = {self.shared.name: shared_value} if self.shared is not None and shared_value is not None else {}
+        return [
+            _effect_of_part(name, part, self.effect, value)
+            for name, part in self.parts.items()
+            if chosen is None or name in chosen
+        ]
 
     def _waves(self) -> Iterator[Wave]:
         """The waves among the groups of the relaxed model."""
+        shared = self.shared.name if self.shared is not None else None
         for g, group in enumerate(self.separable.groups):
             part = self.parts.get(group.names[0])
             if part is not None and group.is_sinusoid:
-                names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
-                own_parameters = [p for p in part.effect.nonlinear if names[p.name] not in self.shared_values]
+                names = _names(part)
+                own_parameters = [p for p in part.effect.nonlinear if names[p.name] != shared]
                 frequency = next(p for p in own_parameters if p.role != "phase")
                 phase = next(p for p in own_parameters if p.role == "phase")
-                yield Wave(g, names[part.effect.linear[0].name], names[frequency.name], names[phase.name])
+                yield Wave(
+                    g, group.names[0], names[part.effect.linear[0].name], names[frequency.name], names[phase.name]
+                )
 
-    # --- free amplitudes
+    def waves_alone(self, waves: Sequence[Wave], shared_value: float, blocks: Sequence[DataBlock]) -> SeparableModel:
+        """Return a model of some waves with free amplitudes beside the other effects, over blocks of the run."""
+        parts = self._part_effects(shared_value, [w.part for w in waves])
+        return SeparableModel(_layout_of(self.full_model.layout, self.effect, parts), blocks)
 
-    def free_amplitude_fits(self, data: Array) -> list[tuple[float, Array]]:
-        """Fit data (M,) with free amplitudes, as found and with waves of two sums exchanged.
+    # --- rows
 
-        Returns
-        -------
-        list of (float, array of shape (P,))
-            Misfits and parameter vectors of the full model.
+    def quadratures(self, w: Wave, frequencies: Array, shared_values: Array) -> Array:
+        """Compute both quadratures (Q, 2, M) of a wave at frequencies (Q,) and values (Q,) of the shared parameter."""
+        values = self._values({w.frequency: frequencies, self._shared_name: shared_values})
+        rows = self._rows(w.g, values)
+        return np.broadcast_to(rows, (len(frequencies), *rows.shape[1:]))
 
-        """
-        problem = ProjectedProblem(self.separable, data)
-        state = self.search.start_solution(problem)
-        found = [state]
-        for one, other in combinations(self.waves, 2):
-            at = [self.separable.groups[w.g].nonlinear_slots for w in (one, other)]
-            if one.size == other.size or not all(at):
-                continue
-            i, j = at[0][0], at[1][0]
-            if max(state.nonlinear_values[i], state.nonlinear_values[j]) > self.slow[-1]:
-                nonlinear_values = state.nonlinear_values.copy()
-                nonlinear_values[[i, j]] = nonlinear_values[[j, i]]
-                moved = problem.at(nonlinear_values, state, {one.g, other.g})
-                found.append(problem.refine(moved, steps=ROUGH_STEPS, enough=1e-3))
-        return [(s.misfit, self._in_full_model(s)) for s in found]
+    def depends_on_shared(self, w: Wave) -> bool:
+        """Return whether a wave depends on the shared parameter."""
+        return self.shared is not None and self.shared.name in self.parts[w.part].names
 
-    def _in_full_model(self, state: SeparableSolution) -> Array:
-        """Parameter vector (P,) of the full model with the waves of a relaxed solution."""
-        law = self.separable.law(state.nonlinear_values, state.coefficients)
-        known = {(self.effect.name, name): value for name, value in self.shared_values.items()}
-        for slot, value in zip(self.separable.layout.slots, law, strict=True):
-            part = self.parts.get(slot.effect)
-            if part is None:
-                known[slot.effect, slot.parameter] = float(value)
-            else:
-                names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
-                known[self.effect.name, names[slot.parameter]] = float(value)
-        return np.array([known.get((s.effect, s.parameter), 1.0) for s in self.full_model.layout.slots])
+    def other_parts(self, shared_values: Array) -> Array:
+        """Compute the rows (Q, k, M) of the parts that are no waves, at values (Q,) of the shared parameter."""
+        values = self._values({self._shared_name: shared_values})
+        rows = [np.zeros((len(values), 0, self.separable.size))]
+        for g in self._other_parts:
+            own = self._rows(g, values)
+            rows.append(np.broadcast_to(own, (len(values), *own.shape[1:])))
+        return np.concatenate(rows, axis=1)
 
-    # --- common amplitudes
+    def other_effects(self, p: Array) -> Array:
+        """Compute the rows (k, M) of the other effects of the model at a parameter vector (P,) of it."""
+        known = {(s.effect, s.parameter): float(v) for s, v in zip(self.full_model.layout.slots, p, strict=True)}
+        values = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
+        rows = [self._rows(g, values)[0] for g in self._other_effects]
+        return np.concatenate([np.zeros((0, self.separable.size)), *rows])
 
-    def fast_periods(self, p: Array) -> Array:
-        """Return the periods per run of the fast waves, sum after sum, (f,); slow ones count as zero."""
-        duration = self.full_model.layout.span.duration
-        out = []
-        for size in dict.fromkeys(w.size for w in self.waves):
-            periods = sorted(self._value(p, w.frequency) * duration for w in self.waves if w.size == size)
-            out += [f if f > MAX_SLOW_PERIODS else 0.0 for f in periods]
-        return np.array(out)
+    @property
+    def _shared_name(self) -> str:
+        return self.shared.name if self.shared is not None else ""
 
-    def with_waves_exchanged(self, p: Array) -> Iterator[Array]:
-        """Yield parameter vectors (P,) with two neighbouring waves of different sums exchanged."""
-        for one, other in combinations(self.waves, 2):
-            f, g = (self._value(p, w.frequency) for w in (one, other))
-            near = abs(f - g) * self.full_model.layout.span.duration < MAX_PAIR_PLACES
-            if one.size != other.size and near and max(f, g) > self.slow[-1]:
-                q = p.copy()
-                self._set_wave(q, one, g, self._value(p, other.phase))
-                self._set_wave(q, other, f, self._value(p, one.phase))
-                yield q
-
-    def slow_wave_positions(self, p: Array, data: Array) -> list[tuple[float, Array]]:
-        """Scan the slowest waves of two sums beside all others of a model.
-
-        Returns
-        -------
-        list of (float, array of shape (P,))
-            Misfits of the local minima, and their parameter vectors.
-
-        """
-        slowest = {}
-        for w in sorted(self.waves, key=lambda w: -self._value(p, w.frequency)):
-            slowest[w.size] = w
-        return [place for pair in combinations(slowest.values(), 2) for place in self._scan_pair(p, data, pair)]
-
-    def _scan_pair(self, p: Array, data: Array, pair: tuple[Wave, Wave]) -> list[tuple[float, Array]]:
-        """Scan one pair of waves over frequency and phase."""
-        one, other = pair
-        basis = self._other_effects_basis(p, pair)
-        a, b, aa, bb, ab = self._pair_products(pair, basis)
-        r, q = (_single_precision(_without_basis(self._other_waves(p, w), basis)) for w in pair)
-        y = _single_precision(_without_basis(data, basis))
-        g11, u1 = (r @ r + 2 * _over_phases(a @ r) + aa)[:, None], (r @ y + _over_phases(a @ y))[:, None]
-        g22, u2 = q @ q + 2 * _over_phases(b @ q) + bb, q @ y + _over_phases(b @ y)
-        g12 = ab + (r @ q + _over_phases(a @ q))[:, None]
-        g12 += _over_phases(b @ r)
-        det = np.maximum(g11 * g22 - g12 * g12, MIN_DIFFERENCE_SHARE * g11 * g22)
-        c1, c2 = g22 * u1 - g12 * u2, g11 * u2 - g12 * u1
-        gain = (c1 * u1 + c2 * u2) / det
-        gain[(c1 <= 0) | (c2 <= 0)] = 0.0
-        cost = (
-            (y @ y - gain)
-            .reshape(len(a), PHASE_COUNT, len(b), PHASE_COUNT)
-            .transpose(0, 2, 1, 3)
-            .reshape(len(a), len(b), -1)
-        )
-        phase_index = cost.argmin(axis=-1)
-        least = cost.min(axis=-1)
-        out = []
-        for i, j in np.argwhere(least == minimum_filter(least, 3, mode="nearest")):
-            q = p.copy()
-            self._set_wave(q, one, self.slow[i], TRIAL_PHASES[phase_index[i, j] // PHASE_COUNT])
-            self._set_wave(q, other, self.slow[j], TRIAL_PHASES[phase_index[i, j] % PHASE_COUNT])
-            for name, value in self.shared_values.items():
-                k = self.full_model.position(self.effect.name, name)
-                if k is not None:
-                    q[k] = value
-            out.append((float(least[i, j]), q))
+    def _values(self, by_name: Mapping[str, Array]) -> Array:
+        """Parameter vectors (Q, P) of the relaxed model with some parameters of the effect set in all parts."""
+        out = np.ones((len(next(iter(by_name.values()))), len(self.separable.layout.slots)))
+        for i, slot in enumerate(self.separable.layout.slots):
+            if (part := self.parts.get(slot.effect)) is not None:
+                name = _names(part)[slot.parameter]
+                if name in by_name:
+                    out[:, i] = by_name[name]
         return out
 
-    def _pair_products(self, pair: tuple[Wave, Wave], basis: Array) -> tuple[Any, ...]:
-        """Both waves at all slow frequencies, other effects projected out, and their products at all phases.
+    def _rows(self, g: int, values: Array) -> Array:
+        """Rows (Q, k, M) of one group over all blocks."""
+        return np.concatenate([self.separable.rows(g, b, values) for b in range(len(self.separable.blocks))], axis=2)
 
-        They depend on the motion only, and are kept as long as the other effects stay the same.
-        """
-        key = pair[0].frequency, pair[1].frequency
-        if key not in self._products or not np.array_equal(self._products[key][0], basis):
-            a, b = (_single_precision(_without_basis(self._slow_quadratures(w), basis)) for w in pair)
-            aa, bb = (
-                np.einsum("ap,fab,bp->fp", PHASE_ROTATIONS, x @ x.transpose(0, 2, 1), PHASE_ROTATIONS).ravel()
-                for x in (a, b)
-            )
-            n = a.shape[-1]
-            cross_products = (a.reshape(-1, n) @ b.reshape(-1, n).T).reshape(len(a), 2, len(b), 2)
-            ab = np.einsum(
-                "ap,fagb,bq->fpgq",
-                _single_precision(PHASE_ROTATIONS),
-                cross_products,
-                _single_precision(PHASE_ROTATIONS),
-                optimize=True,
-            )
-            self._products[key] = basis, a, b, aa, bb, np.ascontiguousarray(ab.reshape(len(a) * PHASE_COUNT, -1))
-        return self._products[key][1:]
+    # --- parameter vectors of the full model
 
-    def _set_wave(self, q: Array, w: Wave, frequency: float, phase: float) -> None:
-        """Set frequency and phase of a wave in a parameter vector, in place."""
-        for name, value in ((w.frequency, frequency), (w.phase, phase)):
-            k = self.full_model.position(self.effect.name, name)
-            if k is not None:
-                q[k] = value
+    def full_name(self, part: str, parameter: str) -> str:
+        """Return what the whole effect calls a parameter of a part."""
+        return _names(self.parts[part])[parameter]
 
-    def _value(self, p: Array, name: str) -> float:
-        """Value of a parameter of the effect."""
+    def value(self, p: Array, name: str) -> float:
+        """Return the value of a parameter of the effect in a parameter vector (P,)."""
         k = self.full_model.position(self.effect.name, name)
         return self.full_model.layout.fixed[self.effect.name, name] if k is None else float(p[k])
 
-    def _slow_quadratures(self, w: Wave) -> Array:
-        """Both quadratures (F, 2, M) of a wave at every slow frequency; of a fixed one at its own."""
-        fixed = self.full_model.layout.fixed.get((self.effect.name, w.frequency))
-        key = w.size if fixed is None else w.frequency
-        if key not in self._rows:
-            self._rows[key] = self._quadratures(w, self.slow if fixed is None else np.array([fixed]))
-        return self._rows[key]
+    def set_value(self, p: Array, name: str, value: float) -> None:
+        """Set a parameter of the effect in a parameter vector (P,), in place, unless it is fixed."""
+        k = self.full_model.position(self.effect.name, name)
+        if k is not None:
+            p[k] = value
 
-    def _quadratures(self, w: Wave, frequencies: Array) -> Array:
-        """Both quadratures (F, 2, M) of a wave at some frequencies."""
-        nonlinear_values = np.ones((len(frequencies), len(self.separable.layout.slots)))
-        for i in self.separable.groups[w.g].nonlinear_slots:
-            nonlinear_values[:, i] = frequencies
-        rows = [self.separable.rows(w.g, b, nonlinear_values) for b in range(len(self.separable.blocks))]
-        return np.concatenate(rows, axis=2)
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the bounds of a parameter of the effect; both are its value if it is fixed."""
+        k = self.full_model.position(self.effect.name, name)
+        if k is None:
+            value = self.full_model.layout.fixed[self.effect.name, name]
+            return value, value
+        low, high = self.full_model.layout.bounds
+        return float(low[k]), float(high[k])
 
-    def _other_waves(self, p: Array, w: Wave) -> Array:
-        """Sum (M,) of the other waves that share the amplitude of `w`."""
-        out = np.zeros(self.separable.size)
-        for q in self.waves:
-            if q.size == w.size and q is not w:
-                phase = self._value(p, q.phase)
-                rows = self._quadratures(q, np.array([self._value(p, q.frequency)]))[0]
-                out += np.cos(phase) * rows[0] + np.sin(phase) * rows[1]
-        return out
-
-    def _other_effects_basis(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
-        """Orthonormal basis (k, M) of everything beside two sums, at the values of a parameter vector (P,)."""
-        known = {(s.effect, s.parameter): float(v) for s, v in zip(self.full_model.layout.slots, p, strict=True)}
-        nonlinear_values = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
-        rows = []
-        for g in set(range(len(self.separable.groups))) - self.groups:
-            each = [self.separable.rows(g, b, nonlinear_values)[0] for b in range(len(self.separable.blocks))]
-            rows.append(np.concatenate(each, axis=1))
-        for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
-            w = next(w for w in self.waves if w.size == size)
-            own_parameters = self._quadratures(w, np.array([self._value(p, w.frequency)]))[0]
-            phase_index = self._value(p, w.phase)
-            rows.append(
-                (
-                    self._other_waves(p, w)
-                    + np.cos(phase_index) * own_parameters[0]
-                    + np.sin(phase_index) * own_parameters[1]
-                )[None]
-            )
-        if not rows:
-            return np.zeros((0, self.separable.size))
-        q, _ = np.linalg.qr(np.concatenate(rows).T)
-        return np.asarray(q.T)
+    def wave_rows(self, p: Array, w: Wave, shared_values: Array) -> Array:
+        """Compute the rows (Q, M) of a wave at its frequency and phase in p (P,), per unit amplitude."""
+        phase = self.value(p, w.phase)
+        rows = self.quadratures(w, np.full(len(shared_values), self.value(p, w.frequency)), shared_values)
+        return np.asarray(np.cos(phase) * rows[:, 0] + np.sin(phase) * rows[:, 1])
 
 
-def _without_basis(rows: Array, basis: Array) -> Array:
-    """Rows (..., M) minus their projection on an orthonormal basis (k, M)."""
-    return np.asarray(rows - (rows @ basis.T) @ basis)
+def _names(part: RelaxedPart) -> dict[str, str]:
+    """Names in the whole effect of the parameters of a part."""
+    return dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
 
 
-def _single_precision(rows: Array) -> Array:
-    """Rows in single precision: they only show where to refine."""
-    return rows.astype(np.float32)
+def _layout_of(layout: ParameterLayout, effect: Effect, parts: Sequence[Effect]) -> ParameterLayout:
+    """The layout with an effect replaced by parts."""
+    effects = [q for e in layout.model.effects for q in (parts if e.name == effect.name else [e])]
+    return replace(layout, model=Model(tuple(effects)))
 
 
-def _over_phases(products: Array) -> Array:
-    """Products of waves at all phases, (F PHASE_COUNT,), from those of their quadratures (F, 2)."""
-    return np.asarray((products @ _single_precision(PHASE_ROTATIONS)).ravel())
+def _shared_parameter(layout: ParameterLayout, effect: Effect) -> SharedParameter | None:
+    """The parameter that several parts share, and its values to try: its known value, or its scan."""
+    shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
+    if not shared:
+        return None
+    (q,) = shared
+    return SharedParameter(q.name, tuple(map(float, _values_to_try(q, layout))))
+
+
+def _values_to_try(q: Parameter, layout: ParameterLayout) -> Sequence[float]:
+    known = known_value(q, layout.span)
+    if known is not None:
+        return [known]
+    return [1.0] if q.scan is None else list(q.scan(layout.span))
 
 
 def _effect_of_part(name: str, part: RelaxedPart, effect: Effect, shared_values: Mapping[str, float]) -> Effect:

@@ -5,7 +5,7 @@ Tables depend only on the motion, so they serve every data set along it. Instanc
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -14,24 +14,11 @@ from numpy.typing import NDArray
 from frictrack.effects import Effect
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import SeparableSolution
-from frictrack.records import Array, Mask
+from frictrack.fit.separable.table_scan import ProjectedTable, ScanGrid, TableScan
+from frictrack.records import Array
 
-MIN_UNEXPLAINED_SHARE = 1e-6  # smallest share of a column outside the model
-MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
+MAX_CACHED_VALUES = 2**19  # values of a table that fits into the cache; products with it are made two at a time
 MAX_AT_ONCE = 64  # grid points evaluated at once
-
-
-@dataclass(frozen=True, eq=False)
-class ScanGrid:
-    """Points of a scan: `values` (G, d) of the parameters `names`, and their grid indices `steps` (G, d)."""
-
-    names: tuple[str, ...]
-    values: Array
-    steps: NDArray[np.int_]
-
-    def shortened(self) -> ScanGrid:
-        """Return the grid without its last point."""
-        return ScanGrid(self.names, self.values[:-1], self.steps[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,23 +65,27 @@ class ScanTable:
 
         Returns
         -------
-        products : array of shape (G, C, K + R)
+        products : array of shape (K + R, G, C)
             With the rows of the solution and of its levels.
         residual_products : array of shape (G, C)
             With its residual.
 
         """
         k = len(state.coefficients)
-        out = np.zeros((*self.gram.shape[:2], k + len(state.levels.rows)))
+        out = np.zeros((k + len(state.levels.rows), *self.gram.shape[:2]))
         for g, stamp in enumerate(state.versions):
             mine = separable.coefficients_of(g)
+            if stamp == 0 and not state.rows[mine].any():
+                continue
             if self.law_products.get(g, (None,))[0] != stamp:
                 self.law_products[g] = stamp, self._products(separable.slices, state.rows[mine])
-            out[:, :, mine] = self.law_products[g][1]
+            out[mine] = self.law_products[g][1]
         if not self.data_products or self.data_products[0] is not data:
-            self.data_products[:] = [data, self._products(separable.slices, data[None])[:, :, 0]]
-        out[:, :, k:] = self._products(separable.slices, state.levels.rows)
-        return out, self.data_products[1] - out[:, :, :k] @ state.coefficients
+            self.data_products[:] = [data, self._products(separable.slices, data[None])[0]]
+        if len(state.levels.rows):
+            out[k:] = self._products(separable.slices, state.levels.rows)
+        explained = state.coefficients @ out[:k].reshape(k, -1)
+        return out, self.data_products[1] - explained.reshape(self.gram.shape[:2])
 
     def neighbours(self) -> Array:
         """Return the Gram matrices (G - 1, 2 C, 2 C) of every point and the next one on the grid."""
@@ -110,35 +101,28 @@ class ScanTable:
         return self.neighbour_gram[0]
 
     def _products(self, slices: list[slice], rows: Array) -> Array:
-        """Inner products (G, C, k) of the table with rows (k, M)."""
+        """Inner products (k, G, C) of the table with rows (k, M)."""
         g, c = self.gram.shape[:2]
-        out = np.zeros((g, c, len(rows)))
+        out = np.zeros((len(rows), g, c))
         single_rows = rows.astype(np.float32)
         for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
-            shown = np.flatnonzero(single_rows[:, cut].any(axis=1))  # most rows belong to one run
-            out[np.ix_(np.arange(g), at, shown)] += (mine @ single_rows[shown, cut].T).reshape(g, len(at), len(shown))
+            if not len(at):
+                continue
+            own = single_rows if len(slices) == 1 else single_rows[:, cut]
+            shown = np.flatnonzero(own.any(axis=1))  # most rows belong to one run
+            products = _in_pairs(own[shown], mine).reshape(len(shown), g, len(at))
+            if len(shown) == len(rows) and len(at) == c:
+                out += products
+            else:
+                out[shown[:, None, None], np.arange(g)[:, None], at] += products
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class TableScan:
-    """Gain of every grid point beside a solution, (G,), and its coefficients (G, C)."""
-
-    grid: ScanGrid
-    gains: Array
-    coefficients: Array
-
-    def best_distinct(self, most: int) -> list[int]:
-        """Return the points of the largest gains, none within `MIN_GRID_STEPS_APART` steps of a better one."""
-        chosen: list[int] = []
-        left = self.gains.copy()
-        for _ in range(most):
-            best = int(np.argmax(left))
-            if left[best] <= 0:
-                break
-            chosen.append(best)
-            left[np.all(np.abs(self.grid.steps - self.grid.steps[best]) <= MIN_GRID_STEPS_APART, axis=1)] = 0.0
-        return chosen
+def _in_pairs(rows: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Inner products (k, n) of rows (k, m) with a table (n, m); a small table is fastest two rows at a time."""
+    if table.size > MAX_CACHED_VALUES or len(rows) <= 2:
+        return rows @ table.T
+    return np.concatenate([rows[i : i + 2] @ table.T for i in range(0, len(rows), 2)])
 
 
 def scan_grid(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
@@ -217,6 +201,12 @@ class ScanTables:
         self.separable = separable
         self._grids: dict[tuple[str, int | None], ScanGrid] = {}
         self._made: dict[tuple[object, ...], ScanTable] = {}
+        self._mine: dict[ScanItem, NDArray[np.int_]] = {}
+        # the last solution and data, and the tables beside them
+        self._last: tuple[
+            SeparableSolution | None, Array | None, dict[tuple[int, bool], tuple[ScanTable, ProjectedTable]]
+        ]
+        self._last = None, None, {}
 
     def grid(self, item: ScanItem) -> ScanGrid:
         """Return the grid of an item."""
@@ -245,24 +235,45 @@ class ScanTables:
         return self._made[key]
 
     def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
-        """Compute the gain of every grid point of an item beside a solution without it."""
-        table = self.table(item, state)
-        mine = coefficients_of(self.separable, item)
-        cross, residual_products = table.inner_products(self.separable, state, data)
-        return _table_scan(
-            table, state, (cross, residual_products), (self.separable.low[mine], self.separable.high[mine])
-        )
+        """Compute the gain of every grid point of one more effect like an item beside a solution."""
+        return self._projected_table(item, state, data).one_more(self._box(item))
 
-    def pairs(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
+    def moves(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
+        """Compute the gain of every grid point of an item of a solution, which leaves its own position."""
+        return self._projected_table(item, state, data).moved(self._coefficients(item), self._box(item))
+
+    def pair_moves(self, pair: tuple[ScanItem, ScanItem], state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of two neighbouring grid points together: two lines too close to be resolved."""
+        own = np.concatenate([self._coefficients(item) for item in pair])
+        return self._projected_table(pair[0], state, data, in_pairs=True).moved(own, (-np.inf, np.inf))
+
+    def _coefficients(self, item: ScanItem) -> NDArray[np.int_]:
+        if item not in self._mine:
+            self._mine[item] = coefficients_of(self.separable, item)
+        return self._mine[item]
+
+    def _box(self, item: ScanItem) -> tuple[Array, Array]:
+        mine = self._coefficients(item)
+        return self.separable.low[mine], self.separable.high[mine]
+
+    def _projected_table(
+        self, item: ScanItem, state: SeparableSolution, data: Array, in_pairs: bool = False
+    ) -> ProjectedTable:
+        """The table of an item beside a solution, or of its neighbouring grid points; items share it."""
         table = self.table(item, state)
-        cross, residual_products = table.inner_products(self.separable, state, data)
-        two = replace(table, gram=table.neighbours(), grid=table.grid.shortened())
-        both = (
-            np.concatenate([cross[:-1], cross[1:]], axis=1),
-            np.concatenate([residual_products[:-1], residual_products[1:]], axis=1),
-        )
-        return _table_scan(two, state, both, (-np.inf, np.inf))
+        key = id(table), in_pairs
+        if self._last[0] is not state or self._last[1] is not data:
+            self._last = state, data, {}
+        if key not in self._last[2]:
+            self._last[2][key] = table, self._project(table, state, data, in_pairs)
+        return self._last[2][key][1]
+
+    def _project(self, table: ScanTable, state: SeparableSolution, data: Array, in_pairs: bool) -> ProjectedTable:
+        cross, right = table.inner_products(self.separable, state, data)
+        if not in_pairs:
+            return ProjectedTable(table.grid, table.gram, state, (cross, right))
+        both = np.concatenate([cross[:, :-1], cross[:, 1:]], axis=2), np.concatenate([right[:-1], right[1:]], axis=1)
+        return ProjectedTable(table.grid.shortened(), table.neighbours(), state, both)
 
     def _build(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """Evaluate the rows of an item at all grid points."""
@@ -293,62 +304,3 @@ class ScanTables:
 
 def _chunks(nonlinear_values: Array) -> list[Array]:
     return np.array_split(nonlinear_values, max(1, -(-len(nonlinear_values) // MAX_AT_ONCE)))
-
-
-def _table_scan(
-    table: ScanTable, state: SeparableSolution, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
-) -> TableScan:
-    """Gains of all grid points beside a solution without them, its levels free within their penalty.
-
-    `products` are the inner products from `ScanTable.inner_products`, `box` the bounds of the coefficients.
-    """
-    cross, residual_products = products
-    schur, gain_of_free_rows = table.gram.copy(), 0.0
-    free = np.concatenate([state.unconstrained, state.levels.rows.any(axis=1)])
-    if free.any():
-        inverse, size, gradient = _free_rows(state, free)
-        with_free_rows = cross[:, :, free] / size
-        flat = (with_free_rows.reshape(-1, len(size)) @ inverse).reshape(with_free_rows.shape)
-        schur -= flat @ with_free_rows.transpose(0, 2, 1)
-        residual_products, gain_of_free_rows = residual_products - flat @ gradient, float(gradient @ inverse @ gradient)
-    c = np.clip(_solve(schur, residual_products, np.einsum("gcc->gc", table.gram)), *box)
-    curved = (schur @ c[:, :, None])[:, :, 0]
-    return TableScan(table.grid, np.einsum("gc,gc->g", c, 2 * residual_products - curved) + gain_of_free_rows, c)
-
-
-def _free_rows(state: SeparableSolution, free: Mask) -> tuple[Array, Array, Array]:
-    """Inverse Gram matrix of the free rows and levels (k,), in units of their sizes (k,), and gradients (k,)."""
-    rows = np.concatenate([state.rows, state.levels.rows])[free]
-    k, own = len(state.coefficients), state.levels
-    precision, gradient = np.zeros((len(free), len(free))), np.zeros(len(free))
-    precision[k:, k:], gradient[k:] = own.precision, own.gradient
-    gram = rows @ rows.T + precision[np.ix_(free, free)]
-    size = np.sqrt(gram.diagonal())
-    unit = gram / size / size[:, None]
-    unit.flat[:: len(size) + 1] += 1e-12
-    return np.linalg.inv(unit), size, gradient[free] / size
-
-
-def _solve(schur: Array, residual_products: Array, full: Array) -> Array:
-    """Best coefficients (G, C) for projected Gram matrices; points that the model absorbs get zero."""
-    count = schur.shape[1]
-    floor = MIN_UNEXPLAINED_SHARE * full
-    if count == 1:
-        own = schur[:, :, 0]
-        return residual_products / np.where(own > floor, own, np.inf)
-    if count == 2:
-        a, b, d = schur[:, 0, 0], schur[:, 0, 1], schur[:, 1, 1]
-        det = a * d - b * b
-        good = det > MIN_UNEXPLAINED_SHARE * full[:, 0] * full[:, 1]
-        det = np.where(good, det, np.inf)
-        out = np.stack(
-            [
-                (d * residual_products[:, 0] - b * residual_products[:, 1]) / det,
-                (a * residual_products[:, 1] - b * residual_products[:, 0]) / det,
-            ],
-            axis=1,
-        )
-        return out
-    size = np.sqrt(np.where(full > 0, full, 1.0))
-    unit = schur / size[:, :, None] / size[:, None, :] + MIN_UNEXPLAINED_SHARE * np.eye(count)
-    return np.linalg.solve(unit, (residual_products / size)[:, :, None])[:, :, 0] / size

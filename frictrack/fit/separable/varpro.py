@@ -20,14 +20,8 @@ import numpy as np
 
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan_tables import (
-    ScanGrid,
-    ScanItem,
-    ScanTables,
-    TableScan,
-    coefficients_of,
-    scanned_effects,
-)
+from frictrack.fit.separable.scan_tables import ScanItem, ScanTables, coefficients_of, scanned_effects
+from frictrack.fit.separable.table_scan import ScanGrid, TableScan
 from frictrack.records import Array
 
 MAX_PLACES = 3  # grid points of one scan that are refined
@@ -173,15 +167,14 @@ class VariableProjection:
         """Try other positions of every effect, then of pairs of effects, until none helps."""
         state = problem.refine(state)
         waiting = list(self.items)
-        while waiting:
-            item = waiting.pop(0)
-            better = self._try_other_positions(problem, state, item)
-            if better is None and not waiting:
+        while True:
+            item, better = self._try_other_positions(problem, state, waiting)
+            if better is None:
                 better = self._try_pairs(problem, state)
-            if better is not None:
-                state = better
-                waiting = [i for i in self.items if i != item] or list(self.items)
-        return state
+            if better is None:
+                return state
+            state = better
+            waiting = [i for i in self.items if i != item] or list(self.items)
 
     def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
@@ -202,7 +195,7 @@ class VariableProjection:
 
     def _misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
-        best = max(float(s.gains.max()) for s in self._scans(problem, state, self.items).values())
+        best = max((float(s.gains.max()) for s in self._scans(problem, state, self.items).values()), default=0.0)
         return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
 
     def _scans(
@@ -213,25 +206,28 @@ class VariableProjection:
         return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
 
     def _try_other_positions(
-        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
-    ) -> SeparableSolution | None:
-        """A better solution with one item at another position; None if there is none."""
-        without_item = problem.without(state, self.item_coefficients[item])
-        found = self.tables.scan(item, without_item, problem.data)
-        max_misfit = self._max_promising_misfit(state, without_item)
-        for g in found.best_distinct(MAX_PLACES):
-            if without_item.misfit - found.gains[g] > max_misfit or self._is_current_position(item, state, found, g):
-                continue
-            better = self._refine_if_better(problem, state, self._with_item_at(problem, state, item, found, g))
-            if better is not None:
-                return better
-        return None
+        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScanItem]
+    ) -> tuple[ScanItem | None, SeparableSolution | None]:
+        """The first item that is better at another position, and that solution; None if there is none."""
+        for item in items:
+            found = self.tables.moves(item, state, problem.data)
+            max_misfit = self._max_promising_misfit(state, state.misfit + found.loss)
+            for g in found.best_distinct(MAX_PLACES):
+                misfit = state.misfit + found.loss - found.gains[g]
+                if misfit > max_misfit or self._is_current_position(item, state, found, g):
+                    continue
+                without_item = problem.without(state, self.item_coefficients[item])
+                trial = self._with_item_at(problem, without_item, item, found, g)
+                better = self._refine_if_better(problem, state, trial)
+                if better is not None:
+                    return item, better
+        return None, None
 
-    def _max_promising_misfit(self, state: SeparableSolution, without_item: SeparableSolution) -> float:
+    def _max_promising_misfit(self, state: SeparableSolution, without_item: float) -> float:
         """Largest misfit on the grid that is worth a refinement."""
         return (
             state.misfit
-            + MAX_LAG_SHARE * (without_item.misfit - state.misfit)
+            + MAX_LAG_SHARE * (without_item - state.misfit)
             + MAX_LAG_CHI2 * state.misfit / self.separable.size
         )
 
@@ -239,14 +235,12 @@ class VariableProjection:
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
     ) -> SeparableSolution | None:
         """A better solution with two lines at neighbouring grid points."""
-        without_both = problem.without(
-            state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
-        )
-        found = self.tables.pairs(one, without_both, problem.data)
+        found = self.tables.pair_moves((one, other), state, problem.data)
         positions = self._slot_positions(one, found.grid.names), self._slot_positions(other, found.grid.names)
         values = self.tables.grid(one).values
         for g in found.best_distinct(MAX_PAIR_PLACES):
-            if without_both.misfit - found.gains[g] > self._max_promising_misfit(state, without_both):
+            without_both = state.misfit + found.loss
+            if without_both - found.gains[g] > self._max_promising_misfit(state, without_both):
                 break
             nonlinear_values = state.nonlinear_values.copy()
             nonlinear_values[positions[0]], nonlinear_values[positions[1]] = values[g], values[g + 1]
@@ -267,7 +261,7 @@ class VariableProjection:
         without_item = problem.without(with_one, self.item_coefficients[other])
         second = self.tables.scan(other, without_item, problem.data)
         g = int(np.argmax(second.gains))
-        if without_item.misfit - second.gains[g] > self._max_promising_misfit(state, without_both):
+        if without_item.misfit - second.gains[g] > self._max_promising_misfit(state, without_both.misfit):
             return None
         return self._refine_if_better(problem, state, self._with_item_at(problem, with_one, other, second, g))
 
