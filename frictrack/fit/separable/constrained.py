@@ -122,15 +122,30 @@ class _RunSearch:
             best = self._with_slow_waves(problem, waves, best)
         assert best is not None
         searched: list[int] = []
+        misses = not self.fast
         while self.fast and (place := self._place_of(best)) not in searched:
             searched.append(place)
             waves = self._fast_search(place)(data)
+            misses |= waves.misses_wave
             if not any(waves.resembles(other, SAME_WAVE_PERIODS) for other in tried):
                 tried.append(waves)
                 best = self._with_slow_waves(problem, waves, best)
         if self.fast and self._is_ambiguous(best):
             best = self._with_waves_reassigned(problem, best, tried)
+        if misses:
+            best = self._with_any_waves(problem, best)
         return problem.refine(best, steps=MAX_STEPS)
+
+    def _with_any_waves(self, problem: ProjectedProblem, best: SeparableSolution) -> SeparableSolution:
+        """The best solution with waves that were all found with free amplitudes, none taken as slow."""
+        for value in (self.shared_values[i] for i in self._first_places()):
+            others = self.relaxed.other_parts(np.array([value]))[0]
+            waves = FastWaves(self.relaxed, self.relaxed.waves, value, others).first_found(problem.data)
+            trials = [waves.p, *self.relaxed.exchanged(waves.p)]
+            for p in [q for trial in trials for _, q in self.slow.near(trial, problem.data)]:
+                trial = problem.refine(problem.at(p), steps=MAX_STEPS, below=best.misfit)
+                best = trial if trial.misfit < best.misfit else best
+        return best
 
     def _periods(self, state: SeparableSolution) -> list[Array]:
         """Periods per run of the waves of every sum."""

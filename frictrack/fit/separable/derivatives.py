@@ -69,10 +69,11 @@ class EvaluatedStack:
     ) -> EvaluatedStack:
         """Evaluate a group along a stack, (g, stack), at values (P,), with finite differences of at least a step."""
         g, stack = which
-        places = _places(separable, g, stack)
+        places = separable.places(g, stack)
         steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values[places]), min_step[places])
         steps[places < 0] = 1.0
-        moved = np.tile(nonlinear_values, (1 + len(places), len(stack.members), 1))
+        moved = np.empty((1 + len(places), len(stack.members), len(nonlinear_values)))
+        moved[:] = nonlinear_values
         j, member = np.nonzero(places >= 0)
         moved[1 + j, member, places[j, member]] += steps[j, member]
         levels = separable.layout.levels
@@ -103,12 +104,3 @@ class EvaluatedStack:
     def _change(self, place: int, slope: Array, part: Segment) -> Iterator[tuple[int, RowChange]]:
         if place >= 0:
             yield int(place), RowChange(self.g, part.at, part.cut, slope[:, part.inside])
-
-
-def _places(separable: SeparableModel, g: int, stack: BlockStack) -> Indices:
-    """The non-linear parameters of a group in every block of a stack, (q, B), common ones first."""
-    slots, mine = separable.layout.slots, separable.groups[g].nonlinear_slots
-    common = [i for i in mine if slots[i].run is None]
-    each = [common + [i for i in mine if slots[i].run == run] for run in stack.runs]
-    longest = max(len(own) for own in each)
-    return np.array([own + [-1] * (longest - len(own)) for own in each], dtype=int).reshape(len(each), longest).T

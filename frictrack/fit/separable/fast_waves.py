@@ -18,11 +18,15 @@ REFINE_STEPS, ENOUGH = 8, 1e-4  # steps from given frequencies; predicted fall o
 
 @dataclass(frozen=True, eq=False)
 class WaveSet:
-    """Fast waves: parameter vector (P,) of the full model, misfit beside anything slow, and periods per run."""
+    """Fast waves: parameter vector (P,) of the full model, misfit beside anything slow, and periods per run.
+
+    `misses_wave` says that one more wave would explain far more than chance.
+    """
 
     p: Array
     misfit: float
     periods: Array
+    misses_wave: bool = False
 
     def resembles(self, other: WaveSet, most: float) -> bool:
         """Return whether all waves are within some periods per run of those of another set."""
@@ -55,7 +59,10 @@ class FastWaves:
 
     def __call__(self, data: Array) -> WaveSet:
         """Return the best waves for data (M,)."""
-        return self._wave_set(self.search(self._outside(data)))
+        outside = self._outside(data)
+        state = self.search(outside)
+        misses = self.search.misses_effect(ProjectedProblem(self.separable, outside), state)
+        return replace(self._wave_set(state), misses_wave=misses)
 
     def first_found(self, data: Array) -> WaveSet:
         """Return the waves for data (M,) as found one after the other, without any exchange."""

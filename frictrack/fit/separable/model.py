@@ -83,6 +83,7 @@ class SeparableModel:
         self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
         self._fixed_and_free_cache: dict[tuple[int, tuple[int, ...]], tuple[Values, list[FreeValue]]] = {}
         self._segments_cache: dict[tuple[int, tuple[int, ...]], list[Segment]] = {}
+        self._places_cache: dict[tuple[int, tuple[int, ...]], Indices] = {}
 
     # --- positions of parameters
 
@@ -187,6 +188,21 @@ class SeparableModel:
                 self._segments_cache[key] = [Segment(own, inside, cut, (m,)) for own, inside, cut, m in parts]
         return self._segments_cache[key]
 
+    def places(self, g: int, stack: BlockStack) -> Indices:
+        """Return the non-linear parameters of a group in every block of a stack, (q, B), common ones first.
+
+        They are positions in the layout; -1 where a block has fewer.
+        """
+        key = g, stack.members
+        if key not in self._places_cache:
+            slots, mine = self.layout.slots, self.groups[g].nonlinear_slots
+            common = [i for i in mine if slots[i].run is None]
+            each = [common + [i for i in mine if slots[i].run == run] for run in stack.runs]
+            longest = max(len(own) for own in each)
+            padded = np.array([own + [-1] * (longest - len(own)) for own in each], dtype=int)
+            self._places_cache[key] = padded.reshape(len(each), longest).T
+        return self._places_cache[key]
+
     def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Compute the forwarded rows of one group in one block.
 
@@ -232,8 +248,8 @@ class SeparableModel:
 
         """
         if len(levels) == 1:
-            return _joined(list(self._parts(g, stack, nonlinear_values, float(levels[0]))))
-        rows = _joined(list(self._parts(g, stack, nonlinear_values, 1.0)))
+            return self._rows_at_once(g, stack, nonlinear_values, float(levels[0]))
+        rows = self._rows_at_once(g, stack, nonlinear_values, 1.0)
         load, mass = levels * stack.loads, np.array(stack.mass_ratios)
         for carried, scale in zip(self._carried_by(g), (load, mass), strict=True):
             if carried.any() and np.any(scale != 1.0):
@@ -255,10 +271,26 @@ class SeparableModel:
             return
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         effect = group.model.effects[0]
-        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        phase = self._phase_name(g)
         own, path = self._values(g, stack, nonlinear_values[:p])[effect.name], self._path(g, stack, p, level)
         for q in QUADRATURES:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
+
+    def _rows_at_once(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
+        """The rows of `_parts`, both quadratures of a sinusoid in one evaluation."""
+        group = self.groups[g]
+        if not group.is_sinusoid:
+            return next(self._parts(g, stack, nonlinear_values, level))
+        p = len(nonlinear_values) if group.nonlinear_slots else 1
+        effect, path = group.model.effects[0], self._path(g, stack, 2 * p, level)
+        own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
+        own[self._phase_name(g)] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
+        forward = stack.picture if group.is_measurement else stack.forward
+        return forward(effect.columns(path, own).reshape(p, 2, -1))
+
+    def _phase_name(self, g: int) -> str:
+        """Name of the phase of a sinusoid."""
+        return next(q.name for q in self.groups[g].model.effects[0].nonlinear if q.role == "phase")
 
     def unit_rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Compute rows (Q, k, n) along block b per unit of every linear parameter, N or m; sinusoids at their phase."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -162,6 +163,16 @@ class RelaxedWaves:
             return value, value
         low, high = self.full_model.layout.bounds
         return float(low[k]), float(high[k])
+
+    def exchanged(self, p: Array) -> Iterator[Array]:
+        """Yield parameter vectors (P,) with two waves of different sums exchanged."""
+        for one, other in combinations(self.waves, 2):
+            if one.size != other.size:
+                q = p.copy()
+                for w, v in ((one, other), (other, one)):
+                    self.set_value(q, w.frequency, self.value(p, v.frequency))
+                    self.set_value(q, w.phase, self.value(p, v.phase))
+                yield q
 
     def wave_rows(self, p: Array, w: Wave, shared_values: Array) -> Array:
         """Compute the rows (Q, M) of a wave at its frequency and phase in p (P,), per unit amplitude."""

@@ -117,7 +117,7 @@ class SlowTable:
 class SlowProblem:
     """The data, the waves to refine, and what stays as it is, in an extended basis (E, M).
 
-    `tables` are the waves to refine and `sum_of` the sum to which each belongs; the two slow waves come first. `sums`
+    `tables` are the waves to refine and `sum_of` the sum to which each belongs; slow waves come first. `sums`
     (2, n_u, E) are the waves of both sums that stay, at the points of the shared axis, `others` (n_u, k, E) the rows of
     everything with a free coefficient, `slopes` the slopes of both over the logarithm of the shared parameter.
     """
@@ -231,12 +231,26 @@ class SlowWaves:
             problem, waves = self._problem(p, data, own), waves + own
             known = [v for w in own for v in (self.relaxed.value(p, w.frequency), self.relaxed.value(p, w.phase))]
             starts = np.concatenate([starts, np.tile(known, (len(starts), 1))], axis=1)
+        return self._best(problem, starts, p, waves)
+
+    def near(self, p: Array, data: Array) -> list[tuple[float, Array]]:
+        """Refine all waves of a parameter vector (P,) from many values of the shared parameter; see `__call__`."""
+        waves, shared = list(self.relaxed.waves), self._scan_points[0]
+        known = [v for w in waves for v in (self.relaxed.value(p, w.frequency), self.relaxed.value(p, w.phase))]
+        starts = np.concatenate([shared[:, None], np.tile(known, (len(shared), 1))], axis=1)
+        return self._best(self._problem(p, data, waves), starts, p, waves)
+
+    def _best(self, problem: SlowProblem, starts: Array, p: Array, waves: Sequence[Wave]) -> list[tuple[float, Array]]:
+        """Misfits and parameter vectors (P,) of the local minima that starts (Q, d) lead to, best first."""
         state = self._refined(problem, self._evaluate(problem, starts), FIRST_ROUND)
         state = self._refined(problem, state.at(np.argsort(state.misfit)[:MAX_FINALISTS]), LAST_ROUND)
         return [(float(state.misfit[i]), self._full_vector(p, waves, state.x[i])) for i in _distinct(state)]
 
     def _problem(self, p: Array, data: Array, refined: Sequence[Wave] = ()) -> SlowProblem:
-        """The data and the other waves in the basis, extended by what lies outside it."""
+        """The data and the other waves in the basis, extended by what lies outside it.
+
+        The slow waves are refined wherever they are slow, or near p if they are among those `refined`.
+        """
         effects = self.relaxed.other_effects(p)
         shared = np.exp(self.shared.points)
         sums = [self._other_waves(p, w, shared, refined) for w in self.pair]
@@ -251,7 +265,8 @@ class SlowWaves:
         others = np.concatenate([self.raw_others @ basis.T, constant], axis=1)
         y = basis @ data
         slopes = self.shared.slopes
-        tables = [*self.tables, *own]
+        slow = [i for i, w in enumerate(self.pair) if w not in refined]
+        tables = [*(self.tables[i] for i in slow), *own]
         limits = [(self.shared.low, self.shared.high)]
         for table in tables:
             limits += [(table.frequency.low, table.frequency.high), (-np.inf, np.inf)]
@@ -260,7 +275,7 @@ class SlowWaves:
             data=y,
             rest=float(data @ data - y @ y),
             tables=tables,
-            sum_of=[0, 1, *(int(w.size == self.pair[1].size) for w in refined)],
+            sum_of=[*slow, *(int(w.size == self.pair[1].size) for w in refined)],
             sums=both,
             others=others,
             sum_slopes=slopes @ both,

@@ -179,7 +179,7 @@ class VariableProjection:
     def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
         shares = self._explained_shares(state)
-        misses_effect = self._misses_effect(problem, state)
+        misses_effect = self.misses_effect(problem, state)
         for one, other in permutations(self.items, 2):
             same_kind = self._are_same_kind(one, other)
             better = (
@@ -193,7 +193,7 @@ class VariableProjection:
                 return better
         return None
 
-    def _misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
+    def misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
         best = max((float(s.gains.max()) for s in self._scans(problem, state, self.items).values()), default=0.0)
         return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
