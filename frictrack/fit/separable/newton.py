@@ -151,7 +151,7 @@ def solve_positive(matrix: Array, right: Array) -> Array:
 
     Examples
     --------
-    >>> solve_positive(np.array([[4.0, 0.0], [0.0, 2.0]]), np.array([2.0, 2.0])).tolist()
+    >>> solve_positive(np.array([[4.0, 0.0], [0.0, 2.0]]), np.array([2.0, 2.0])).round(6).tolist()
     [0.5, 1.0]
 
     """
