@@ -15,7 +15,8 @@ from frictrack import effects, models
 from frictrack.diagnose import detection_limits
 from frictrack.diagnose.null_distribution import draw_null_ensemble
 from frictrack.fit import fit
-from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised import candidate_grids, linearise, measured_series, products, scan_candidate
+from frictrack.fit.linearised.wave_nodes import WaveNodes
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.06), Spec(3.5, 1, 0.07))
@@ -39,6 +40,7 @@ def test_interpolated_waves_gain_what_waves_computed_at_every_frequency_gain(ens
     effect, every = effects.get(name), replace(effects.get(name), scan_wave=None)
     fast, slow = (_scan(ensemble, e) for e in (effect, every))
     np.testing.assert_allclose(fast.gains, slow.gains, rtol=2e-3, atol=2e-2)
+    assert ensemble.series.waves or name == "texture"  # plain waves in time are shared by effects
     np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-3)
     left = ensemble.residual_projector
     np.testing.assert_allclose(fast.schur(left), slow.schur(left), rtol=0, atol=2e-3 * np.abs(slow.schur(left)).max())
@@ -102,6 +104,41 @@ def test_gains_do_not_depend_on_the_size_of_the_columns(ensemble, decades):
 
 def _scan(ensemble, effect):
     return scan_candidate(ensemble.law, candidate_grids(ensemble.law, effect)[0], ensemble.series)
+
+
+@pytest.mark.parametrize("decay", [0.0, 3.0, 12.0])
+def test_sums_of_plain_waves_are_the_waves(decay):
+    u = np.sort(np.random.default_rng(2).uniform(0.3, 0.8, 400))
+    envelope, q = np.exp(-decay * (u - 0.3) / 0.5), np.linspace(5.0, 90.0, 130)
+    nodes = WaveNodes(u, np.arange(5.0 - 40, 90.0 + 40, 1 / (1.5 * np.ptp(u))))
+    sums = nodes.sums(envelope, q)
+    assert sums is not None
+    plain, found = nodes.columns(1.0), np.empty((len(q), 2, len(u)))
+    for part, near, weights in sums.chunks():
+        found[part] = (weights @ plain[2 * near.start : 2 * near.stop]).reshape(-1, 2, len(u))
+    phase = 2 * np.pi * np.outer(q, u)
+    np.testing.assert_allclose(found[:, 0], envelope * np.sin(phase), atol=1e-4)
+    np.testing.assert_allclose(found[:, 1], envelope * np.cos(phase), atol=1e-4)
+
+
+def test_an_envelope_with_a_step_is_no_sum_of_plain_waves():
+    u = np.linspace(0.0, 1.0, 300)
+    nodes = WaveNodes(u, np.arange(0.0, 60.0, 1 / 1.5))
+    assert nodes.sums(np.sign(u - 0.4), np.linspace(20.0, 30.0, 40)) is None
+
+
+def test_lost_frames_gain_what_their_columns_written_out_gain(ensemble, monkeypatch):
+    grid = candidate_grids(ensemble.law, effects.get("dropped_frame"))[0]
+    fast = scan_candidate(ensemble.law, grid, ensemble.series)
+    monkeypatch.setattr(products, "_window_of_differences", lambda columns, left: None)
+    slow = scan_candidate(ensemble.law, grid, ensemble.series)
+    np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["presliding", "friction_lag"])
+def test_columns_that_the_model_absorbs_gain_nothing(ensemble, name):
+    (grid,) = candidate_grids(ensemble.law, effects.get(name))
+    assert scan_candidate(ensemble.law, grid, ensemble.series).max_gains.max() < 1e-3
 
 
 def test_measured_data_alone_gain_what_they_gain_among_draws(solution, ensemble):

@@ -94,7 +94,7 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
     groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     spreads = [groups.get(t, slice(0, 0)) for t in range(len(taus))]
-    data, coordinates = data[:, order], coordinates[:, order]
+    data, coordinates = np.take(data, order, axis=1), coordinates[:, order]
     for tau, columns in zip(taus, spreads, strict=True):
         data[:, columns] = law.residuals(data[:, columns], coordinates[:, columns], tau)
     projectors = [law.residual_projector(tau) for tau in taus]

@@ -17,7 +17,7 @@ MAX_MOMENTS = 2000  # moments tried in one run
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """V dt from `time` on, shape (n, 1): m per frame that is missing; it comes in over one frame interval dt."""
-    dt = float(np.median(np.diff(path.t)))
+    dt = float(np.median(np.diff(path.t[: path.starts[1] if len(path.starts) > 1 else None])))
     after: Array = np.clip((path.t - nonlinear["time"]) / dt + 0.5, 0.0, 1.0)
     return np.asarray((path.v * dt * after)[:, None])
 

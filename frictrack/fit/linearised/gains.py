@@ -56,7 +56,8 @@ class BlockSums:
     scale : array of shape (G, k)
         Size of the columns in `products`, so that no square leaves the range of a float32.
     products : array of shape (G, k, D), float32
-        Products of the remainders over `scale` with the residuals of the series.
+        Products of the columns over `scale` with the residuals of the series; of the remainders only, where the grid is
+        profiled.
     rows : array of shape (L_b,)
         Coordinates of the block among all L.
     coordinates : array of shape (G, k, L_b)

@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from frictrack.fit.linearised.gains import BlockSums, GainSum, Products, whitener, within_bounds
 from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedModel
-from frictrack.fit.linearised.products import block_sums
+from frictrack.fit.linearised.products import block_sums, is_profiled
 from frictrack.fit.linearised.series import Float32Array, ScannedSeries
 from frictrack.records import Array
 
-MAX_FORMS_PROFILED = 200  # grid points times coefficients up to which tau is estimated at every grid point
 MAX_PRODUCTS_HELD = 2_500_000  # of columns with series; runs beyond are treated one after the other
 
 
@@ -154,7 +153,7 @@ class _SeriesGains:
 
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
         self._grid, self._series = grid, series
-        self._profiled = len(grid.values) * grid.size <= MAX_FORMS_PROFILED and len(series.taus) > 1
+        self._profiled = is_profiled(grid, series)
         blocks = [[grid.members[m] for m in block] for block in grid.blocks]
         own = next(t for t in series.used if series.groups[t].start == 0)
         scatters, count = range(len(series.taus)) if self._profiled else series.used, len(grid.values)
@@ -170,25 +169,21 @@ class _SeriesGains:
 
     def add(self, blocks: Sequence[int], sums: Sequence[BlockSums], products: Float32Array) -> None:
         """Add the products (G, B, k, D) of some blocks."""
-        own: Products = products if self._profiled else self._with_coordinates(sums, products, self._series.projected)
+        every: Products = products if self._profiled else self._within_bounds(products)
         for t, total in self._of_series.items():
             mine = self._columns(t)
-            at_scatter = self._with_coordinates(sums, own, self._series.projected_at(t)) if self._profiled else own
-            total.add(blocks, sums, at_scatter[..., mine.start : mine.stop])
+            if self._profiled:
+                every = self._at_scatter(sums, products, t)
+            total.add(blocks, sums, every[..., mine.start : mine.stop])
         for t, total in self._of_data.items():
             projected = self._series.residual_projectors[t] @ self._series.coordinates[:, :1]
             of_data = [(s.data / s.scale)[:, :, None] + s.from_coordinates(projected) for s in sums]
             total.add(blocks, sums, self._within_bounds(np.stack(of_data, axis=1)))
 
-    def _with_coordinates(self, sums: Sequence[BlockSums], products: Products, projected: Products) -> Products:
-        """Products with the projected coordinates (L, D) added, in place unless those are more accurate."""
-        every = [s.from_coordinates(projected) for s in sums]
-        if projected.dtype == products.dtype:
-            for b, mine in enumerate(every):
-                products[:, b] += mine
-        else:  # a column that the model absorbs leaves less than the rounding of a float32
-            products = (products + np.stack(every, axis=1)).astype(products.dtype)
-        return self._within_bounds(products)
+    def _at_scatter(self, sums: Sequence[BlockSums], products: Products, t: int) -> Products:
+        """Products with what the model leaves at scatter `t`; of a column that it absorbs less than 1e-7 is left."""
+        across: Array = np.stack([s.from_coordinates(self._series.projected_at(t)) for s in sums], axis=1)
+        return self._within_bounds(np.asarray(products + across, dtype=np.float32))
 
     def _within_bounds(self, products: Products) -> Products:
         return within_bounds(products, self._grid.low, self._grid.high)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,8 @@ class ScannedSeries:
         The series whose own estimate each scatter is.
     profile : array of shape (T, D)
         Restricted likelihood of the model alone at the T scatters.
+    waves : dict
+        Products of plain waves in time with the series, by piece and by what they act on.
 
     """
 
@@ -74,6 +77,7 @@ class ScannedSeries:
     residual_projectors: list[Array]
     groups: list[slice]
     profile: Array
+    waves: dict[tuple[int, str], Any] = field(default_factory=dict, repr=False)
     _coupled: dict[int, Array] = field(default_factory=dict, repr=False)
 
     @property

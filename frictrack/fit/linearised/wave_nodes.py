@@ -1,14 +1,13 @@
-"""Interpolate the columns of a wave between few frequencies, by the sampling theorem.
+"""Compute the columns of waves from those of few plain waves, by the sampling theorem.
 
-Along a run that spans a length U of its coordinate, exp(2 pi i q u) is determined by its values at frequencies q that
-are 1/U apart. With nodes `OVERSAMPLING` times closer, a sum over `N_TAPS` nodes on either side, weighted by a
-Kaiser-windowed sinc, gives any frequency between them to 1.3e-4 of the amplitude. The map from columns to data is
-linear, so products of the columns are interpolated like the columns.
+Along a run of length U, a slowly varying envelope times exp(2 pi i q u) is a sum of few plain waves whose frequencies
+are `OVERSAMPLING` times closer than 1/U (a Fourier frame; the sum need not be periodic in U). The map from columns to
+data is linear, so all products of the columns are the same sums. Vibrations, modulated loads and decaying vibrations
+share the plain waves of time, and only these are compared with the data series.
 
 References
 ----------
-Kaiser, J. F. & Schafer, R. W. (1980). On the use of the I0-sinh window for spectrum analysis. IEEE Trans. ASSP 28.
-Jackson, J. I. et al. (1991). Selection of a convolution function for Fourier inversion using gridding. IEEE TMI 10.
+Adcock, B. & Huybrechs, D. (2019). Frames and numerical approximation. SIAM Review 61, 443-473.
 
 """
 
@@ -16,107 +15,167 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import factorial
 
 import numpy as np
-from scipy.special import i0
+from numpy.typing import NDArray
 
 from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedPiece
+from frictrack.fit.linearised.series import Float32Array
 from frictrack.records import Array
 
-OVERSAMPLING = 1.5  # nodes per cell 1/U
-N_TAPS = 8  # nodes on either side
-MAX_NODE_SHARE = 0.8  # of the grid points; with more nodes every grid point is computed itself
-MIN_NODES_PER_GRID = 40  # fewer points are not worth an interpolation
-MAX_NODE_SAMPLES = 3_000_000  # of columns at the nodes, held at once
-TARGETS_AT_ONCE = 48
+OVERSAMPLING = 1.5  # plain waves per cell 1/U
+N_NEIGHBOURS = 12  # plain waves on either side that make up a wave
+N_SAMPLES = 90  # along a run, at which the sums are fitted
+N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
+MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
+MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
+MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
+MAX_NODE_RATIO = 1.2  # plain waves per frequency of the grid
+MAX_NODES = 400  # whose Gram matrix is held
+MAX_NODE_SAMPLES = 6_000_000  # of columns at the nodes, held at once
+WAVES_AT_ONCE = 48
+
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
 class WaveNodes:
-    """Nodes along the wave axis of a grid for one piece, at one setting of the other parameters.
+    """Frequencies of plain waves along one piece, and sums of them.
 
     Attributes
     ----------
-    targets : slice
-        Grid points.
-    points : array of shape (M, d)
-        The nodes, as points of the grid.
-    spacing, middle : float
-        Spacing of the nodes, and middle of the coordinate along the piece.
-    node_q, target_q : array of shape (M,), (G',)
-        Frequencies of the nodes and of the grid points.
+    u : array of shape (m,)
+        Coordinate along the piece.
+    q : array of shape (M,)
+        Frequencies, evenly spaced.
 
     """
 
-    targets: slice
-    points: Array
-    spacing: float
-    middle: float
-    node_q: Array
-    target_q: Array
+    u: Array
+    q: Array
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring frequencies."""
+        return float(self.q[1] - self.q[0])
+
+    @property
+    def middle(self) -> float:
+        """Middle of the coordinate."""
+        return float(self.u.min() + self.u.max()) / 2
+
+    def reaches(self, u: Array, q: Array) -> bool:
+        """Return whether waves along `u` at frequencies q are sums of these."""
+        room = N_NEIGHBOURS * self.spacing
+        inside = self.q[0] + room <= q.min() and q.max() <= self.q[-1] - room
+        return bool(inside) and np.array_equal(u, self.u)
+
+    def columns(self, base: Array | float) -> Array:
+        """Sine and cosine (2 M, m) of the plain waves times `base` (m,)."""
+        out = np.empty((len(self.q), 2, len(self.u)))
+        wave: ComplexArray = base * np.exp(2j * np.pi * self.q[0] * self.u)
+        step = np.exp(2j * np.pi * self.spacing * self.u)
+        for row in out:
+            row[0], row[1] = wave.imag, wave.real
+            wave = wave * step
+        return out.reshape(-1, len(self.u))
+
+    def sums(self, envelope: Array, q: Array) -> _WaveSums | None:
+        """Fit waves of some envelope (m,) by sums of the plain ones; None if it varies too fast."""
+        order = np.argsort(self.u, kind="stable")
+        at = order[np.unique(np.linspace(0, len(order) - 1, N_SAMPLES).round().astype(int))]
+        s, own = self.u[at] - self.middle, envelope[at]
+        k = np.arange(-N_NEIGHBOURS, N_NEIGHBOURS + 1)
+        plain = np.exp(2j * np.pi * self.spacing * np.outer(s, k))
+        power = np.arange(N_POWERS)
+        turned = own[:, None] * (2j * np.pi * s[:, None]) ** power / [factorial(p) for p in power]
+        series = np.linalg.pinv(plain, rcond=MIN_SINGULAR_VALUE) @ turned  # (2 N + 1, N_POWERS)
+        farthest = (np.array([[-0.5], [0.0], [0.5]]) * self.spacing) ** power
+        exact = own * np.exp(2j * np.pi * np.array([[-0.5], [0.0], [0.5]]) * self.spacing * s)
+        error = np.abs(farthest @ series.T @ plain.T - exact).max()
+        return _WaveSums(self, series, q) if error <= MAX_WAVE_ERROR * np.abs(envelope).max() else None
+
+
+@dataclass(frozen=True, eq=False)
+class _WaveSums:
+    """Waves as sums of plain ones: coefficients (2 N + 1, N_POWERS) of powers of the distance to the nearest."""
+
+    nodes: WaveNodes
+    series: ComplexArray
+    q: Array
 
     def chunks(self) -> Iterator[tuple[slice, slice, Array]]:
-        """Yield grid points, the nodes that they need, and weights (2 G'', 2 M'') of both quadratures."""
-        for first in range(0, len(self.target_q), TARGETS_AT_ONCE):
-            q = self.target_q[first : first + TARGETS_AT_ONCE]
-            low = np.searchsorted(self.node_q, q.min() - N_TAPS * self.spacing)
-            high = np.searchsorted(self.node_q, q.max() + N_TAPS * self.spacing, side="right")
-            weights = _weights(q, self.node_q[low:high], self.spacing, self.middle)
-            start = self.targets.start + first
-            yield slice(start, start + len(q)), slice(int(low), int(high)), weights
+        """Yield some waves, the plain waves that they need, and weights (2 G, 2 M) of sine and cosine."""
+        nodes, k = self.nodes, np.arange(-N_NEIGHBOURS, N_NEIGHBOURS + 1)
+        nearest = np.rint((self.q - nodes.q[0]) / nodes.spacing).astype(int)
+        away = self.q - nodes.q[nearest]
+        weights = (away[:, None] ** np.arange(N_POWERS)) @ self.series.T  # (G, 2 N + 1)
+        weights = weights * np.exp(2j * np.pi * nodes.middle * (away[:, None] - nodes.spacing * k))
+        for first in range(0, len(self.q), WAVES_AT_ONCE):
+            part = slice(first, min(first + WAVES_AT_ONCE, len(self.q)))
+            low, high = nearest[part].min() - N_NEIGHBOURS, nearest[part].max() + N_NEIGHBOURS + 1
+            yield part, slice(int(low), int(high)), _real(weights[part], nearest[part] - N_NEIGHBOURS - low, high - low)
 
 
-def wave_nodes(grid: CandidateGrid, piece: LinearisedPiece) -> list[WaveNodes]:
-    """Choose the nodes for one piece; empty if every grid point is to be computed itself."""
+def _real(weights: ComplexArray, first: NDArray[np.int_], count: int) -> Array:
+    """Weights (2 G, 2 count) of sine and cosine from complex ones (G, K), which begin at `first` (G,)."""
+    out = np.zeros((len(weights), 2, count, 2))
+    rows, columns = np.arange(len(weights))[:, None], first[:, None] + np.arange(weights.shape[1])
+    out[rows, 0, columns, 0] = out[rows, 1, columns, 1] = weights.real
+    out[rows, 0, columns, 1] = weights.imag
+    out[rows, 1, columns, 0] = -weights.imag
+    return out.reshape(2 * len(weights), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class NodeProducts:
+    """Plain waves along one piece and their products, as in `BlockSums`; `size` is that of the columns."""
+
+    nodes: WaveNodes
+    gram: Array
+    coordinates: Array
+    data: Array
+    products: Float32Array
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class WaveStretch:
+    """Some grid points that differ in frequency only: their envelope (m,) along a piece, and their frequencies."""
+
+    points: slice
+    u: Array
+    envelope: Array
+    q: Array
+    is_time: bool
+
+    def nodes(self) -> WaveNodes:
+        """Plain waves whose sums reach all frequencies."""
+        spacing = 1 / (OVERSAMPLING * float(np.ptp(self.u)))
+        first = self.q.min() - (N_NEIGHBOURS + 1) * spacing
+        count = int(np.ceil((self.q.max() - first) / spacing)) + N_NEIGHBOURS + 2
+        return WaveNodes(self.u, first + spacing * np.arange(count))
+
+
+def wave_stretches(grid: CandidateGrid, piece: LinearisedPiece) -> list[WaveStretch]:
+    """Divide a grid along one piece into stretches of waves; empty if every grid point is to be computed itself."""
     wave = grid.effect.scan_wave
     if wave is None or grid.k != len(grid.phases) != 1 or grid.names[-1:] != (wave.parameter,):
         return []
-    q = wave.frequency(grid.values[: grid.shape[-1], -1])
-    step = np.diff(q)
-    if len(q) < MIN_NODES_PER_GRID or not np.allclose(step, step[0], rtol=1e-6):
-        return []
-    out: list[WaveNodes] = []
+    q, path = wave.frequency(grid.values[: grid.shape[-1], -1]), piece.path_for(grid.effect)
+    out: list[WaveStretch] = []
     for first in range(0, len(grid.values), len(q)):
-        u = wave.coordinate(piece.path_for(grid.effect), grid.point(first))
-        length, middle = float(np.ptp(u)), float(u.min() + u.max()) / 2
-        spacing = 1 / (OVERSAMPLING * length) if length else np.inf
-        if (abs(q[-1] - q[0]) / spacing + 2 * N_TAPS + 1) > MAX_NODE_SHARE * len(q):
+        u = wave.coordinate(path, grid.point(first))
+        per_node = 1 / (OVERSAMPLING * float(np.ptp(u))) if np.ptp(u) else np.inf
+        if len(q) < MIN_WAVES or np.ptp(q) / per_node + 2 * N_NEIGHBOURS > MAX_NODE_RATIO * len(q):
             return []
-        out.extend(_spans(grid, first, (spacing, middle), q, len(u)))
+        sine, cosine = grid.raw_columns(piece, grid.values[first : first + 1])[0]
+        envelope = ((cosine + 1j * sine) * np.exp(-2j * np.pi * q[0] * u)).real
+        room = min(MAX_NODES, MAX_NODE_SAMPLES // (2 * len(u))) - 2 * N_NEIGHBOURS
+        size = int(np.clip(room * len(q) * per_node / np.ptp(q), 1, len(q)))
+        for at in range(0, len(q), size):
+            points = slice(first + at, first + min(at + size, len(q)))
+            out.append(WaveStretch(points, u, envelope, q[at : at + size], np.array_equal(u, path.t)))
     return out
-
-
-def _spans(
-    grid: CandidateGrid, first: int, spacing_and_middle: tuple[float, float], q: Array, samples: int
-) -> Iterator[WaveNodes]:
-    """Yield nodes for stretches of the axis of which all columns can be held at once."""
-    spacing, middle = spacing_and_middle
-    room = max(MAX_NODE_SAMPLES // (2 * samples) - 2 * N_TAPS, N_TAPS)  # nodes within the stretch
-    count = max(1, int(room * spacing / abs(q[1] - q[0])))
-    wave = grid.effect.scan_wave
-    assert wave is not None
-    for at in range(0, len(q), count):
-        target_q = q[at : at + count]
-        low = target_q.min() - N_TAPS * spacing
-        nodes = low + spacing * np.arange(np.ceil((target_q.max() - low) / spacing) + N_TAPS + 1)
-        nodes[nodes == 0] = spacing * np.finfo(float).eps  # a wave without end has no period
-        points = np.repeat(grid.values[first : first + 1], len(nodes), axis=0)
-        points[:, -1] = wave.frequency(nodes)
-        yield WaveNodes(slice(first + at, first + at + len(target_q)), points, spacing, middle, nodes, target_q)
-
-
-def _weights(q: Array, nodes: Array, spacing: float, middle: float) -> Array:
-    """Weights (2 G, 2 M) of sine and cosine at nodes (M,) for those at q (G,)."""
-    away = (q[:, None] - nodes) / spacing
-    near = np.abs(away) < N_TAPS
-    w = np.zeros(away.shape)
-    shape = np.pi * N_TAPS * (1 - 1 / OVERSAMPLING)
-    w[near] = np.sinc(away[near]) * i0(shape * np.sqrt(1 - (away[near] / N_TAPS) ** 2)) / i0(shape)
-    turn = 2 * np.pi * (q - nodes[0]) * middle, 2 * np.pi * (nodes - nodes[0]) * middle
-    (cosine, sine), (node_cosine, node_sine) = ((np.cos(a), np.sin(a)) for a in turn)
-    out = np.empty((len(q), 2, len(nodes), 2))
-    out[:, 0, :, 0] = out[:, 1, :, 1] = w * (cosine[:, None] * node_cosine + sine[:, None] * node_sine)
-    out[:, 0, :, 1] = w * (sine[:, None] * node_cosine - cosine[:, None] * node_sine)
-    out[:, 1, :, 0] = -out[:, 0, :, 1]
-    return out.reshape(2 * len(q), 2 * len(nodes))
