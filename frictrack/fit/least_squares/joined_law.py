@@ -228,7 +228,7 @@ class JoinedLaw:
             elif group.effect in columns:
                 out[j] = columns[group.effect][:, self._column(group)]
         out = out[:, -len(motion.x) :]
-        return np.divide(out, -self.joined.mass, out=out)
+        return np.divide(out, -1.0 * self.joined.mass, out=out)
 
     def _column(self, group: UnknownGroup) -> int:
         """Which column of its effect a linear parameter multiplies."""

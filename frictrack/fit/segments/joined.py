@@ -42,9 +42,9 @@ class JoinedPieces:
         return self._concatenated(lambda piece: piece.known)
 
     @cached_property
-    def mass(self) -> Array:
-        """Mass at the nodes, kg, (3 p,)."""
-        return self.panels.per_node(np.array([piece.mass for piece in self.pieces]))
+    def mass(self) -> float | Array:
+        """Mass at the nodes, kg, (3 p,); a number where all pieces have the same."""
+        return self.spread([piece.mass for piece in self.pieces])
 
     @cached_property
     def nodes(self) -> list[slice]:
