@@ -144,6 +144,28 @@ class BatchTracker:
             self._follow_direction(np.arange(template, -1, -1), start, result, progress)
         return result
 
+    def follow_order(self, order: NDArray[np.int64], start: Array, template: int) -> RawTrack:
+        """Follow the target through some frames.
+
+        Parameters
+        ----------
+        order : array of int (m,)
+            Numbers of neighbouring frames, rising or falling.
+        start : array (2,)
+            Corner of the target's rectangle in the first of them, px.
+        template : int
+            Number of the frame that made the first template.
+
+        Returns
+        -------
+        RawTrack
+            One row per frame of `order`.
+
+        """
+        result, self.template_frame, self.start = empty_track(self.film.n_frames), template, np.asarray(start)
+        self._follow_direction(order, start, result)
+        return result[order]
+
     def _follow_direction(
         self, order: NDArray[np.int64], start: Array, result: RawTrack, progress: Progress | None = None
     ) -> None:

@@ -14,31 +14,29 @@ from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
 from frictrack.tracking.batch_tracker import BatchTracker
 from frictrack.tracking.checks import at_rest, key_frame_notes
-from frictrack.tracking.correlation import Rectangle, nearest_corner
+from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection import Target, resolve_target
 from frictrack.tracking.learning_rounds import learn_target_model
-from frictrack.tracking.measure import measure_frames
-from frictrack.tracking.occlusion import remeasure_occluded
+from frictrack.tracking.measured_rows import measure_all
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import track_known_rotating, track_rotating
-from frictrack.tracking.raw_track import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
+from frictrack.tracking.raw_track import UNREAD, RawTrack
 from frictrack.tracking.rotation_test import min_frames_if_rotating
+from frictrack.tracking.segments import SEGMENT_FRAMES, Work, follow_film
 from frictrack.tracking.shared_target import adapt_known_target, place_known_target
 from frictrack.tracking.super_resolution import peak_locking_correction
 from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
+from frictrack.workers import WorkerPool
 
 Progress = Callable[[int, int, str], None]
 
 MIN_CONTRAST = 3  # grey values
-CHUNK_FRAMES = 256  # measured at once
-MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
 # Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
 # that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
 # of noise.
 SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
 MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
-MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
 
 
 def track(
@@ -88,12 +86,60 @@ def track(
 
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
-    with random_access(recording, once=_single_pass(drawn.target, template, known)) as film:
+    with random_access(recording, once=_single_pass(recording, drawn.target, template, known)) as film:
         if known is None:
-            followed = _learn_and_track(film, drawn, template, progress)
+            followed = _learn_and_track(film, drawn, template, Work(progress))
         else:
-            followed = _follow_known(film, drawn, template, known, progress)
-        return _measure_track(recording, film, drawn, followed, name, progress)
+            followed = _follow_known(film, drawn, template, known, Work(progress))
+        return _measure_track(recording, film, drawn, followed, name, Work(progress))
+
+
+def track_in_parallel(
+    recording: Recording,
+    target: Target | Areas = None,
+    *,
+    pool: WorkerPool,
+    template: int = 0,
+    known: TargetModel | None = None,
+    progress: Progress | None = None,
+) -> Track:
+    """Track the target of one long film in several processes; the positions are those of `track`, bit for bit.
+
+    Parameters
+    ----------
+    recording : Recording
+        Uncompressed film (`Recording.direct`) that all processes can read. A compressed film is decoded from its first
+        frame on and is tracked in this process.
+    target, template, known, progress
+        As in `track`.
+    pool : WorkerPool
+        Processes of this machine (`frictrack.workers.local_workers`) or of a Dask cluster (`cluster_workers`).
+
+    Returns
+    -------
+    Track
+        As by `track`.
+
+    Raises
+    ------
+    FrictrackError
+        As `track` does.
+
+    Examples
+    --------
+    >>> from frictrack.workers import local_workers
+    >>> with local_workers(2) as pool:  # doctest: +SKIP
+    ...     track = track_in_parallel(open_recording("long.mraw"), pool=pool)
+
+    """
+    drawn = target if isinstance(target, Areas) else Areas(target)
+    work = Work(progress, pool if recording.direct else None)
+    with random_access(recording) as film:
+        if known is None:
+            followed = _learn_and_track(film, drawn, template, work)
+        else:
+            followed = _follow_known(film, drawn, template, known, work)
+        return _measure_track(recording, film, drawn, followed, "target", work)
 
 
 def track_same_target(
@@ -125,12 +171,12 @@ def track_same_target(
         placed = place_known_target(film, rectangle, template, known)
         if placed is None:
             return None
-        raw_track = BatchTracker(film, known.template).follow(np.array(placed[:2]), template, progress)
+        raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, Work(progress))
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
             return None
         followed = _Followed(placed, template, raw_track, adapted, np.arange(0))
-        return _measure_track(recording, film, Areas(), followed, "target", progress), adapted
+        return _measure_track(recording, film, Areas(), followed, "target", Work(progress)), adapted
 
 
 @dataclass(frozen=True)
@@ -144,28 +190,24 @@ class _Followed:
     rows: NDArray[np.int64]
 
 
-def _follow_known(
-    film: Recording, drawn: Areas, template: int, known: TargetModel, progress: Progress | None
-) -> _Followed:
+def _follow_known(film: Recording, drawn: Areas, template: int, known: TargetModel, work: Work) -> _Followed:
     """Follow a target with a known model."""
     rectangle, template = _locate_known(film, drawn.target, template, known)
     drawn.check(film.shape)
     blocked = drawn.obstacle_mask(film.shape)
     target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
-    raw_track = _track_known(film, target_model, blocked, np.array(rectangle[:2]), template, progress)
+    raw_track = _track_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
     rows = np.flatnonzero(raw_track.found & (target_model.pattern is not None) & ~target_model.rotates)
     return _Followed(rectangle, template, raw_track, target_model, rows)
 
 
 def _measure_track(
-    recording: Recording, film: Recording, drawn: Areas, followed: _Followed, name: str, progress: Progress | None
+    recording: Recording, film: Recording, drawn: Areas, followed: _Followed, name: str, work: Work
 ) -> Track:
     """Measure the frames of a target that was followed, and state the errors of its positions."""
     target_model, template, rectangle = followed.target_model, followed.template, followed.rectangle
     raw_track = followed.raw_track
-    measured = (
-        raw_track if target_model.rotates else _measure_all(film, raw_track, followed.rows, target_model, progress)
-    )
+    measured = raw_track if target_model.rotates else measure_all(film, raw_track, followed.rows, target_model, work)
     change = _frame_changes(film) if recording.interframe else None
     result = _to_track(recording, measured, rectangle, name)
     result = _with_systematic_error(result, target_model)
@@ -217,13 +259,12 @@ def learn_target(
     """
     with random_access(recording) as film:
         drawn = target if isinstance(target, Areas) else Areas(target)
-        return _learn_and_track(film, drawn, template, progress).target_model
+        return _learn_and_track(film, drawn, template, Work(progress)).target_model
 
 
-def _learn_and_track(film: Recording, drawn: Areas, template: int, progress: Progress | None) -> _Followed:
+def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work) -> _Followed:
     """Find the target, follow it roughly and learn its model."""
-    if progress:
-        progress(0, film.n_frames, "find the target")
+    work.report(0, film.n_frames, "find the target")
     drawn.check(film.shape)
     rectangle, template = resolve_target(film, drawn.target, template)
     x, y, w, h = rectangle
@@ -236,10 +277,11 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, progress: Pro
         )
     first_template = template_from_frame(cut, mask)
     rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
-    raw_track = BatchTracker(film, first_template, with_obstacles(None, blocked)).follow(start, template, progress)
+    tracker = BatchTracker(film, first_template, with_obstacles(None, blocked))
+    raw_track = follow_film(tracker, start, template, work)
     min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
     if min_frames is not None:
-        pose_track = track_rotating(film, rotatable, start, template, min_frames, progress)
+        pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
         if pose_track is not None:
             model = TargetModel(pose_track.template, rotates=True)
             return _Followed(rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
@@ -248,12 +290,12 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, progress: Pro
 
 
 def _track_known(
-    film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, progress: Progress | None
+    film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, work: Work
 ) -> RawTrack:
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
     if known.rotates:
-        return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, progress)
-    return BatchTracker(film, known.template, with_obstacles(None, blocked)).follow(start, template, progress)
+        return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, work.progress)
+    return follow_film(BatchTracker(film, known.template, with_obstacles(None, blocked)), start, template, work)
 
 
 def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
@@ -265,58 +307,11 @@ def _locate_known(film: Recording, target: Target, template: int, known: TargetM
     return rectangle, template
 
 
-def _single_pass(target: Target, template: int, known: TargetModel | None) -> bool:
-    """Whether one pass through the film, from its first frame, is enough."""
+def _single_pass(film: Recording, target: Target, template: int, known: TargetModel | None) -> bool:
+    """Whether one pass through the film, from its first frame, is enough; segments may have to be read again."""
     is_rectangle = isinstance(target, Sequence) and len(target) == 4 and template == 0
-    return is_rectangle and known is not None and known.pattern is None
-
-
-def _measure_all(
-    film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel, progress: Progress | None
-) -> RawTrack:
-    """Measure the frames `rows` with the learnt model; set the reason where a frame cannot be trusted."""
-    size = target_model.template.weight.shape
-    max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
-    raw_track.fit.sigma[:] *= target_model.sigma_inflation
-    for at in range(0, len(rows), CHUNK_FRAMES):
-        chunk = rows[at : at + CHUNK_FRAMES]
-        _measure_chunk(film, raw_track, chunk, target_model)
-        off_centre = chunk[
-            raw_track.found[chunk] & np.any(np.abs(raw_track.fit.position[chunk]) > MAX_OFF_CENTRE_PX, axis=1)
-        ]
-        if len(off_centre):  # the learnt picture has the target nearer to another pixel than the first look had
-            _measure_chunk(film, raw_track, off_centre, target_model)
-        if progress:
-            progress(at, len(rows), "measure")
-    remeasure_occluded(film, raw_track, target_model)
-    found = np.flatnonzero(raw_track.found)
-    raw_track.reason[found] = _loss_reasons(raw_track, found, max_corner)
-    return raw_track
-
-
-def _measure_chunk(film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel) -> None:
-    """Measure some frames (m,) on cut-outs centred on their last known positions."""
-    size = target_model.template.weight.shape
-    corner = nearest_corner(raw_track.position[rows], film.shape, size)
-    guess = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
-    raw_track.fit.put(rows, measure_frames(film.cut(rows, corner, size), corner, guess, target_model)[0])
-    raw_track.corner[rows] = corner
-
-
-def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) -> list[str]:
-    """State for each frame why its position cannot be trusted; "" where it can."""
-    fit, at = result.fit[rows], result.position[rows]
-    out = np.any((at < -0.5) | (at > max_corner + 0.5), axis=1)
-    min_score = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
-    reasons = []
-    for outside, converged, score in zip(out, fit.converged, fit.score, strict=True):
-        if outside:
-            reasons.append(LEAVES)
-        elif not score >= min_score:
-            reasons.append(f"match score {score:.2f} below {min_score:.2f}")
-        else:
-            reasons.append("" if converged else NOT_CONVERGED)
-    return reasons
+    is_short = film.n_frames < 2 * SEGMENT_FRAMES
+    return is_short and is_rectangle and known is not None and known.pattern is None
 
 
 def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, name: str) -> Track:

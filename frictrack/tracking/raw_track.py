@@ -36,6 +36,23 @@ class RawTrack:
     fit: SubpixelFit
     reason: NDArray[np.object_]  # (n,), "" where found
 
+    def __getitem__(self, rows: np.ndarray | slice) -> RawTrack:
+        return RawTrack(self.corner[rows], self.fit[rows], self.reason[rows])
+
+    def put(self, rows: np.ndarray | slice, part: RawTrack) -> None:
+        """Replace some rows.
+
+        Parameters
+        ----------
+        rows : array or slice
+            Rows to replace.
+        part : RawTrack
+            New values of these rows.
+
+        """
+        self.corner[rows], self.reason[rows] = part.corner, part.reason
+        self.fit.put(rows, part.fit)
+
     @property
     def position(self) -> Array:
         """Upper left corner of the target's rectangle (n, 2) px."""
