@@ -50,7 +50,7 @@ def measure(say: Say) -> list[dict[str, Any]]:
     for n in FRAMES:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            x = _film(folder / "long", n)
+            x = rendered_film(folder / "long", n)
             np.save(folder / "truth.npy", x)
             call = [sys.executable, "-c", TRACKER, str(folder / "long.mraw"), str(folder / "truth.npy")]
             done = subprocess.run(call, capture_output=True, text=True, check=True)
@@ -64,7 +64,7 @@ def measure(say: Say) -> list[dict[str, Any]]:
     return rows
 
 
-def _film(path: Path, n: int) -> np.ndarray:
+def rendered_film(path: Path, n: int) -> np.ndarray:
     """A bright block on a dark ground that swings; only the rows that it crosses hold anything. Its places (n,), px."""
     rng = np.random.default_rng(0)
     x = 500.0 + 300.0 * np.sin(2 * np.pi * np.arange(n) / 900.0)
