@@ -49,7 +49,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": seed})
 
     # by their modules: `frictrack.compare` and `frictrack.diagnose` are the functions
-    monkeypatch.setattr(import_module("frictrack.compare"), "compare", lambda fits, current: Found(errors(fits)))
+    monkeypatch.setattr(import_module("frictrack.compare"), "compare", lambda fits: Found(errors(fits)))
     monkeypatch.setattr(import_module("frictrack.diagnose"), "diagnose", diagnose)
     return calls
 
@@ -267,7 +267,7 @@ def test_comparison_and_diagnosis_are_kept_until_the_model_changes(study_file: P
         assert "comparison" not in study
     session(study_file).compare()
     session(study_file).diagnose()
-    assert called[2:] == ["diagnose", "compare 2", "diagnose"]
+    assert called[2:] == ["diagnose", "compare 1", "diagnose"]  # the errors of the others are stored
     with h5py.File(study_file.parent / "study_results" / "study.h5") as study:
         assert study["diagnosis"] == study["models/2_coulomb+viscous+drag/diagnosis"]
         assert "summary" in study["models/1_coulomb+viscous/diagnosis"].attrs

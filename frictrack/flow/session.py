@@ -249,7 +249,7 @@ class Session:
             group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:
             self._add_uncertainty(group, profiles, draws, request.seed)
-        result = self._fit_summary(group)
+        result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
         more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._run_notes()}
         uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
@@ -289,10 +289,6 @@ class Session:
         how = {} if "base" in asked else asked
         return self.models.append(replace(FitRequest(self.study.model, domain=self.models.domain()), **how))
 
-    def _fit_summary(self, group: str) -> dict[str, Any]:
-        self.models.fit(group)  # again if something that it depends on has changed
-        return self.models.results(group).summary
-
     @exclusive
     def compare(self) -> dict[str, Any]:
         """Compare the errors of all models tried, and find where the current one fails.
@@ -309,15 +305,23 @@ class Session:
             stored = self._read_summary("comparison", self._history_key())
             if stored is not None:
                 return stored
-        fits = self._fits()
-        return self._stored_summary("comparison", lambda: self._compare(fits), self._history_key())
+        self.bring_up_to("friction")
+        self.models.current()
+        entries = [self._tried_model(group) for group in self.models.groups]
+        return self._stored_summary("comparison", lambda: self._compare(entries), self._history_key())
 
-    def _compare(self, fits: list[Any]) -> dict[str, Any]:
+    def _tried_model(self, group: str) -> dict[str, Any]:
+        """Return the entry of a model: name, effects, settings and errors."""
+        summary, request = self.models.summary(group), self.models.request(group)
+        settings = request.model(self.study.effects).settings
+        return {"name": group, "model": summary["model"], "settings": settings, "errors": summary["errors"]}
+
+    def _compare(self, entries: list[dict[str, Any]]) -> dict[str, Any]:
+        """Return the entries with the spans where the current model fails."""
         from frictrack.compare import compare  # noqa: PLC0415
 
-        summary = compare(fits, self._current_index()).summary()
-        named = [{**model, "name": group} for model, group in zip(summary["models"], self.models.groups, strict=True)]
-        return {"summary": json.dumps(to_builtins({**summary, "models": named}))}
+        found = compare([self.models.fit(self.models.current()[0])]).summary()
+        return {"summary": json.dumps(to_builtins({**found, "models": entries}))}
 
     @exclusive
     def history(self) -> dict[str, Any]:
@@ -464,10 +468,10 @@ class Session:
         group, request = self.models.current()
         request = request.edited(edit) if seed is None else replace(request.edited(edit), seed=seed)
         request.model(self.study.effects)
-        before = self._fit_summary(group)
+        before = self.models.summary(group)
         command = "add" if edit[0] == "+" else "remove"
         new_group, _ = self.models.append(request, command, effect=edit[1:], seed=request.seed)
-        return before, self._fit_summary(new_group)
+        return before, self.models.summary(new_group)
 
     @exclusive
     def attempt(self, effect: str, path: Path) -> dict[str, Any]:
@@ -585,11 +589,6 @@ class Session:
             except FrictrackError as e:
                 return (f"the papers' route (force domain, SGA) was not possible: {e}",)
         return ()
-
-    def _fits(self) -> list[Any]:
-        self.bring_up_to("friction")
-        self.models.current()
-        return [self.models.fit(group) for group in self.models.groups]
 
     def _history_key(self) -> str:
         """Return the hash of all models tried; it depends on the study file and the recordings, not on results."""

@@ -360,6 +360,13 @@ class TriedModels:
             store.write(self.path, {"papers": entry})
         return self.results("papers")
 
+    def summary(self, group: str) -> dict[str, Any]:
+        """Return the JSON of a fit; a model that is outdated is fitted again."""
+        if self.is_outdated(group):
+            self.fit(group)
+        inside = f"models/{group}"
+        return _summary_of(store.read(self.path, inside, without=("state", "curves", "motion", "diagnosis")))
+
     def results(self, group: str) -> ModelResults:
         """Return a stored model for the report; `group` may be ``papers``."""
         return model_results(self.path, group)
@@ -392,21 +399,25 @@ def model_results(path: Path, group: str) -> ModelResults:
         Name of the group in ``models``, or ``papers``.
 
     """
-    from frictrack.fit.uncertainty import merge_uncertainty  # noqa: PLC0415
-
     inside = group if group == "papers" else f"models/{group}"
     with store.snapshot(path):
-        stored = store.read(path, inside)
+        stored = store.read(path, inside, without=("state", "curves", "motion"))
         curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
         return ModelResults(
             name=group,
             equation=stored["equation"],
-            summary=merge_uncertainty(
-                json.loads(stored["summary"]), json.loads(stored.get("certainty", {}).get("summary", "{}"))
-            ),
+            summary=_summary_of(stored),
             curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
             motion=tuple(store.read(path, f"{inside}/motion/{name}", ModelledMotion) for name in motion),
             current=bool(stored["current"]),
             diagnosis=json.loads(stored["diagnosis"]["summary"]) if "diagnosis" in stored else None,
             figures=stored.get("diagnosis", {}).get("figures", {}),
         )
+
+
+def _summary_of(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON of a stored fit, with the intervals that were computed for it."""
+    from frictrack.fit.uncertainty import merge_uncertainty  # noqa: PLC0415
+
+    intervals = json.loads(stored.get("certainty", {}).get("summary", "{}"))
+    return merge_uncertainty(json.loads(stored["summary"]), intervals)

@@ -8,6 +8,7 @@ stage wrote has the attributes of its `Provenance`.
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -94,7 +95,7 @@ def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5
     return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
 
 
-def read_dict(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:
+def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
     """Read everything in a group as a dictionary, without the provenance.
 
     Parameters
@@ -103,6 +104,8 @@ def read_dict(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:
         The group.
     met
         Addresses of the groups that were read already, against groups inside themselves.
+    without
+        Names of members that are left out.
 
     Raises
     ------
@@ -114,7 +117,8 @@ def read_dict(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:
     check_visited_once(group, met)
     content = {k: _listed(to_python(v)) for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
     for name, item in members(group):
-        content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
+        if name not in without:
+            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
     return content
 
 

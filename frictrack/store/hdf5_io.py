@@ -7,7 +7,7 @@ block viewers, or fail on network drives.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
@@ -81,7 +81,7 @@ def write(
             file[name].attrs.update(attributes)
 
 
-def read(path: Path, group: str, kind: Any = dict) -> Any:
+def read(path: Path, group: str, kind: Any = dict, *, without: Collection[str] = ()) -> Any:
     """Read one group of a file.
 
     Parameters
@@ -90,6 +90,8 @@ def read(path: Path, group: str, kind: Any = dict) -> Any:
         The file, and the name of the group.
     kind
         Record type to build, or `dict`.
+    without
+        Names of subgroups and arrays that a dictionary leaves out.
 
     Returns
     -------
@@ -106,7 +108,7 @@ def read(path: Path, group: str, kind: Any = dict) -> Any:
         found = _found(file, path, group)
         if found is None:
             raise FrictrackError(f'{path} holds no "{group}"; run the study again')
-        return encoding.read_dict(found) if kind is dict else encoding.read_record(found, kind)
+        return encoding.read_dict(found, without=without) if kind is dict else encoding.read_record(found, kind)
 
 
 def provenance(path: Path, group: str) -> Provenance | None:
