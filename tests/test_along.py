@@ -19,7 +19,7 @@ from frictrack.fit.separable import (
     variable_projection,
 )
 from frictrack.fit.separable.blocks import double_integral
-from frictrack.fit.separable.newton import bounded_coefficients
+from frictrack.fit.separable.bounded import bounded_coefficients
 from frictrack.fit.separable.scan_tables import ScanGrid, ScanTable
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
@@ -187,6 +187,32 @@ class TestTied:
             values, _ = made.layout.values(made.law(state.nonlinear_values, state.coefficients), 0)
             assert state.misfit == pytest.approx(np.sum((data - made.layout.model.force(PATH, values)) ** 2), rel=1e-6)
 
+    @pytest.mark.parametrize(
+        "truth",
+        [
+            [10.5, 21.4, 2.39, 0.386, 4.1, 2.35, 15.9, 2.02, 8.3, -0.2, 68.0, -1.39],  # a fast wave of 2.6 periods
+            [5.6, 16.8, 1.49, 0.934, 4.0, -1.53, 168.0, 0.0, 9.4, 2.09, 168.5, -1.71],  # two fast waves, nearly one
+            [
+                14.7,
+                21.3,
+                1.27,
+                0.755,
+                6.6,
+                -1.65,
+                159.0,
+                2.34,
+                6.4,
+                0.67,
+                146.0,
+                1.19,
+            ],  # one fast wave hides a slow one
+        ],
+    )
+    def test_waves_that_can_be_confused_are_found(self, truth):
+        truth = np.array(truth)
+        data = printed(truth) + np.random.default_rng(14).normal(0, 1, N)
+        assert variable_projection(along("atm2:2", data))().misfit <= 1.001 * best(printed, data, truth)
+
     @pytest.mark.parametrize("order", [1, 3])
     def test_other_orders(self, order):
         rng = np.random.default_rng(12)
@@ -301,3 +327,21 @@ def test_neighbours_of_what_one_run_alone_has_are_those_of_its_own_rows():
     both = table.neighbours()
     for g in range(2):
         assert np.allclose(both[g], rows[g : g + 2] @ rows[g : g + 2].T, atol=1e-5)
+
+
+def test_moves_are_those_of_a_model_solved_again_at_every_grid_point():
+    rng = np.random.default_rng(15)
+    made = along("atm1:2", tustin(8, 14, 1.2, 0.4) + line(2.0, 61.0, 0.3) + line(1.0, 130.0, 1.0) + rng.normal(0, 1, N))
+    search = VariableProjection(made)
+    problem, state = ProjectedProblem(made, made.data), search()
+    for item in search.items:
+        mine = search.item_coefficients[item]
+        without = problem.without(state, mine)
+        found = search.tables.moves(item, state, problem.data)
+        assert state.misfit + found.loss == pytest.approx(without.misfit, rel=1e-6)
+        (place,) = [i for i in made.free if made.layout.slots[i].effect == item.effect]
+        for g in range(0, len(found.gains), 40):
+            values = state.nonlinear_values.copy()
+            values[place] = found.grid.values[g, 0]
+            moved = problem.at(values, without, {item.g}, mine)
+            assert without.misfit - found.gains[g] == pytest.approx(moved.misfit, rel=1e-4)

@@ -8,7 +8,6 @@ References
 ----------
 Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 Kaufman, L. (1975). BIT 15, 49-57.
-Trefethen, L. N. (2013). Approximation Theory and Approximation Practice, ch. 3 and 5. SIAM.
 
 """
 
@@ -16,12 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.fit.separable.relaxed import RelaxedWaves, Wave
+from frictrack.fit.smooth_functions import ChebyshevAxis
 from frictrack.records import Array, Mask
 
 MAX_SLOW_PERIODS = 2.1  # periods per run up to which a wave is slow
@@ -39,51 +38,6 @@ SHARED_STRIDE = 3  # every third point of the shared axis extends the basis
 SPAN_PRECISION = 3e-3  # the same for what is projected out while fast waves are searched
 RIDGE = 1e-9  # relative; keeps nearly equal rows solvable
 TRIAL_PHASES = np.arange(PHASE_COUNT) * 2 * np.pi / PHASE_COUNT - np.pi
-
-
-@dataclass(frozen=True)
-class ChebyshevAxis:
-    """Interpolation by the polynomial through the Chebyshev points of an interval."""
-
-    low: float
-    high: float
-    count: int
-
-    @classmethod
-    def over(cls, low: float, high: float, count: int) -> ChebyshevAxis:
-        """Return an axis of `count` points, of one point where the interval is empty."""
-        return cls(low, high, count if high > low else 1)
-
-    @cached_property
-    def points(self) -> Array:
-        """The interpolation points (n,)."""
-        angles = np.pi * (2 * np.arange(self.count) + 1) / (2 * self.count)
-        return np.asarray(0.5 * (self.low + self.high) - 0.5 * (self.high - self.low) * np.cos(angles))
-
-    @cached_property
-    def slopes(self) -> Array:
-        """Map (n, n) from values at the points to the slopes of the polynomial there."""
-        if self.count == 1:
-            return np.zeros((1, 1))
-        polynomials = np.eye(self.count)
-        scale = 2 / (self.high - self.low)
-        series = np.polynomial.chebyshev.chebder(polynomials, axis=0)
-        values = np.polynomial.chebyshev.chebval(self._unit(self.points), series)
-        return np.asarray(scale * values.T @ self._inverse)
-
-    @cached_property
-    def _inverse(self) -> Array:
-        return np.asarray(np.linalg.inv(self._polynomials(self.points)))
-
-    def weights(self, x: Array) -> Array:
-        """Compute the weights (Q, n) of the points at positions (Q,)."""
-        return np.ones((len(x), 1)) if self.count == 1 else self._polynomials(x) @ self._inverse
-
-    def _unit(self, x: Array) -> Array:
-        return np.clip((2 * x - self.low - self.high) / (self.high - self.low), -1.0, 1.0)
-
-    def _polynomials(self, x: Array) -> Array:
-        return np.asarray(np.cos(np.arange(self.count) * np.arccos(self._unit(x))[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
