@@ -170,7 +170,7 @@ class Conclusion:
     def _compare_with_formulas(self, found: Diagnosis) -> Diagnosis:
         """Return the verdict after comparing the effects found with a force of one variable that they may imitate."""
         search = self.search
-        simpler = find_simpler_model(search.start, search.last.solution, lambda: self._pattern.repeats)
+        simpler = find_simpler_model(self._pattern.forces, search.last.solution, lambda: self._pattern.repeats)
         if simpler is None or (found.verdict == "unexplained" and not simpler["decisive"]):
             return found
         if not simpler["decisive"]:
@@ -199,7 +199,7 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
-            unexplained = unexplained_force(self.search.first.solution, self.search.last.solution)
+            unexplained = unexplained_force(self.search.first.solution, self.search.last.solution, self._pattern.forces)
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 

@@ -11,6 +11,7 @@ from frictrack.fit.parameters import ParameterLayout, penalty_residual
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Raftery 1995)
+MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
 
 
@@ -37,7 +38,7 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
     problem = rival.problem.rebuild(rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
-    fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
+    fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15, min_fall=MIN_CHI2_FALL)
     held = penalty_residual(best.problem.layout, best.p, tau)
     return fitted.objective - float(held @ held)
 

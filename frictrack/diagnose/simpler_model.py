@@ -13,22 +13,23 @@ from typing import Any
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
-from frictrack.diagnose.smooth_forces import smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
 
 
-def find_simpler_model(start: Solution, found: Solution, repeats: Callable[[], Repeatability]) -> dict[str, Any] | None:
+def find_simpler_model(
+    forces: ResidualForces, found: Solution, repeats: Callable[[], Repeatability]
+) -> dict[str, Any] | None:
     """Find a force of one variable that explains as much as the effects found.
 
     Parameters
     ----------
-    start
-        The model before the search.
+    forces
+        Smooth forces in the residual of the model before the search.
     found
         The model with the effects found.
     repeats
@@ -40,10 +41,11 @@ def find_simpler_model(start: Solution, found: Solution, repeats: Callable[[], R
         As `unexplained_force`, with `words`, and `decisive` if it explains more, with a penalty for its search.
 
     """
+    start = forces.solution
     evidence = information_criterion(start) - information_criterion(found)
-    if not _is_worth_searching(start, found, repeats, evidence):
+    if not _is_worth_searching(forces, found, repeats, evidence):
         return None
-    unexplained = unexplained_force(start)
+    unexplained = unexplained_force(start, forces=forces)
     if not unexplained["formulas"]:
         return None
     first = unexplained["formulas"][0]
@@ -56,16 +58,17 @@ def find_simpler_model(start: Solution, found: Solution, repeats: Callable[[], R
 
 
 def _is_worth_searching(
-    start: Solution, found: Solution, repeats: Callable[[], Repeatability], evidence: float
+    forces: ResidualForces, found: Solution, repeats: Callable[[], Repeatability], evidence: float
 ) -> bool:
     """Whether formulas should be searched."""
     own = {s.effect for s in found.problem.layout.slots if s.run is not None}
-    several = len({p.run for p in start.problem.pieces}) > 1
-    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
+    start = forces.solution.problem
+    several = len({p.run for p in start.pieces}) > 1
+    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.model)
     best_axis = repeats().best if may_imitate else None
     if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
-    return smooth_forces(compress_residual(start))[0].gain > evidence + MIN_CHI2_SEPARATED
+    return forces.smooth[0].gain > evidence + MIN_CHI2_SEPARATED
 
 
 def _search_penalty(axes: int) -> float:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
 
-from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual
+from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual
 from frictrack.effects import Path
+from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
 N_SPLINES = 60  # per axis
@@ -82,6 +83,30 @@ class SmoothForce:
     sigma: Array
     share: float  # of the chi-squared above the noise
     length: float  # over which the force is alike, in the unit of the axis
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualForces:
+    """What the residual of a fit says of smooth forces; each is computed once, when it is first asked for.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+
+    """
+
+    solution: Solution
+
+    @cached_property
+    def compressed(self) -> CompressedResidual:
+        """The compressed residual."""
+        return compress_residual(self.solution)
+
+    @cached_property
+    def smooth(self) -> list[SmoothForce]:
+        """The most likely smooth force over every axis, largest gain first."""
+        return smooth_forces(self.compressed)
 
 
 def smooth_forces(compressed: CompressedResidual) -> list[SmoothForce]:

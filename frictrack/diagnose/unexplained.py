@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formulas import search_formulas
-from frictrack.diagnose.smooth_forces import smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 
 
-def unexplained_force(solution: Solution, extended: Solution | None = None) -> dict[str, Any]:
+def unexplained_force(
+    solution: Solution, extended: Solution | None = None, forces: ResidualForces | None = None
+) -> dict[str, Any]:
     """Describe what a fitted model leaves unexplained.
 
     Parameters
@@ -23,6 +24,8 @@ def unexplained_force(solution: Solution, extended: Solution | None = None) -> d
     extended
         The fit with the effects found so far; the curve is what that leaves. Formulas are added to `solution` if
         possible.
+    forces
+        Smooth forces in the residual of `solution`, if they were computed before.
 
     Returns
     -------
@@ -33,7 +36,8 @@ def unexplained_force(solution: Solution, extended: Solution | None = None) -> d
     """
     law = keep_compared_frames(solution)
     extended = law if extended is None or extended is solution else keep_compared_frames(extended)
-    smooth = smooth_forces(compress_residual(extended))
+    forces = forces if forces is not None and forces.solution is law else ResidualForces(law)
+    smooth = (forces if extended is law else ResidualForces(extended)).smooth
     best = smooth[0]
     return {
         "axis": best.axis.name,
@@ -43,5 +47,5 @@ def unexplained_force(solution: Solution, extended: Solution | None = None) -> d
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": search_formulas(law, extended),
+        "formulas": search_formulas(forces, extended),
     }

@@ -31,7 +31,7 @@ THREE_PHASES = 2 * np.pi * np.arange(3) / 3  # rad; they determine a constant, a
 TRIED_PHASES = 2 * np.pi * np.arange(64) / 64  # of the planned run, rad
 START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
 N_STARTS_REFINED = 2  # best starting values that are refined
-MAX_STEPS_OWN, MAX_STEPS = 4, 12  # Gauss-Newton steps: planned run alone, all runs
+MAX_STEPS_OWN, MAX_STEPS = 2, 12  # Gauss-Newton steps: planned run alone, all runs
 MIN_CHI2_FALL = 0.1  # of a step; less does not change which runs separate two explanations
 
 

@@ -30,7 +30,7 @@ from frictrack.diagnose.formulas.terms import (
     parameter_names,
 )
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.diagnose.smooth_forces import smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces, SmoothForce, smooth_forces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
@@ -52,15 +52,15 @@ MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit
 MIN_AXIS_GAIN_RATIO = 0.5  # of the best smooth force's gain that an axis must reach
 
 
-def search_formulas(solution: Solution, extended: Solution | None = None) -> list[dict[str, Any]]:
+def search_formulas(forces: ResidualForces, extended: Solution | None = None) -> list[dict[str, Any]]:
     """Search formulas that fit what a model leaves.
 
     Parameters
     ----------
-    solution
-        The fitted model.
+    forces
+        Smooth forces in the residual of the fitted model.
     extended
-        The model with the effects found so far; used if a formula beside `solution` leaves significant misfit.
+        The model with the effects found so far; used if a formula beside the model leaves significant misfit.
 
     Returns
     -------
@@ -68,23 +68,23 @@ def search_formulas(solution: Solution, extended: Solution | None = None) -> lis
         JSON entries, best first.
 
     """
-    found = _find_formulas(
-        solution, _FormulaFitter(information_criterion(solution), _excess_chi2(solution)), solution.problem.model
-    )
+    solution = forces.solution
+    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution))
+    found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found):
-        found += _find_formulas(extended, _FormulaFitter(information_criterion(solution), _excess_chi2(solution)), None)
+        found += _find_formulas(ResidualForces(extended), fitter, None)
     return [describe_formula(f, solution) for f in _rank(found)[:N_SHOWN]]
 
 
-def _find_formulas(solution: Solution, fitter: _FormulaFitter, law: Model | None) -> list[FittedFormula]:
+def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | None) -> list[FittedFormula]:
     """Formulas of one term, and of two if misfit remains; effects of `law` may be refitted beside them."""
-    single = _competing_formulas(
-        fitter, fitter.add_terms(solution, (), _best_terms(compress_residual(solution), N_FIRST_FITTED)), law
-    )
+    first = _best_terms(forces.compressed, forces.smooth, N_FIRST_FITTED)
+    single = _competing_formulas(fitter, fitter.add_terms(forces.solution, (), first), law)
     if not single or _is_noise(single[0].solution):
         return single
-    compressed = compress_residual(single[0].solution)
-    return single + fitter.add_terms(single[0].solution, single[0].terms, _best_terms(compressed, N_SECOND_FITTED))
+    left = ResidualForces(single[0].solution)
+    second = _best_terms(left.compressed, left.smooth, N_SECOND_FITTED)
+    return single + fitter.add_terms(single[0].solution, single[0].terms, second)
 
 
 def _competing_formulas(
@@ -101,7 +101,7 @@ def _competing_formulas(
     if law is not None and not _is_noise(best.solution):
         best = fitter.refit_model_effects(best, law)
     compressed = compress_residual(best.solution, EFFECT_NAME)
-    terms = _best_terms(compressed, N_RIVALS_FITTED, (best.terms[0].variable.name,))
+    terms = _best_terms(compressed, smooth_forces(compressed), N_RIVALS_FITTED, (best.terms[0].variable.name,))
     near = [
         t
         for t in terms
@@ -182,9 +182,11 @@ def _rank(found: Sequence[FittedFormula]) -> list[FittedFormula]:
     return sorted(equal, key=lambda f: f.complexity) + order[len(equal) :]
 
 
-def _best_terms(compressed: CompressedResidual, max_terms: int, names: Sequence[str] = ()) -> list[Term]:
+def _best_terms(
+    compressed: CompressedResidual, smooth: Sequence[SmoothForce], max_terms: int, names: Sequence[str] = ()
+) -> list[Term]:
     """The best forms beside a model, refined, one per shape and axis, best first."""
-    scanned = list(_scan_shapes(compressed, names))
+    scanned = list(_scan_shapes(compressed, smooth, names))
     if not scanned:
         return []
     best = max(t.gain for t in scanned)
@@ -201,9 +203,11 @@ def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
     return term.gain - term.unknowns * float(np.log(compressed.n_frames))
 
 
-def _scan_shapes(compressed: CompressedResidual, names: Sequence[str] = ()) -> Iterator[Term]:
+def _scan_shapes(
+    compressed: CompressedResidual, smooth: Sequence[SmoothForce], names: Sequence[str] = ()
+) -> Iterator[Term]:
     """The best setting of every shape over every axis on which a smooth force explains something."""
-    smooth = [s for s in smooth_forces(compressed) if s.axis.name in (names or AXIS_SYMBOLS)]
+    smooth = [s for s in smooth if s.axis.name in (names or AXIS_SYMBOLS)]
     for axis in (s.axis for s in smooth if s.gain > MIN_AXIS_GAIN_RATIO * smooth[0].gain):
         u, factor = compressed.concatenate(axis.of), compressed.concatenate(axis.times)
         for shape in SHAPES:
@@ -249,8 +253,9 @@ def _finite(columns: Array) -> Array:
 
 def _refine_term(compressed: CompressedResidual, term: Term) -> Term:
     """Refine the parameters of a term, with coefficients solved in every trial (variable projection)."""
+    at = compressed.concatenate(term.variable.of), compressed.concatenate(term.variable.times)
     if not term.parameters:
-        return replace(term, coefficients=_solve_coefficients(compressed, term, term.parameters)[1])
+        return replace(term, coefficients=_solve_coefficients(compressed, term, term.parameters, at)[1])
     limits = parameter_bounds(term, 30.0, 3.0)
     low, high = np.array([limits[q] for q in parameter_names(term)]).T
     scale = np.minimum(high - low, np.maximum(np.abs(np.array(term.parameters)), 1e-3 * (high - low)))
@@ -259,20 +264,25 @@ def _refine_term(compressed: CompressedResidual, term: Term) -> Term:
     ends = low / scale - 1e-9, high / scale + 1e-9
 
     def residual(z: Array) -> Array:
-        return _solve_coefficients(compressed, term, z * scale)[0]
+        return _solve_coefficients(compressed, term, z * scale, at)[0]
 
     steps = np.full(len(start), RELATIVE_STEP)
     found = least_squares(residual, start, bounds=ends, diff_step=steps, max_nfev=MAX_EVALUATIONS)
     parameters = np.clip(found.x * scale, low, high)
-    remaining, coefficients = _solve_coefficients(compressed, term, parameters)
+    remaining, coefficients = _solve_coefficients(compressed, term, parameters, at)
     gain = float(compressed.residual @ compressed.residual - remaining @ remaining)
     return replace(term, parameters=tuple(map(float, parameters)), gain=gain, coefficients=coefficients)
 
 
 def _solve_coefficients(
-    compressed: CompressedResidual, term: Term, parameters: Sequence[float] | Array
+    compressed: CompressedResidual, term: Term, parameters: Sequence[float] | Array, at: tuple[Array, Array]
 ) -> tuple[Array, tuple[float, ...]]:
-    """What the best coefficients of a term leave, (M,), and these coefficients."""
-    columns = compressed.traces_of([_finite(term.force(path, list(parameters))) for path in compressed.paths])
+    """What the best coefficients of a term leave, (M,), and these coefficients.
+
+    `at` are the values of its axis and the factor on its force along all pieces.
+    """
+    u, factor = at
+    made = np.stack(term.shape.columns_at(u, list(parameters)), axis=1) * factor[:, None]
+    columns = compressed.traces_of(compressed.split_by_piece(_finite(made)))
     coefficients = np.linalg.lstsq(columns, compressed.residual, rcond=1e-9)[0]
     return np.asarray(compressed.residual - columns @ coefficients), tuple(map(float, coefficients))

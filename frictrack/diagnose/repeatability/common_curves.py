@@ -21,14 +21,13 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from frictrack.compare import ForceTraces, WaveScan, WaveTraces, course_ends, pair_products
-from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.repeatability.axis_result import AxisRepeatability, describe_axes, sort_axes
 from frictrack.diagnose.repeatability.common_frequency import (
     MIN_PREDICTED_SHARE,
     assess_common_frequency,
     restricted_likelihood_gain,
 )
-from frictrack.diagnose.smooth_forces import gain_of_separate_curves, smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces, gain_of_separate_curves
 from frictrack.fit.least_squares import ModelProjection, Solution, model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
@@ -124,7 +123,11 @@ class _Runs:
 
 
 def assess_repeatability(
-    solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS, waves: WaveScan | None = None
+    solution: Solution,
+    rng: np.random.Generator,
+    draws: int = N_DRAWS,
+    waves: WaveScan | None = None,
+    forces: ResidualForces | None = None,
 ) -> Repeatability:
     """Test over which axis the misfit of a fit repeats from run to run.
 
@@ -138,6 +141,8 @@ def assess_repeatability(
         Number of draws of the null distribution.
     waves
         Traces of the waves that are scanned for, if they were computed before.
+    forces
+        Smooth forces in the residual, if they were computed before.
 
     Returns
     -------
@@ -153,7 +158,7 @@ def assess_repeatability(
         )
     projected = _project_own_columns(law, runs, _draw_sign_flips(law, rng, draws))
     found, curves, excess = [], {}, _excess_chi2(projected)
-    evidence, separate_evidence = _axis_evidence(solution)
+    evidence, separate_evidence = _axis_evidence(forces or ResidualForces(solution))
     for axis in N_KNOTS:
         gains, curves[axis] = _best_smooth_curve([_curve_products(projected, axis, dry) for dry in (True, False)])
         if axis == "x":
@@ -170,14 +175,13 @@ def assess_repeatability(
     return Repeatability(found, describe_axes(found), curves)
 
 
-def _axis_evidence(solution: Solution) -> tuple[dict[str, float], float]:
+def _axis_evidence(forces: ResidualForces) -> tuple[dict[str, float], float]:
     """Evidence for a smooth force over every axis, and for one per run, against none."""
-    compressed = compress_residual(solution)
     evidence = dict.fromkeys(N_KNOTS, 0.0)
-    for smooth in smooth_forces(compressed):
+    for smooth in forces.smooth:
         name = smooth.axis.name
         evidence[name] = max(evidence.get(name, 0.0), smooth.gain)
-    return evidence, max(gain_of_separate_curves(compressed), 0.0)
+    return evidence, max(gain_of_separate_curves(forces.compressed), 0.0)
 
 
 def _project_own_columns(law: ModelProjection, runs: Sequence[int], series: Array) -> _Runs:

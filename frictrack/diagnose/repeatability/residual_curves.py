@@ -10,6 +10,7 @@ import numpy as np
 from frictrack.axes import AXES
 from frictrack.compare import DeconvolvedForce, SpectralLine, WaveScan, deconvolve_force
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
@@ -38,12 +39,17 @@ class FailurePattern:
     @cached_property
     def repeats(self) -> Repeatability:
         """Whether the misfit repeats from run to run, and over which axis."""
-        return assess_repeatability(self.solution, self.rng, waves=self._waves)
+        return assess_repeatability(self.solution, self.rng, waves=self._waves, forces=self.forces)
 
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
         """Curves of the missing force; see `residual_figures`."""
         return residual_figures(*deconvolve_force(self.solution, self._waves))
+
+    @cached_property
+    def forces(self) -> ResidualForces:
+        """Smooth forces in the residual."""
+        return ResidualForces(self.solution)
 
     @cached_property
     def _waves(self) -> WaveScan:
