@@ -210,16 +210,12 @@ def lack_of_fit(draws: NullEnsemble) -> float:
     Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test.
 
     """
-    residual = draws.series.residuals
-    energy = []
-    at = 0
-    for r in draws.law.solution.responses:
-        n = len(r.r)
-        energy.append(dct(residual[at : at + n], axis=0, norm="ortho") ** 2)
-        at += n
-    orders = [2**k for k in range(2, 20) if 2**k < max(len(e) for e in energy)]
-    orders.append(max(len(e) for e in energy))
-    sums = np.stack([np.sum([e[:order].sum(axis=0) for e in energy], axis=0) for order in orders])
+    longest = max(rows.stop - rows.start for rows in draws.law.rows)
+    orders = [*[2**k for k in range(2, 20) if 2**k < longest], longest]
+    sums = np.zeros((len(orders), draws.series.residuals.shape[1]))
+    for rows in draws.law.rows:
+        energy = dct(draws.series.residuals[rows], axis=0, norm="ortho") ** 2
+        sums += np.stack([energy[:order].sum(axis=0) for order in orders])
     center, spread = sums[:, 1:].mean(axis=1), sums[:, 1:].std(axis=1)
     statistic = np.max((sums - center[:, None]) / spread[:, None], axis=0)
     return _p_value(statistic[1:], float(statistic[0]))

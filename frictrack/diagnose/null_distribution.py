@@ -82,7 +82,8 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     levels = fitted.problem.layout.levels
     if basis.random:
         scatter = fitted.tau * rng.standard_normal((len(levels), draws))
-        data[:, 1:] += (fitted.jac[:, levels] @ scatter).astype(np.float32)
+        for rows in law.rows:
+            data[rows, 1:] += (fitted.jac[rows][:, levels] @ scatter).astype(np.float32)
     coordinates = law.coordinates(data)
     taus = np.append(TAU_GRID, fitted.tau) if basis.random else np.array([1.0])
     on_basis = law.basis_coordinates.T @ coordinates
@@ -94,9 +95,11 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
     groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     spreads = [groups.get(t, slice(0, 0)) for t in range(len(taus))]
-    data, coordinates = np.take(data, order, axis=1), coordinates[:, order]
+    coordinates, fits = coordinates[:, order], np.empty((basis.u.shape[1], 1 + draws), dtype=np.float32)
     for tau, columns in zip(taus, spreads, strict=True):
-        data[:, columns] = law.residuals(data[:, columns], coordinates[:, columns], tau)
+        fits[:, columns] = law.fitted_coordinates(coordinates[:, columns], tau)
+    for rows in law.rows:  # piece by piece, because many runs leave no room for a second copy
+        data[rows] = np.take(data[rows], order, axis=1) - basis.u[rows].astype(np.float32) @ fits
     projectors = [law.residual_projector(tau) for tau in taus]
     measured = fitted.random_effect_data()
     return NullEnsemble(law, ScannedSeries(measured, data, coordinates, taus, projectors, spreads, profile[:, order]))
@@ -104,7 +107,8 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
 
 def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generator) -> None:
     """Fill in noise (N, D) over its estimated level, run by run, with initial conditions projected out."""
-    out[...] = rng.standard_normal(out.shape, dtype=np.float32)
+    for rows in law.rows:
+        out[rows] = rng.standard_normal(out[rows].shape, dtype=np.float32)
     for run in law.runs:
         members = [i for i, s in enumerate(law.pieces) if s.run == run]
         level = _noise_level(

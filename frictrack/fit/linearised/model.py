@@ -282,10 +282,9 @@ class LinearisedModel:
         absorbed = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
         return np.asarray(np.eye(len(absorbed)) - absorbed)
 
-    def residuals(self, data: NDArray[np.float32], coordinates: Array, tau: float) -> NDArray[np.float32]:
-        """Compute what the refitted model leaves of whitened data (N, D) with coordinates (L, D), at one scatter."""
-        absorbed = self.basis.shrink(tau) @ (self.basis_coordinates.T @ coordinates)
-        return data - self.basis.u.astype(np.float32) @ absorbed.astype(np.float32)
+    def fitted_coordinates(self, coordinates: Array, tau: float) -> Array:
+        """Compute the coordinates (P', D) in `basis` of the fits to data with coordinates (L, D), at one scatter."""
+        return np.asarray(self.basis.shrink(tau) @ (self.basis_coordinates.T @ coordinates))
 
 
 def linearise(solution: Solution) -> LinearisedModel:

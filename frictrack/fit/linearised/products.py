@@ -17,7 +17,7 @@ MAX_SAMPLES_AT_ONCE = 60_000  # samples evaluated at once, so that they fit into
 MAX_FORMS_PROFILED = 200  # grid points times coefficients up to which tau is estimated at every grid point
 MIN_COLUMNS_COMPARED = 8  # from which differences between columns are worth a look
 MIN_LEFT_SHARE = 1e-3  # of the size of columns, outside the basis, from which float32 products of whole columns do
-MAX_PRODUCTS_KEPT = 50_000_000  # of plain waves with the series, over all pieces
+MAX_PRODUCTS_KEPT = 20_000_000  # of plain waves with the series, over all pieces
 MAX_SCALE_RATIO = 1e6  # by which columns of later pieces may exceed the scale; float32 ends at 3e38
 
 

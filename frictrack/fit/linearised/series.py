@@ -136,6 +136,8 @@ def measured_series(law: LinearisedModel) -> ScannedSeries:
     """Return the measured data alone, at the fitted scatter of the levels."""
     data = law.solution.random_effect_data()
     tau, coordinates = law.solution.tau, law.coordinates(data[:, None])
-    left = law.residuals(data[:, None].astype(np.float32), coordinates, tau)
+    left = data[:, None] - law.basis.u @ law.fitted_coordinates(coordinates, tau)
     projectors = [law.residual_projector(tau)]
-    return ScannedSeries(data, left, coordinates, np.array([tau]), projectors, [slice(0, 1)], np.zeros((1, 1)))
+    return ScannedSeries(
+        data, left.astype(np.float32), coordinates, np.array([tau]), projectors, [slice(0, 1)], np.zeros((1, 1))
+    )
