@@ -21,6 +21,7 @@ from frictrack.workers import WorkerPool, local_workers
 from scale.length import rendered_film
 
 FRAMES, PROCESSES = 16000, 2
+WARM_UP = "import time, frictrack.tracking.driver; time.sleep(2)"
 Say = Callable[[str], None]
 
 
@@ -30,7 +31,7 @@ def measure(say: Say) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name, local_workers(PROCESSES) as pool:
         rendered_film(Path(name) / "long", FRAMES)
         film = open_recording(Path(name) / "long.mraw")
-        wait([pool.submit(time.sleep, 0.5) for _ in range(PROCESSES)])  # all processes have started
+        wait([pool.submit(exec, WARM_UP) for _ in range(PROCESSES)])  # all processes have started
         for what, known in (("learnt", None), ("known", learn_target(film))):
             rows[what] = _compared(film, known, pool)
             row = rows[what]
