@@ -28,6 +28,7 @@ from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array, Mask
 
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
+MIN_DAMPING_AFTER_FAILURE = 0.03  # smaller ones hardly shorten a step that went too far
 MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
 
 
@@ -311,7 +312,7 @@ class ProjectedProblem:
                     max(0.1 * damping, MIN_DAMPING),
                 )
             else:
-                damping = max(30 * damping, 1e-3)
+                damping = max(30 * damping, MIN_DAMPING_AFTER_FAILURE)
         return state
 
     def _normal_equations(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:

@@ -33,6 +33,7 @@ MIN_COUPLING = 0.1  # least shared variance of two effects that are searched aga
 LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
 SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
 MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
+MIN_GAIN_CHI2 = 0.05  # the same in units of chi-squared per frame; less changes no decision
 
 
 class VariableProjection:
@@ -187,7 +188,8 @@ class VariableProjection:
                 if same_kind and self.items.index(one) < self.items.index(other)
                 else None
             )
-            if better is None and (misses_effect or shares(one, other) > MIN_COUPLING):
+            may_exchange = misses_effect and not _are_in_different_runs(one, other)
+            if better is None and (may_exchange or shares(one, other) > MIN_COUPLING):
                 better = self._try_both_again(problem, state, one, other)
             if better is not None:
                 return better
@@ -269,8 +271,9 @@ class VariableProjection:
         self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
     ) -> SeparableSolution | None:
         """The refined trial, or None if it does not lower the misfit."""
-        trial = problem.refine(trial, below=state.misfit)
-        return trial if trial.misfit < state.misfit * (1 - MIN_GAIN_SHARE) else None
+        needed = state.misfit * (1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size))
+        trial = problem.refine(trial, below=needed)
+        return trial if trial.misfit < needed else None
 
     def _are_same_kind(self, one: ScanItem, other: ScanItem) -> bool:
         """Whether two items are instances of one effect with one scanned parameter."""
@@ -308,3 +311,8 @@ class VariableProjection:
         """Whether the item is within one grid step of this point already."""
         nearest = self._nearest_point(found.grid, state, self._slot_positions(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))
+
+
+def _are_in_different_runs(one: ScanItem, other: ScanItem) -> bool:
+    """Whether two items are events of different runs, which can only disturb each other through common parameters."""
+    return one.run is not None and other.run is not None and one.run != other.run

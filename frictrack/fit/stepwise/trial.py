@@ -147,17 +147,32 @@ def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> 
 def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
     """The best of the fits from several starts."""
     found: list[tuple[ProjectedProblem, SeparableSolution]] = []
+    first: dict[frozenset[tuple[str, int]], tuple[ProjectedProblem, SeparableSolution]] = {}
+    old = linearised.solution.problem.layout
+    known_values = dict(zip(old.names, linearised.solution.p, strict=True))
     for values, absent in starts:
-        old = linearised.solution.problem.layout
-        layout = replace(old, model=old.model + effect, absent=old.absent | absent)
-        problem = _projected_problem(linearised, layout)
-        known_values = dict(zip(old.names, linearised.solution.p, strict=True))
+        known = first.get(absent)
+        layout = known[0].layout if known else replace(old, model=old.model + effect, absent=old.absent | absent)
         slots = zip(layout.names, layout.slots, strict=True)
         p = np.array([known_values.get(name, _start_value(values, s)) for name, s in slots])
-        found.append((problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
+        if known is None:
+            problem = _projected_problem(linearised, layout)
+            state = problem.at(p)
+            first[absent] = problem, state
+        else:  # the rest of the model is the same
+            problem, state = known[0], known[0].at(p, known[1], _groups_with(known[0], effect))
+        found.append((problem, problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
     found.sort(key=lambda pair: pair[1].misfit)
-    best = min((_refined(problem, state) for problem, state in found[:2]), key=lambda pair: pair[1].misfit)
+    best = _refined(*found[0])
+    for problem, state in found[1:2]:
+        other = _refined(problem, state, below=best[1].misfit)
+        best = min(best, other, key=lambda pair: pair[1].misfit)
     return _trial(effect, *best)
+
+
+def _groups_with(problem: ProjectedProblem, effect: Effect) -> list[int]:
+    """The groups of a model that an effect is in."""
+    return [g for g, group in enumerate(problem.separable.groups) if effect.name in group.names]
 
 
 def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> float:
@@ -231,8 +246,10 @@ def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> Cand
     return min(new, trial, key=lambda t: t.misfit + penalty * len(t.layout.slots))
 
 
-def _refined(problem: ProjectedProblem, state: SeparableSolution) -> tuple[ProjectedProblem, SeparableSolution]:
-    return problem, problem.refine(state, steps=FINAL_STEPS, enough=FINAL_MIN_FALL)
+def _refined(
+    problem: ProjectedProblem, state: SeparableSolution, below: float = np.inf
+) -> tuple[ProjectedProblem, SeparableSolution]:
+    return problem, problem.refine(state, steps=FINAL_STEPS, enough=FINAL_MIN_FALL, below=below)
 
 
 def _trial(effect: Effect, problem: ProjectedProblem, state: SeparableSolution) -> CandidateTrial:
