@@ -19,6 +19,7 @@ MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
 MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
 MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
 MAX_CANDIDATES_SPLIT = 6  # with which a second simple effect is tried
+MIN_SPLIT_SHARE = 0.25  # of the evidence of a flexible effect that the stronger of two simple ones has alone
 MIN_SCAN_SHARE = 0.25  # of the evidence to exceed; the nearest grid point of an effect gains most of what it can
 
 
@@ -65,7 +66,7 @@ def review_found(
         if evidence <= 0 and len(remaining) > 1:
             remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
         elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
-            remaining = _exchange_effect(remaining, same_kind, first, own)
+            remaining = _exchange_effect(remaining, same_kind, (reduced, first), own)
     return remaining
 
 
@@ -79,12 +80,17 @@ def _without(full: Solution, names: Sequence[str], first: Round) -> Solution:
 
 
 def _exchange_effect(
-    kept: list[RefinedCandidate], same_kind: list[str], first: Round, own: Sequence[Effect]
+    kept: list[RefinedCandidate], same_kind: list[str], without: tuple[Solution, Round], own: Sequence[Effect]
 ) -> list[RefinedCandidate]:
-    """Try every effect in place of one, or of several of its kind."""
+    """Try every effect in place of one, or of several of its kind.
+
+    `without` is the model without the last of them, and the test of the model before the search.
+    """
     full, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
+    reduced, first = without
     try:
-        reduced = _without(full, same_kind[::-1], first)
+        if len(same_kind) > 1:
+            reduced = _without(reduced, same_kind[:-1], first)
     except FrictrackError:
         return kept
     evidence = information_criterion(reduced) - information_criterion(full)
@@ -133,9 +139,8 @@ def _split_in_two(
         return found
     top = information_criterion(best.law) - MIN_CHI2_SEPARATED
     runs = len(best.law.problem.layout.run_names)
-    for one in [t for t in others if t.delta_bic > MIN_CHI2_SEPARATED and _is_simple(t.effect, runs)][
-        :MAX_CANDIDATES_SPLIT
-    ]:
+    least = max(MIN_CHI2_SEPARATED, MIN_SPLIT_SHARE * best.delta_bic)
+    for one in [t for t in others if t.delta_bic > least and _is_simple(t.effect, runs)][:MAX_CANDIDATES_SPLIT]:
         try:
             law = _simulated_law(one)
             pairs = _alternatives(

@@ -98,6 +98,13 @@ def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -
     return _trial(effects[0], *_refined(problem, problem.at(p)))
 
 
+def refined_along_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
+    """Return the unknowns (P,) of another model of the same runs, refined along the measured motion from `p`."""
+    problem = _projected_problem(linearised, layout)
+    _, state = _refined(problem, problem.at(p))
+    return np.clip(problem.separable.law(state.nonlinear_values, state.coefficients), *layout.bounds)
+
+
 def baseline_misfit(linearised: LinearisedModel) -> float:
     """Compute the misfit of the model itself along the measured motion."""
     layout = linearised.solution.problem.layout
