@@ -298,10 +298,17 @@ def z_of_mean(seed, method):
     return off
 
 
-@pytest.mark.parametrize(("method", "seeds"), [("kalman", 60), pytest.param("structural", 100, marks=pytest.mark.slow)])
-def test_the_mean_force_scatters_as_the_budget_says(method, seeds):
+@pytest.mark.parametrize(
+    ("method", "seeds", "margin"),
+    [
+        ("kalman", 12, 0.6),  # 3 deviations
+        pytest.param("kalman", 60, 0.22, marks=pytest.mark.slow),
+        pytest.param("structural", 100, 0.22, marks=pytest.mark.slow),
+    ],
+)
+def test_the_mean_force_scatters_as_the_budget_says(method, seeds, margin):
     rms = np.sqrt(np.mean(np.square([z_of_mean(seed, method) for seed in range(seeds)]), axis=0))
-    assert np.all((rms > 0.8) & (rms < 1.25)), rms
+    assert np.all(np.abs(rms - 1) < margin), rms
 
 
 SCENE = """

@@ -114,9 +114,9 @@ def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences
 def test_what_may_hide_is_what_is_not_found():
     """A vibration half as large as the limit is not seen, one twice as large always is."""
     t, x = pieces((0.17, -20.0), v=5.0)
-    for times, seen in ((0.5, 0), (2.0, 6)):
+    for times, seen in ((0.5, 0), (2.0, 2)):
         found = 0
-        for seed in range(6):
+        for seed in range(2):
             plain = filmed(t, x, seed=seed)
             limit = trade(plain.displacement, low_pass(plain.displacement), plain.motion)
             hidden = np.exp(np.interp(np.log(300.0), np.log(limit.frequency), np.log(limit.hidden)))

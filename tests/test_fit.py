@@ -149,9 +149,10 @@ def test_stated_intervals_cover_the_truth_over_200_seeds():
     assert all(0.91 <= c <= 0.98 for c in cover.values()), cover
 
 
-def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found():
+@pytest.mark.parametrize(("repeats", "rel"), [(8, 0.45), pytest.param(40, 0.2, marks=pytest.mark.slow)])
+def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repeats, rel):
     taus, z, levels = [], [], []
-    for seed in range(40):
+    for seed in range(repeats):
         level = 1 + 0.03 * np.random.default_rng(1000 + seed).standard_normal(6)
         runs = [parabola(10 * seed + i, level=level[i], name=f"r{i}", duration=0.04) for i in range(6)]
         fitted = fit("coulomb", runs)
@@ -159,7 +160,7 @@ def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found():
         taus.append(fitted.solution.tau)
         z.append((estimate.value - 8.0) / estimate.std)
         levels.append(fitted.solution.p[fitted.solution.problem.layout.levels] * estimate.value / 8.0 / level - 1)
-    assert np.sqrt(np.mean(np.square(taus))) == pytest.approx(0.03, rel=0.2)  # 40 x 5 degrees of freedom: 5 %
+    assert np.sqrt(np.mean(np.square(taus))) == pytest.approx(0.03, rel=rel)  # 8 x 5 degrees of freedom: 11 %; 40: 5 %
     assert 0.85 <= np.mean(np.abs(z) < 1.96) <= 1.0
     assert np.std(levels) < 1e-3  # each run's own level, which its parabola gives to 4e-4
 

@@ -61,7 +61,7 @@ STORIES = {
 }
 
 
-LONG = ("real_data",)  # what it shows is tested in test_real_data too
+LONG = ("real_data", "first_paper")  # what they show is tested in test_real_data and test_reproduce too
 
 
 @pytest.mark.parametrize(
