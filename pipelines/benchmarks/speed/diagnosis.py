@@ -42,7 +42,7 @@ def _measure_study(kind: str, truth: Truth) -> dict[str, Any]:
     verdict_at: list[float] = []
     start = time.process_time()
     fit = ft.fit(list(truth.model), runs)
-    found = ft.diagnose(fit)
+    found = ft.diagnose(fit, on_verdict=lambda _: verdict_at.append(time.process_time()))
     end = time.process_time()
     plain_search(truth.model, runs)
     plain = time.process_time() - end

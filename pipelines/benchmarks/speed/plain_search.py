@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.effects import LIBRARY, Effect, Path, Span
-from frictrack.fit.linearised.scan import scan_points
+from frictrack.fit.linearised.grid import scan_points
 from frictrack.records import Array, Run
 
 DRAWS = 999
@@ -69,7 +69,7 @@ def _gain(
 
 
 def _response(runs: Sequence[Run], paths: Sequence[Path], effect: Effect, point: dict[str, float]) -> Array:
-    """Displacement over the noise, (k, N), under each column of an effect; integrated twice along the measured motion."""
+    """Displacement over the noise, (k, N), under each column of an effect, integrated along the measured motion."""
     parts = []
     for run, path in zip(runs, paths, strict=True):
         columns = effect.columns(path, point).T

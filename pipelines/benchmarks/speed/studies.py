@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from diagnosis.studies import BARE
 
 import frictrack as ft
-from diagnosis.studies import BARE
 from frictrack.blind.study_files import run_table, write_study
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
