@@ -72,6 +72,6 @@ def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
     """Standard deviations of some parameters while the others of their effect are held."""
     layout = solution.problem.layout
     free = [i for i, s in enumerate(layout.slots) if s.effect != effect.name or i in at]
-    rows = np.vstack([solution.jac, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])
+    rows = np.vstack([solution.few_rows, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])
     covariance, _ = inverse_normal_matrix(rows[:, free])
     return np.sqrt(np.maximum(np.diag(covariance)[[free.index(i) for i in at]], 0.0))

@@ -64,8 +64,8 @@ def information_criterion(solution: Solution) -> float:
     """
     layout = solution.problem.layout
     spread = 0.0
-    if solution.basis.random:
-        levels = solution.jac[:, layout.levels]
+    if solution.levels_are_random:
+        levels = solution.few_rows[:, layout.levels]
         spread = float(np.linalg.slogdet(np.eye(levels.shape[1]) + solution.tau**2 * (levels.T @ levels))[1])
     return solution.objective + spread + parameter_penalty(layout, solution.problem)
 

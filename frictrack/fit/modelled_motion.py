@@ -76,7 +76,7 @@ def covariance_at_fitted_scatter(solution: Solution) -> Array:
     level from the coefficient that it multiplies, while their product is as well known as the run is.
     """
     held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
-    return inverse_normal_matrix(np.vstack([solution.jac, held]))[0]
+    return inverse_normal_matrix(np.vstack([solution.few_rows, held]))[0]
 
 
 def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solution) -> Array:
@@ -86,7 +86,7 @@ def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solutio
     common = [i for i, s in enumerate(mine) if s.run is None]
     inverse_upper = [i for i, s in enumerate(mine) if s.run is not None]
     at = [shared[mine[i].effect, mine[i].parameter] for i in common]
-    known, jac = covariance[np.ix_(at, at)], solution.jac
+    known, jac = covariance[np.ix_(at, at)], solution.few_rows
     free = np.zeros((len(mine), len(mine)))
     free[np.ix_(common, common)] = known
     if inverse_upper:

@@ -37,7 +37,7 @@ def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
 
     """
     return inverse_normal_matrix(
-        np.vstack([solution.jac, penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)])
+        np.vstack([solution.few_rows, penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)])
     )
 
 
@@ -76,7 +76,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = inverse_normal_matrix(
-        np.vstack([solution.jac, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
+        np.vstack([solution.few_rows, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
     )
     variance = np.maximum(np.diag(white_noise_covariance(solution)[0]), 1e-300)
     share = np.maximum(

@@ -18,8 +18,10 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares.few_rows import RotatedJacobian, rotated_jacobian, stacked_jacobian, triangular
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.parameters import (
+    MIN_RUNS_FOR_SCATTER,
     JacobianBasis,
     canonical_form,
     jacobian_basis,
@@ -85,30 +87,51 @@ class Solution:
     @property
     def basis(self) -> JacobianBasis:
         """Orthonormal basis of the linearised model."""
+        rotated = self.rotated_jacobian
+        few = self._basis_of(rotated.rows)
+        return replace(few, u=rotated.expanded(few.u))
+
+    @property
+    def rotated_jacobian(self) -> RotatedJacobian:
+        """The whitened Jacobian as a rotation of few rows."""
+        return rotated_jacobian(self.responses, len(self.p))
+
+    @property
+    def few_rows(self) -> Array:
+        """Few rows (M, P) with the normal matrix, singular values and right singular vectors of `jac`."""
+        return triangular(self.responses, len(self.p))[0]
+
+    def _basis_of(self, rows: Array) -> JacobianBasis:
         layout = self.problem.layout
-        return jacobian_basis(self.jac, layout.levels, prior_jacobian(layout, self.p))
+        return jacobian_basis(rows, layout.levels, prior_jacobian(layout, self.p))
 
     def random_effect_data(self) -> Array:
         """Return the residual with the fitted deviations of levels and priors added back, (N,).
 
         These are the data from which the scatter of the levels is estimated.
         """
+        departure = self._departure()
+        return np.concatenate([r.r + r.jac @ departure[r.active] for r in self.responses])
+
+    def level_scatter(self) -> float:
+        """Estimate tau, the relative standard deviation of the friction levels."""
+        rows, residual = triangular(self.responses, len(self.p))
+        basis, data = self._basis_of(rows), residual + rows @ self._departure()
+        return basis.spread(basis.u.T @ data, float(data @ data))
+
+    @property
+    def levels_are_random(self) -> bool:
+        """Whether the friction levels are a random effect."""
+        return len(self.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER
+
+    def _departure(self) -> Array:
+        """Fitted deviations (P,) of levels and priors."""
         layout = self.problem.layout
         departure = np.zeros(len(self.p))
         if layout.priors:
             departure = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
         departure[layout.levels] += self.p[layout.levels] - 1
-        return self.residual + self.jac @ departure
-
-
-def stacked_jacobian(responses: Sequence[PieceResponse], n_unknowns: int) -> Array:
-    """Stack the Jacobians of all pieces, (N, n_unknowns)."""
-    blocks = []
-    for r in responses:
-        full = np.zeros((len(r.r), n_unknowns))
-        full[:, r.active] = r.jac
-        blocks.append(full)
-    return np.concatenate(blocks)
+        return departure
 
 
 @dataclass(frozen=True)
@@ -298,7 +321,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
     n = len(state.p)
     layout = state.problem.layout
-    rows, right = _triangular(state.responses, n)
+    rows, right = triangular(state.responses, n)
     rows = np.vstack([rows, penalty_jacobian(layout, state.tau, state.p)])
     right = np.concatenate([right, -penalty_residual(layout, state.p, state.tau)])
     rows[:, bounds[1] <= bounds[0]] = 0.0
@@ -319,19 +342,6 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
     gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + start_gain
     return z / norm, gain
-
-
-def _triangular(responses: Sequence[PieceResponse], n: int) -> tuple[Array, Array]:
-    """The same least-squares problem in few rows: R factors of (Jacobian, residual) of every piece."""
-    rows, right = [], []
-    for r in responses:
-        k = len(r.active)
-        upper = np.asarray(np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r"))
-        block = np.zeros((len(upper), n))
-        block[:, r.active] = upper[:, :k]
-        rows.append(block)
-        right.append(upper[:, k])
-    return np.vstack(rows), np.concatenate(right)
 
 
 def fit_with_scatter(
@@ -378,11 +388,9 @@ def refit_with_scatter(solution: Solution, tau: float) -> Solution:
 def _with_converged_scatter(solution: Solution, max_steps: int, min_fall: float) -> Solution:
     """Alternate between the scatter of the levels and the solution at that scatter."""
     for _ in range(MAX_SCATTER_ESTIMATES):
-        basis = solution.basis
-        if not basis.random or solution.problem.layout.levels_free:
+        if not solution.levels_are_random or solution.problem.layout.levels_free:
             return solution
-        data = solution.random_effect_data()
-        old, new = solution.tau, basis.spread(basis.u.T @ data, float(data @ data))
+        old, new = solution.tau, solution.level_scatter()
         solution = refine_further(solution, new, max_steps=max_steps, min_fall=min_fall)
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break

@@ -77,13 +77,16 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
     """
     layout = solution.problem.layout
     tau = max(solution.tau, MIN_SCATTER)
-    law = np.vstack([solution.jac, penalty_jacobian(layout, tau, solution.p)])
+    rotated = solution.rotated_jacobian
+    law = np.vstack([rotated.rows, penalty_jacobian(layout, tau, solution.p)])
     law = law if kept is None else law[:, kept]
     r = np.concatenate([solution.residual, -penalty_residual(layout, solution.p, tau)])
     norm = np.linalg.norm(law, axis=0)
     norm[norm == 0] = 1.0
     u, s, _ = np.linalg.svd(law / norm, full_matrices=False)
     u = u[:, s > MIN_SINGULAR_VALUE * s[0]] if len(s) else u
+    few = len(rotated.rows)
+    u = np.concatenate([rotated.expanded(u[:few]), u[few:]])
     ends = np.cumsum([0, *[len(response.r) for response in solution.responses]])
     rows = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
     return ModelProjection(solution, rows, u, r - u @ (u.T @ r))

@@ -143,7 +143,7 @@ def as_clause(sentence: str) -> str:
 
 def correlated_partners(solution: Solution, i: int) -> str:
     """Explain why an unknown is not determined: what it is confused with, and which run would separate them."""
-    layout, jac = solution.problem.layout, solution.jac
+    layout, jac = solution.problem.layout, solution.few_rows
     norm = np.linalg.norm(jac, axis=0)
     if norm[i] == 0:
         return "the runs do not respond to it"
@@ -229,7 +229,7 @@ def inflation(solution: Solution) -> float:
     Belsley, D. A., Kuh, E. & Welsch, R. E. (1980). Regression Diagnostics, sec. 3.2. Wiley.
 
     """
-    jac = solution.jac[:, reported_slots(solution.problem.layout)]
+    jac = solution.few_rows[:, reported_slots(solution.problem.layout)]
     covariance, _ = inverse_normal_matrix(jac)
     return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
 
