@@ -50,19 +50,19 @@ def plain(value: Any, folder: str) -> Any:
     return value.replace(folder, "FOLDER").replace(str(ROOT), "ROOT") if isinstance(value, str) else value
 
 
-def differences(old: Any, new: Any, *, texts: bool, at: str = "") -> Iterator[str]:
+def differences(old: Any, new: Any, *, texts: bool, rtol: float = RELATIVE, at: str = "") -> Iterator[str]:
     """Yield where two JSON values differ, and how."""
     if isinstance(old, dict) and isinstance(new, dict):
         yield from (f"{at}/{key}: only in the {side}" for key, side in _unpaired(old, new))
         for key in old.keys() & new.keys():
             if key not in IGNORED:
-                yield from differences(old[key], new[key], texts=texts, at=f"{at}/{key}")
+                yield from differences(old[key], new[key], texts=texts, rtol=rtol, at=f"{at}/{key}")
     elif isinstance(old, list) and isinstance(new, list):
         if len(old) != len(new):
             yield f"{at}: {len(old)} entries, now {len(new)}"
         for i, (a, b) in enumerate(zip(old, new, strict=False)):
-            yield from differences(a, b, texts=texts, at=f"{at}/{i}")
-    elif not _equal(old, new, texts=texts):
+            yield from differences(a, b, texts=texts, rtol=rtol, at=f"{at}/{i}")
+    elif not _equal(old, new, texts=texts, rtol=rtol):
         yield f"{at}: {old!r:.200} -> {new!r:.200}"
 
 
@@ -71,9 +71,9 @@ def _unpaired(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, s
     yield from ((key, "new output") for key in sorted(new.keys() - old.keys()))
 
 
-def _equal(old: Any, new: Any, *, texts: bool) -> bool:
+def _equal(old: Any, new: Any, *, texts: bool, rtol: float) -> bool:
     if isinstance(old, float) and isinstance(new, int | float) and not isinstance(new, bool):
-        return math.isclose(old, new, rel_tol=RELATIVE) or (math.isnan(old) and math.isnan(new))
+        return math.isclose(old, new, rel_tol=rtol) or (math.isnan(old) and math.isnan(new))
     if isinstance(old, str) and isinstance(new, str) and not texts and " " in old.strip():
         return True
     return bool(old == new)
@@ -85,6 +85,8 @@ def main() -> int:
     parser.add_argument("--only", default=",".join(CASES), help="cases, with commas")
     parser.add_argument("--quick", action="store_true", help=f"only {', '.join(QUICK)}")
     parser.add_argument("--texts", action="store_true", help="compare sentences, too")
+    parser.add_argument("--relative", type=float, default=RELATIVE, help="largest relative difference of numbers")
+    parser.add_argument("--shown", type=int, default=SHOWN, help="differences shown per case")
     parser.add_argument("--write", action="store_true", help="store the outputs instead of comparing them")
     options = parser.parse_args()
     failed = False
@@ -96,10 +98,12 @@ def main() -> int:
             OUTPUTS.mkdir(exist_ok=True)
             path.write_text(json.dumps(new, indent=1, sort_keys=True) + "\n", encoding="utf-8")
             continue
-        found = list(differences(json.loads(path.read_text(encoding="utf-8")), new, texts=options.texts))
+        found = list(
+            differences(json.loads(path.read_text(encoding="utf-8")), new, texts=options.texts, rtol=options.relative)
+        )
         failed |= bool(found)
         print(f"{name}: {len(found)} differences" if found else f"{name}: equal", flush=True)
-        print("".join(f"    {line}\n" for line in found[:SHOWN]), end="", flush=True)
+        print("".join(f"    {line}\n" for line in found[: options.shown]), end="", flush=True)
     return int(failed)
 
 
