@@ -20,7 +20,7 @@ from frictrack.fit.separable import (
 )
 from frictrack.fit.separable.blocks import double_integral
 from frictrack.fit.separable.bounded import bounded_coefficients
-from frictrack.fit.separable.scan_tables import ScanGrid, ScanTable
+from frictrack.fit.separable.scan_tables import ScanGrid, ScanTable, _single_precision
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
 
@@ -323,10 +323,21 @@ def test_neighbours_of_what_one_run_alone_has_are_those_of_its_own_rows():
         [rows, np.zeros((0, 4), np.float32)],
         [np.array([0]), np.array([], int)],
         np.sum(rows**2, axis=1)[:, None, None],
+        [1.0, 1.0],
     )
     both = table.neighbours()
     for g in range(2):
         assert np.allclose(both[g], rows[g : g + 2] @ rows[g : g + 2].T, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e40])
+def test_products_with_rows_of_any_size_are_finite_and_right(size):
+    rows = size * np.random.default_rng(1).standard_normal((3, 500))
+    single_rows, scale = _single_precision(rows)
+    assert scale * single_rows.astype(float) == pytest.approx(rows, rel=1e-6)
+    assert scale**2 * (single_rows @ single_rows.T).astype(float) == pytest.approx(
+        rows @ rows.T, rel=1e-4, abs=1e-4 * size**2
+    )
 
 
 def test_moves_are_those_of_a_model_solved_again_at_every_grid_point():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from frictrack.fit.separable.table_scan import ProjectedTable, ScanGrid, TableSc
 from frictrack.records import Array
 
 MAX_CACHED_VALUES = 2**19  # values of a table that fits into the cache; products with it are made two at a time
+MAX_SINGLE_PRECISION = 1e15  # sums of products of larger rows could leave the range of single precision, 3e38
 MAX_AT_ONCE = 64  # grid points evaluated at once
 
 
@@ -30,11 +32,13 @@ class ScanTable:
     grid : ScanGrid
         The G points.
     rows : list of array of shape (G c_b, m_b)
-        Rows in every block b.
+        Rows in every block b, over the block's scale.
     at : list of array of int
         Which of the C coefficients of a point the rows of a block belong to.
     gram : array of shape (G, C, C)
         Gram matrices.
+    scales : list of float
+        Scale of the rows in every block b.
     law_products, data_products, neighbour_gram
         Caches of inner products.
 
@@ -44,6 +48,7 @@ class ScanTable:
     rows: list[NDArray[np.float32]]
     at: list[NDArray[np.int_]]
     gram: Array  # (G, C, C)
+    scales: list[float]
 
     # by group: version, products with its rows
     law_products: dict[int, tuple[int, Array]] = field(default_factory=dict)
@@ -92,9 +97,9 @@ class ScanTable:
         if not self.neighbour_gram:
             g, c = self.gram.shape[:2]
             across = np.zeros((g - 1, c, c))
-            for mine, at in zip(self.rows, self.at, strict=True):
+            for mine, at, scale in zip(self.rows, self.at, self.scales, strict=True):
                 cube = mine.reshape(g, len(at), mine.shape[-1])  # empty for blocks of other runs
-                across[np.ix_(np.arange(g - 1), at, at)] += cube[:-1] @ cube[1:].transpose(0, 2, 1)
+                across[np.ix_(np.arange(g - 1), at, at)] += scale**2 * (cube[:-1] @ cube[1:].transpose(0, 2, 1))
             upper = np.concatenate([self.gram[:-1], across], axis=2)
             lower = np.concatenate([across.transpose(0, 2, 1), self.gram[1:]], axis=2)
             self.neighbour_gram.append(np.concatenate([upper, lower], axis=1))
@@ -104,18 +109,26 @@ class ScanTable:
         """Inner products (k, G, C) of the table with rows (k, M)."""
         g, c = self.gram.shape[:2]
         out = np.zeros((len(rows), g, c))
-        single_rows = rows.astype(np.float32)
-        for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
+        single_rows, size = _single_precision(rows)
+        for mine, at, cut, scale in zip(self.rows, self.at, slices, self.scales, strict=True):
             if not len(at):
                 continue
             own = single_rows if len(slices) == 1 else single_rows[:, cut]
             shown = np.flatnonzero(own.any(axis=1))  # most rows belong to one run
-            products = _in_pairs(own[shown], mine).reshape(len(shown), g, len(at))
+            products: NDArray[Any] = _in_pairs(own[shown], mine).reshape(len(shown), g, len(at))
+            if size * scale > 1:
+                products = size * scale * products.astype(float)
             if len(shown) == len(rows) and len(at) == c:
                 out += products
             else:
                 out[shown[:, None, None], np.arange(g)[:, None], at] += products
         return out
+
+
+def _single_precision(rows: Array) -> tuple[NDArray[np.float32], float]:
+    """Rows over a scale, and that scale: 1 unless products of the rows could leave the range of single precision."""
+    scale = max(float(np.abs(rows).max(initial=0.0)) / MAX_SINGLE_PRECISION, 1.0)
+    return (rows / scale if scale > 1 else rows).astype(np.float32), scale
 
 
 def _in_pairs(rows: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -284,7 +297,7 @@ class ScanTables:
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
                     nonlinear_values[:, i] = values
         mine = coefficients_of(separable, item)
-        rows, at = [], []
+        rows, at, scales = [], [], []
         gram = np.zeros((len(nonlinear_values), len(mine), len(mine)))
         for b, block in enumerate(separable.blocks):
             place = separable.column_positions[item.g][block.run]
@@ -297,9 +310,11 @@ class ScanTables:
             effect_rows = np.concatenate(parts) if parts else np.zeros((len(nonlinear_values), 0, len(block.data)))
             a = np.searchsorted(mine, place[kept])
             gram[np.ix_(np.arange(len(nonlinear_values)), a, a)] += effect_rows @ effect_rows.transpose(0, 2, 1)
-            rows.append(effect_rows.reshape(-1, len(block.data)).astype(np.float32))
+            single_rows, scale = _single_precision(effect_rows.reshape(-1, len(block.data)))
+            rows.append(single_rows)
+            scales.append(scale)
             at.append(a)
-        return ScanTable(grid, rows, at, gram)
+        return ScanTable(grid, rows, at, gram, scales)
 
 
 def _chunks(nonlinear_values: Array) -> list[Array]:
