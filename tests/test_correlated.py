@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.fit.segments.whitening import Whitening
-from frictrack.motion import correlated_noise
+from frictrack.motion import NoiseStretch, correlated_noise
 
 FPS = 4000.0
 RMS = 1e-5  # m
@@ -47,6 +47,11 @@ def slides():
     return [slid(n, v0) for n, v0 in ((400, 4.0), (480, 4.5), (350, 3.5), (450, 4.2))]
 
 
+def found_in(stretches):
+    """Correlated noise of some positions."""
+    return correlated_noise([NoiseStretch(x) for x in stretches])
+
+
 def spectral_level(noise):
     """Variance that a slow signal meets, over that of white noise of the same size: the density at frequency zero."""
     c, share = noise.correlation, noise.share
@@ -61,7 +66,7 @@ def test_correlated_noise_is_found_with_its_size_and_its_level_at_low_frequencie
     levels, sizes = [], []
     for _ in range(8):
         noise = [autoregressive(rng, len(x), rho) + white * RMS * rng.standard_normal(len(x)) for x in slides]
-        found = correlated_noise([x + e for x, e in zip(slides, noise, strict=True)])
+        found = found_in([x + e for x, e in zip(slides, noise, strict=True)])
         assert found is not None
         levels.append(np.mean(found.rms**2) * spectral_level(found))
         sizes.append(np.mean(found.rms))
@@ -71,7 +76,7 @@ def test_correlated_noise_is_found_with_its_size_and_its_level_at_low_frequencie
 
 
 def test_white_noise_is_not_called_correlated(slides, rng):
-    alarms = [correlated_noise([x + RMS * rng.standard_normal(len(x)) for x in slides]) for _ in range(40)]
+    alarms = [found_in([x + RMS * rng.standard_normal(len(x)) for x in slides]) for _ in range(40)]
     assert sum(a is not None for a in alarms) <= 1
 
 
@@ -83,7 +88,7 @@ def test_what_moves_the_mass_is_not_called_noise(rng, moved):
             for x, y in zip(moving, still, strict=True)]  # fmt: skip
     assert min(np.std(d) for d in away) > 3 * RMS  # it is there to be seen
     for _ in range(5):
-        assert correlated_noise([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
+        assert found_in([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
 
 
 def test_a_lost_frame_and_a_blow_are_not_called_noise(rng):
@@ -92,12 +97,20 @@ def test_a_lost_frame_and_a_blow_are_not_called_noise(rng):
     jumps = [slid(n, v0) + 1e-3 * (np.arange(n) > n // 3) for n, v0 in lengths]
     kinks = [slid(n, v0) - 0.5 / FPS * np.maximum(np.arange(n) - n // 2, 0) for n, v0 in lengths]
     for moving in (jumps, kinks, jumps[:1], kinks[:1]):
-        assert correlated_noise([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
+        assert found_in([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
 
 
 def test_short_stretches_have_no_spectrum():
-    assert correlated_noise([]) is None
-    assert correlated_noise([np.arange(30.0)]) is None
+    assert found_in([]) is None
+    assert found_in([np.arange(30.0)]) is None
+
+
+def test_stretches_of_all_lengths_are_searched_together_as_if_each_were_alone(slides, rng):
+    noisy = [x + autoregressive(rng, len(x), 0.6) for x in slides]
+    together = NoiseStretch.evidence([NoiseStretch(x) for x in noisy], 0.1)
+    alone = [NoiseStretch.evidence([NoiseStretch(x)], 0.1)[0] for x in noisy]
+    assert together == pytest.approx(np.array(alone), abs=1e-8)
+    assert np.max(together) > 1.0
 
 
 # ---------------------------------------------------------------- whitened
@@ -151,6 +164,22 @@ def test_chi_squared_is_one_and_nothing_is_named_where_only_the_noise_is_correla
     assert said.missing == []
     assert said.verdict in ("complete", "undetermined")
     assert said.noise_um == pytest.approx(1e6 * RMS, rel=0.25)
+
+
+def test_the_noise_of_a_run_is_searched_once_and_again_where_the_run_differs(rng, monkeypatch):
+    runs = runs_with(0.8, rng)
+    searched = []
+    search = NoiseStretch.spectrum.func
+    monkeypatch.setattr(NoiseStretch.spectrum, "func", lambda own: searched.append(own) or search(own))
+    first = fit("coulomb", runs).solution.problem.pieces
+    assert len(searched) == len(runs)
+    again = fit("coulomb, viscous", runs).solution.problem.pieces
+    assert len(searched) == len(runs)
+    assert {p.correlated for p in again} == {p.correlated for p in first}
+    assert all(p.correlated for p in again)
+    shorter = replace(runs[0], free=(0.0, 0.8 * runs[0].free[1]))
+    fit("coulomb", [shorter, *runs[1:]])
+    assert len(searched) == len(runs) + 1
 
 
 def test_a_stated_noise_is_taken_at_its_word(rng):

@@ -10,7 +10,7 @@ from frictrack.motion.filter_methods import FilterMethod
 from frictrack.motion.filter_settings import METHOD_NAMES, Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
-from frictrack.motion.noise import CorrelatedNoise, correlated_noise, noise_level
+from frictrack.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
 from frictrack.motion.stencil import STENCIL_FRAMES, stencils
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "FilterMethod",
     "FrameGrid",
     "KnownAcceleration",
+    "NoiseStretch",
     "Smoother",
     "correlated_noise",
     "covariance",

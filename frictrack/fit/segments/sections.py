@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from frictrack.fit.segments.pieces import Piece, pieces_of
 from frictrack.fit.segments.release import Reference
 from frictrack.friction import free_section
-from frictrack.motion import CorrelatedNoise, correlated_noise
+from frictrack.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import Array, Run
+
+_STRETCHES: WeakKeyDictionary[Run, NoiseStretch] = WeakKeyDictionary()  # the last one of a run: every model asks for it
 
 
 def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals: bool) -> list[list[Piece]]:
@@ -42,11 +45,19 @@ def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals:
         not run.noise and not run.displacement.resolution for run in runs
     ]  # noise neither stated nor due to rounding
     estimated = [i for i, own in enumerate(unstated) if own]
-    found = correlated_noise([_longest_gapless(sections[i]) for i in estimated])
+    found = correlated_noise([_noise_stretch(runs[i], _longest_gapless(sections[i])) for i in estimated])
     if found is not None:
         for i, rms in zip(estimated, found.rms.tolist(), strict=True):
             sections[i] = [_with_correlated_noise(p, found, rms) for p in sections[i]]
     return sections
+
+
+def _noise_stretch(run: Run, positions: Array) -> NoiseStretch:
+    """The stretch of a run with its noise, the one of an earlier fit if the positions are the same."""
+    known = _STRETCHES.get(run)
+    if known is None or not np.array_equal(known.positions, positions):
+        known = _STRETCHES[run] = NoiseStretch(positions)
+    return known
 
 
 def _longest_gapless(section: Sequence[Piece]) -> Array:

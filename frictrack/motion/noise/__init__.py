@@ -1,6 +1,6 @@
 """Estimate the noise of a displacement series: its white level, and correlation between neighbouring frames."""
 
-from frictrack.motion.noise.correlated import CorrelatedNoise, correlated_noise, suspected_noise
+from frictrack.motion.noise.correlated import CorrelatedNoise, NoiseStretch, correlated_noise, suspected_noise
 from frictrack.motion.noise.white import (
     CORRELATION_COST,
     DIFFERENCE_ORDER,
@@ -16,6 +16,7 @@ __all__ = [
     "DIFFERENCE_ORDER",
     "FALLBACK_ORDER",
     "CorrelatedNoise",
+    "NoiseStretch",
     "correlated_noise",
     "difference_order",
     "difference_variance",

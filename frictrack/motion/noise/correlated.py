@@ -18,7 +18,8 @@ model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -36,6 +37,7 @@ CORRELATIONS = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.88, 0.93, 0.96])
 SHARES = np.array([0.3, 0.7, 0.9, 1.0])
 MAX_CORRELATION = 0.999
 SEARCH_WIDTHS = 0.5, 0.25, 0.12  # steps of the log odds of correlation and share, to refine the best shape
+SHAPES = np.array([(c, share) for c in CORRELATIONS for share in SHARES])  # (R, 2)
 WHITE = np.zeros((1, 2))
 N_UPDATES = 300
 ALPHA_CORRELATED = 1e-3  # false-alarm probability for white noise
@@ -66,13 +68,42 @@ class CorrelatedNoise:
     rms: Array
 
 
-def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
+@dataclass(frozen=True, eq=False)
+class NoiseStretch:
+    """Evenly spaced positions (n,), m, with what was computed of their noise, so that it is computed once.
+
+    The positions must not be changed.
+    """
+
+    positions: Array
+    _evidence: dict[float, Array] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Longest part (m,) without a jump or kink."""
+        return _longest_undisturbed(self.positions)
+
+    @cached_property
+    def spectrum(self) -> _Spectrum:
+        """Spectrum of that part."""
+        return _Spectrum.of(self.smooth)
+
+    @staticmethod
+    def evidence(stretches: Sequence[NoiseStretch], lowest: float) -> Array:
+        """Evidence (k, R) for all `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
+        new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
+        for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
+            stretch._evidence[lowest] = row
+        return np.array([s._evidence[lowest] for s in stretches])
+
+
+def correlated_noise(stretches: Sequence[NoiseStretch]) -> CorrelatedNoise | None:
     """Find noise that is correlated between neighbouring frames.
 
     Parameters
     ----------
     stretches
-        Evenly spaced positions, m, (n_i,) each.
+        The stretches; what is computed of one is kept with it.
 
     Returns
     -------
@@ -89,19 +120,16 @@ def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
     >>> from scipy.signal import lfilter
     >>> t = np.linspace(0.0, 1.0, 2000)
     >>> noise = 1e-5 * lfilter([0.6], [1.0, -0.8], np.random.default_rng(1).standard_normal(2000))
-    >>> found = correlated_noise([3.0 * t - t**2 + noise])
+    >>> found = correlated_noise([NoiseStretch(3.0 * t - t**2 + noise)])
     >>> 0.7 < found.correlation < 0.9
     True
-    >>> correlated_noise([3.0 * t - t**2 + 1e-5 * np.random.default_rng(2).standard_normal(2000)]) is None
+    >>> white = 1e-5 * np.random.default_rng(2).standard_normal(2000)
+    >>> correlated_noise([NoiseStretch(3.0 * t - t**2 + white)]) is None
     True
 
     """
-    smooth = [_longest_undisturbed(x) for x in stretches]
-    shapes = _shapes(min(map(len, smooth), default=0))
-    if not len(shapes):
-        return None
-    spectra = [_Spectrum.of(x) for x in smooth]
-    return _best_shape(spectra, shapes) if _is_significant(spectra, shapes) else None
+    n_shapes = _n_resolved(stretches)
+    return _best_shape(stretches, n_shapes) if n_shapes and _is_significant(stretches, n_shapes) else None
 
 
 def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
@@ -120,32 +148,30 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
         None if white noise explains the spectrum.
 
     """
-    smooth = _longest_undisturbed(stretch)
-    shapes = _shapes(len(smooth))
-    if not len(shapes):
-        return None
-    spectra = [_Spectrum.of(smooth)]
-    return _best_shape(spectra, shapes) if _is_consistent(_evidence(spectra, shapes)) else None
+    own = [NoiseStretch(stretch)]
+    n_shapes = _n_resolved(own)
+    return _best_shape(own, n_shapes) if n_shapes and _is_consistent(_evidence_of(own, n_shapes, 0.0)) else None
 
 
-def _best_shape(spectra: Sequence[_Spectrum], shapes: Array) -> CorrelatedNoise:
-    """Best-fitting noise: best of the shapes (R, 2), then refined."""
-    best = shapes[int(np.argmax(np.sum(_evidence(spectra, shapes), axis=0)))]
+def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
+    """Best-fitting noise: best of the first shapes, then refined."""
+    spectra = [s.spectrum for s in stretches]
+    best = SHAPES[int(np.argmax(np.sum(_evidence_of(stretches, n_shapes, 0.0), axis=0)))]
     for width in SEARCH_WIDTHS:
         near = _shapes_near(best, width)
         best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
-    rms = np.sqrt([s.fit(best[None])[0][0] for s in spectra])
-    return CorrelatedNoise(float(best[0]), float(best[1]), rms)
+    variances, _ = _fit_shapes(spectra, best[None])
+    return CorrelatedNoise(float(best[0]), float(best[1]), np.sqrt(variances[:, 0]))
 
 
-def _is_significant(spectra: Sequence[_Spectrum], shapes: Array) -> bool:
-    """Whether one of the shapes (R, 2) is significant above `MIN_FREQUENCY` and the same in all runs.
+def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
+    """Whether one of the first shapes is significant above `MIN_FREQUENCY` and the same in all runs.
 
     Noise of the instrument is the same in all runs, forces are not. Several runs that agree are tested from half of
     that frequency on, too.
     """
-    lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(spectra) >= MIN_RUNS else [MIN_FREQUENCY]
-    return any(_is_consistent(_evidence([s.beyond(f) for s in spectra], shapes)) for f in lowest)
+    lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
+    return any(_is_consistent(_evidence_of(stretches, n_shapes, f)) for f in lowest)
 
 
 def _is_consistent(evidence: Array) -> bool:
@@ -165,10 +191,10 @@ def _longest_undisturbed(x: Array) -> Array:
     return max(np.split(x, np.unique(np.concatenate([jumps, jumps + 1]))), key=len) if len(jumps) else x
 
 
-def _shapes(n: int) -> Array:
-    """Correlations and shares (R, 2) to try in stretches of n frames."""
-    resolved = CORRELATIONS[np.exp(-MIN_CORRELATION_TIMES / max(n, 1)) >= CORRELATIONS] if n >= MIN_FRAMES else []
-    return np.array([(c, share) for c in resolved for share in SHARES]).reshape(-1, 2)
+def _n_resolved(stretches: Sequence[NoiseStretch]) -> int:
+    """Number of `SHAPES`, from the first on, that the shortest stretch contains often enough."""
+    n = min((len(s.smooth) for s in stretches), default=0)
+    return int(np.sum(np.exp(-MIN_CORRELATION_TIMES / n) >= SHAPES[:, 0])) if n >= MIN_FRAMES else 0
 
 
 def _shapes_near(shape: Array, width: float) -> Array:
@@ -179,9 +205,15 @@ def _shapes_near(shape: Array, width: float) -> Array:
     return np.asarray(odds_near / (1 + odds_near))
 
 
+def _evidence_of(stretches: Sequence[NoiseStretch], n_shapes: int, lowest: float) -> Array:
+    """Evidence (k, R) for the first shapes in the spectra from a frequency on, cycles per frame."""
+    return NoiseStretch.evidence(stretches, lowest)[:, :n_shapes]
+
+
 def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
     """Twice the gain in log-likelihood (k, R) by noise of the shapes (R, 2) over white noise, by stretch."""
-    return np.array([s.fit(WHITE)[1] - s.fit(shapes)[1] for s in spectra])
+    _, losses = _fit_shapes(spectra, np.concatenate([WHITE, shapes]))
+    return losses[:, :1] - losses[:, 1:]
 
 
 def _slepian_tapers(n: int) -> Array:
@@ -218,24 +250,75 @@ class _Spectrum:
         high = self.frequency >= lowest
         return _Spectrum(self.frequency[high], self.density[high])
 
-    def fit(self, shapes: Array) -> tuple[Array, Array]:
-        """Best-fitting variance (R,) of noise of the shapes (R, 2), and twice the negative log-likelihood (R,)."""
-        sine = 2 * np.sin(np.pi * self.frequency)
-        motion = [(sine / sine[0]) ** -power for power in MOTION_POWERS]
+    def noise(self, shapes: Array) -> Array:
+        """Spectra (R, F) of noise of the shapes (R, 2) and variance one."""
         rotation = np.exp(-2j * np.pi * self.frequency)
-        noise = [1 - share + share * (1 - c**2) / np.abs(1 - c * rotation) ** 2 for c, share in shapes]
-        parts = np.stack([np.stack([spectrum, *motion]) for spectrum in noise])
-        scale = float(np.median(self.density))
-        sizes, losses = _fit_sizes(self.density / scale, parts)
-        return scale * sizes[:, 0], 2 * TAPERS * losses
+        return np.array([1 - share + share * (1 - c**2) / np.abs(1 - c * rotation) ** 2 for c, share in shapes])
+
+    def motion(self) -> Array:
+        """Spectra (2, F) of motions, one at the lowest frequency."""
+        sine = 2 * np.sin(np.pi * self.frequency)
+        return np.array([(sine / sine[0]) ** -power for power in MOTION_POWERS])
 
 
-def _fit_sizes(power: Array, parts: Array) -> tuple[Array, Array]:
-    """Sizes (R, K) of spectra (R, K, F) that sum to a power (F,), and the negative log-likelihood (R,)."""
-    sizes = np.median(power / parts, axis=2) / parts.shape[1]
+def _fit_shapes(spectra: Sequence[_Spectrum], shapes: Array) -> tuple[Array, Array]:
+    """Variances (k, R) of noise of the shapes (R, 2) that fit the spectra best, and -2 log-likelihood (k, R)."""
+    if not spectra:
+        return np.empty((0, len(shapes))), np.empty((0, len(shapes)))
+    scales = np.array([[np.median(s.density)] for s in spectra])
+    powers = [s.density / scale for s, scale in zip(spectra, scales, strict=True)]
+    sizes, losses = _fit_sizes(powers, [s.noise(shapes) for s in spectra], [s.motion() for s in spectra])
+    return scales * sizes[..., 0], 2 * TAPERS * losses
+
+
+def _fit_sizes(powers: Sequence[Array], noises: Sequence[Array], motions: Sequence[Array]) -> tuple[Array, Array]:
+    """Fit sizes of one of R noises and of all motions, by stretch, so that they sum to its power.
+
+    All stretches are updated at once: shorter spectra are filled with zeros, and the model there with ones, which adds
+    nothing to the sums over frequencies.
+
+    Returns
+    -------
+    sizes, losses : array of shape (k, R, K), (k, R)
+        Sizes of the noise and the K - 1 motions; negative log-likelihood.
+
+    """
+    power, noise, motion = _filled(powers)[:, None], _filled(noises), _filled(motions)
+    filling = 1.0 - _filled([np.ones_like(p) for p in powers])[:, None]
+    sizes = np.stack([_first_sizes(*parts) for parts in zip(powers, noises, motions, strict=True)])
+    k, n_noises, n = noise.shape
+    by_frequency = np.ascontiguousarray(np.swapaxes(motion, 1, 2))
+    weights = np.empty((k, 2, n_noises, n))
+    capped, inverse = weights[:, 0], weights[:, 1]  # capped power over the squared model, and one over the model
+    sums = np.empty((k, 2, n_noises, sizes.shape[-1]))
+    model = np.empty_like(noise)
     for _ in range(N_UPDATES):
-        model = np.einsum("rk,rkf->rf", sizes, parts)
-        weighted_power = np.einsum("rkf,rf->rk", parts, np.minimum(power, LINE_FACTOR * model) / model**2)
-        sizes = sizes * np.sqrt(weighted_power / np.einsum("rkf,rf->rk", parts, 1 / model))
-    model = np.einsum("rk,rkf->rf", sizes, parts)
-    return sizes, np.sum(np.log(model) + np.minimum(power / model, LINE_FACTOR), axis=1)
+        np.divide(1.0, _model(sizes, noise, motion, filling, model), out=inverse)
+        np.multiply(power, inverse, out=capped)
+        np.minimum(capped, LINE_FACTOR, out=capped)
+        capped *= inverse
+        np.einsum("karf,krf->kar", weights, noise, out=sums[..., 0])
+        sums[..., 1:] = (weights.reshape(k, -1, n) @ by_frequency).reshape(k, 2, n_noises, -1)
+        sizes = sizes * np.sqrt(sums[:, 0] / sums[:, 1])
+    _model(sizes, noise, motion, filling, model)
+    return sizes, np.sum(np.log(model) + np.minimum(power / model, LINE_FACTOR), axis=2)
+
+
+def _first_sizes(power: Array, noise: Array, motion: Array) -> Array:
+    """Sizes (R, K) with which each part alone would have the median of a power (F,), shared among the K parts."""
+    of_motion = np.broadcast_to(np.median(power / motion, axis=1), (len(noise), len(motion)))
+    return np.column_stack([np.median(power / noise, axis=1), of_motion]) / (1 + len(motion))
+
+
+def _model(sizes: Array, noise: Array, motion: Array, filling: Array, out: Array) -> Array:
+    """Write the sum (k, R, F) of noise (k, R, F) and motions (k, K - 1, F) of some sizes (k, R, K) to `out`."""
+    np.multiply(sizes[..., :1], noise, out=out)
+    out += sizes[..., 1:] @ motion
+    out += filling
+    return out
+
+
+def _filled(rows: Sequence[Array]) -> Array:
+    """Stack arrays (..., F_i), filled with zeros to the largest F_i."""
+    length = max(row.shape[-1] for row in rows)
+    return np.stack([np.pad(row, [(0, 0)] * (row.ndim - 1) + [(0, length - row.shape[-1])]) for row in rows])
