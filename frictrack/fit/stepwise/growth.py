@@ -20,7 +20,13 @@ from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, model_without, ties_are_resolved
-from frictrack.fit.stepwise.trial import EVENT_PENALTY, CandidateTrial, deepen_trials, refined_along_motion, try_effect
+from frictrack.fit.stepwise.trial import (
+    EVENT_PENALTY,
+    CandidateTrial,
+    deepen_trials,
+    refine_on_measured_motion,
+    try_effect,
+)
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -233,5 +239,5 @@ def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
     p = np.array([values[n] for n in layout.names])
     if problem.simulates and not solution.problem.model.memory:  # the rest takes over what it can of the effect
-        p = refined_along_motion(linearise(solution), layout, p)
+        p = refine_on_measured_motion(linearise(solution), layout, p)
     return fit_with_scatter(problem, p, solution.starts, solution.tau or 0.03, min_fall=min_fall)

@@ -98,7 +98,7 @@ def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -
     return _trial(effects[0], *_refined(problem, problem.at(p)))
 
 
-def refined_along_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
+def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
     """Return the unknowns (P,) of another model of the same runs, refined along the measured motion from `p`."""
     problem = _projected_problem(linearised, layout)
     _, state = _refined(problem, problem.at(p))
