@@ -36,8 +36,9 @@ def test_a_coulomb_slider_stops_where_and_when_energy_says(s):
     np.testing.assert_allclose(run.x[moving], 0.3 + s * (0.6 * t - g * t**2 / 2)[moving], atol=1e-14)
     np.testing.assert_allclose(run.x[~moving], 0.3 + s * 0.6**2 / (2 * g), atol=1e-14)
     np.testing.assert_allclose(run.v, np.where(moving, s * (0.6 - g * t), 0.0), atol=1e-13)
-    np.testing.assert_allclose(run.a, np.where(moving, -s * g, 0.0), atol=1e-11)
-    np.testing.assert_allclose(run.F, np.where(moving, s * 2.0, 0.0), atol=1e-12)
+    off = np.abs(t - stop) > 1e-9  # one frame is at the very stop, where acceleration and force jump
+    np.testing.assert_allclose(run.a[off], np.where(moving, -s * g, 0.0)[off], atol=1e-11)
+    np.testing.assert_allclose(run.F[off], np.where(moving, s * 2.0, 0.0)[off], atol=1e-12)
 
 
 def test_a_slider_at_rest_stays_under_a_drive_below_its_static_friction():

@@ -279,7 +279,8 @@ def test_a_declared_effect_is_fitted_and_must_be_declared_again_when_its_fit_com
         found = fitted.parameters[f"magnet.{name}"]
         assert abs(found.value - HIDDEN["patch"][name]) < 4 * found.std
     saved = state(fitted)
-    assert restore(runs, saved).parameters["magnet.F"].value == fitted.parameters["magnet.F"].value
+    again = restore(runs, saved).parameters["magnet.F"]  # the motion is solved again, to rounding
+    assert again.value == pytest.approx(fitted.parameters["magnet.F"].value, rel=1e-12)
     DECLARED.clear()
     with pytest.raises(FrictrackError, match=r'"magnet".*must be declared again with @frictrack.effect'):
         restore(runs, saved)
