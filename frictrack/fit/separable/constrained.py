@@ -26,7 +26,7 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 SCAN_PLACES_FROM_END = (3, 6, 8)  # grid points from the end of the shared parameter's scan at which waves are searched
-MAX_WAVE_SETS = 4  # sets of fast waves beside which the slow waves are searched
+MAX_WAVE_SETS = 4  # sets of fast waves; the slow waves are searched for with each of these sets
 MAX_RELAXED_MISFIT_RATIO = 1.5  # times the best misfit; relaxed fits beyond have the wrong waves
 MAX_FINALISTS = 3  # sets of slow waves that are refined together with the fast waves
 MAX_STEPS = 30

@@ -76,9 +76,24 @@ def recorded(truth: Truth, rng: np.random.Generator) -> list[Run]:
 def _recorded(truth: Truth, run: RunTruth, rng: np.random.Generator) -> Run:
     data = run_table(truth, run, rng)
     n = len(data)
-    nan = np.full(n, np.nan)
-    t, x, sigma = (data[c].to_numpy() for c in ("t_s", "x_m", "sigma_m"))
-    seen = np.ones(n, dtype=bool)
-    displacement = Displacement(t, x, nan, nan, sigma, nan, seen, pixel_pitch=truth.pitch)
+    nan, noise = np.full(n, np.nan), np.full(n, truth.noise)
+    given = {name: data[name].to_numpy() for name in data}
+    displacement = Displacement(
+        given["t_s"],
+        given["x_m"],
+        given.get("y_m", nan),
+        nan,
+        given.get("sigma_m", noise),
+        nan,
+        np.ones(n, dtype=bool),
+        pixel_pitch=truth.pitch,
+    )
     motion = ft.differentiate(ft.low_pass(displacement))
-    return Run(displacement, motion, mass=truth.mass * run.mass_ratio, name=run.name)
+    return Run(
+        displacement,
+        motion,
+        mass=truth.mass * run.mass_ratio,
+        name=run.name,
+        drive=given.get("drive_N"),
+        clamp_x=truth.clamp,
+    )

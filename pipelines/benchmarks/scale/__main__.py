@@ -16,18 +16,15 @@ What is measured is put into the file (default: results.json beside this one); t
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from machine import described  # noqa: E402
+from parts import measure_parts, parts_parser  # noqa: E402
 
 from frictrack.threads import processors  # noqa: E402
 from scale import archive, cores, length, runs, split, stages  # noqa: E402 - found only now
@@ -44,19 +41,8 @@ RESULTS = Path(__file__).with_name("results.json")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default=",".join(PARTS), help="parts, with commas")
-    parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")
-    args = parser.parse_args()
-    wanted = args.only.split(",")
-    if unknown := sorted({*wanted} - {*PARTS}):
-        parser.error(f"expected parts out of {', '.join(PARTS)} but got {unknown}")
-    known: dict[str, Any] = json.loads(args.json.read_text()) if args.json.exists() else {}
-    known["machine"] = described("numpy", "scipy", "h5py", "opencv-python-headless") | {"cores": processors()}
-    for name in wanted:
-        known[name] = PARTS[name](lambda text: print(text, flush=True))
-        args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-    print(f"results: {args.json}")
+    parser = parts_parser(__doc__, PARTS, RESULTS)
+    measure_parts(parser, parser.parse_args(), PARTS, cores=processors())
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ def measure(say: Say) -> dict[str, Any]:
     """Processor time for every number of runs, and the exponents of the last doubling."""
     rows = []
     for n in COUNTS:
-        runs = _runs(n)
+        runs = simulated_runs(n)
         start = time.process_time()
         fit = ft.fit(["coulomb", "viscous"], runs)
         between = time.process_time()
@@ -37,7 +37,7 @@ def measure(say: Say) -> dict[str, Any]:
     return {"frames": FRAMES, "rows": rows, "exponent": steps}
 
 
-def _runs(n: int) -> list[ft.Run]:
+def simulated_runs(n: int) -> list[ft.Run]:
     """Slides under Coulomb and viscous friction in closed form, the level of each a little different."""
     rng = np.random.default_rng(0)
     t = np.arange(FRAMES) / FPS

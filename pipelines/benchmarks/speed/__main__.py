@@ -19,20 +19,19 @@ What is measured is put into the file (default: results.json beside this one); t
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from machine import described  # noqa: E402
+from parts import measure_parts, parts_parser  # noqa: E402
+from scale import split  # noqa: E402 - found only now
 
-from speed import diagnosis, films, large, searches, startup  # noqa: E402 - found only now
+from speed import diagnosis, films, large, searches, startup  # noqa: E402
 
 PARTS = {
     "start": startup.measure,
@@ -42,28 +41,22 @@ PARTS = {
     "films": films.measure,
     "large": large.measure,
     "searches": searches.measure,
-    "split": films.measure_split,
+    "split": split.measure,
 }
 RESULTS = Path(__file__).with_name("results.json")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default=",".join(PARTS), help="parts, with commas")
+    parser = parts_parser(__doc__, PARTS, RESULTS)
     parser.add_argument("--effects", default="", help="hidden effects of the diagnosis, with commas; default all")
     parser.add_argument("--restarts", type=int, default=100, help="of every search")
-    parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")
     args = parser.parse_args()
-    wanted = args.only.split(",")
-    if unknown := sorted({*wanted} - {*PARTS}):
-        parser.error(f"expected parts out of {', '.join(PARTS)} but got {unknown}")
-    known: dict[str, Any] = json.loads(args.json.read_text()) if args.json.exists() else {}
-    known["machine"] = described("numpy", "scipy", "h5py", "opencv-python-headless")
-    for name in wanted:
-        print(f"== {name}", flush=True)
-        known[name] = PARTS[name](args, lambda text: print(text, flush=True))
-        args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-    print(f"results: {args.json}")
+    chosen = [name for name in args.effects.split(",") if name]
+    asked = {
+        "diagnosis": partial(diagnosis.measure, chosen=chosen),
+        "searches": partial(searches.measure, restarts=args.restarts),
+    }
+    measure_parts(parser, args, PARTS | asked)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,8 @@ from speed.studies import draw_study, effects_to_hide, foreign_causes, recorded_
 Say = Callable[[str], None]
 
 
-def measure(args: argparse.Namespace, say: Say) -> dict[str, Any]:
-    """CPU seconds of every study, and their median and worst."""
-    chosen = [n for n in args.effects.split(",") if n]
+def measure(say: Say, chosen: Sequence[str] = ()) -> dict[str, Any]:
+    """CPU seconds of every study, and their median and worst; with `chosen` only some hidden effects."""
     studies = [("none", 0)]
     studies += [("one", i) for i, name in enumerate(effects_to_hide()) if not chosen or name in chosen]
     studies += [("foreign", i) for i in range(len(foreign_causes())) if not chosen]
@@ -74,7 +72,7 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float]]:
     return {key: [row[key] for row in rows] for key in keys}
 
 
-def measure_loop(args: argparse.Namespace, say: Say) -> dict[str, float]:
+def measure_loop(say: Say) -> dict[str, float]:
     """CPU seconds of adding a candidate and taking it back, in one session."""
     with tempfile.TemporaryDirectory() as name:
         session = Session(open_study(study_of_tables(Path(name))))

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
-from scale import split
 
 from speed.child import frictrack
 
@@ -19,7 +16,7 @@ Say = Callable[[str], None]
 SAMPLES = Path(__file__).resolve().parents[3] / "sample_videos"
 
 
-def measure_demo(args: argparse.Namespace, say: Say) -> dict[str, float]:
+def measure_demo(say: Say) -> dict[str, float]:
     """CPU seconds of the demo in an empty folder."""
     with tempfile.TemporaryDirectory() as name:
         spent = frictrack("demo", folder=Path(name))
@@ -27,7 +24,7 @@ def measure_demo(args: argparse.Namespace, say: Say) -> dict[str, float]:
     return {"cpu_s": spent.cpu_s, "peak_MB": spent.peak_MB}
 
 
-def measure(args: argparse.Namespace, say: Say) -> dict[str, float]:
+def measure(say: Say) -> dict[str, float]:
     """CPU seconds from four films to the verdict, of their tracking, and of decoding them."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "study"
@@ -50,8 +47,3 @@ def _decode(path: Path) -> int:
     while film.read()[0]:
         count += 1
     return count
-
-
-def measure_split(args: argparse.Namespace, say: Say) -> dict[str, Any]:
-    """Wall seconds of a film of 16 000 frames with one and with two processes, and whether the tracks are equal."""
-    return split.measure(say)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import subprocess
@@ -13,19 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scale.runs import simulated_runs
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from frictrack.records import Array, Displacement, Motion, Run
 
 MODEL = ("coulomb", "viscous")
-RUNS, FRAMES, FPS, NOISE_M = 200, 700, 4000.0, 10e-6
+RUNS = 200
+NOISE_M = 10e-6
 MASS_KG, F_C, F_V = 0.35, 1.2, 0.4  # N, N s/m
 FRICTION_SAMPLES, DRIVE_SAMPLES, RATE_HZ = 50_000, 40_000, 1000.0
 STRIBECK_SPEED, NOISE_N, CORRELATION = 0.05, 0.02, 0.9  # m/s, N, of neighbouring samples
 
 
-def measure(args: argparse.Namespace, say: Callable[[str], None]) -> dict[str, Any]:
+def measure(say: Callable[[str], None]) -> dict[str, Any]:
     """CPU seconds and largest memory of every large study, each in a process of its own."""
     out = {}
     for name in STUDIES:
@@ -43,15 +44,7 @@ def measure(args: argparse.Namespace, say: Callable[[str], None]) -> dict[str, A
 
 def many_runs() -> list[Run]:
     """Slides under Coulomb and viscous friction in closed form; the level of each differs a little."""
-    rng = np.random.default_rng(0)
-    t = np.arange(FRAMES) / FPS
-    out = []
-    for i, v in enumerate(np.linspace(2.0, 6.0, RUNS)):
-        force, decay = F_C * (1 + 0.03 * rng.standard_normal()), F_V / MASS_KG
-        x = (v + force / F_V) / decay * (1 - np.exp(-decay * t)) - force / F_V * t
-        displacement = _displacement(t, x + NOISE_M * rng.standard_normal(FRAMES), NOISE_M)
-        out.append(Run(displacement, ft.differentiate(ft.low_pass(displacement)), mass=MASS_KG, name=f"r{i}"))
-    return out
+    return simulated_runs(RUNS)
 
 
 def measured_friction() -> list[Run]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +14,7 @@ PROBLEMS = ("TM", "ATM1 n=2", "ATM1 n=3", "ATM2 n=2")
 REFERENCE, REFERENCE_PROBLEM, REFERENCE_RUNS = "scipy DE best1bin", "ATM1 n=2", 15
 
 
-def measure(args: argparse.Namespace, say: Callable[[str], None]) -> dict[str, Any]:
+def measure(say: Callable[[str], None], restarts: int = 100) -> dict[str, Any]:
     """Successes and median CPU seconds of every problem, and the reference over them."""
     peers.run(REFERENCE_PROBLEM, 0, 500, 1.0, REFERENCE)  # imports and first calls do not count
     budget = BUDGET.get(REFERENCE_PROBLEM, 40_000)
@@ -24,7 +23,7 @@ def measure(args: argparse.Namespace, say: Callable[[str], None]) -> dict[str, A
     say(f"{REFERENCE} on {REFERENCE_PROBLEM}: {1e3 * reference:.0f} ms")
     out: dict[str, Any] = {"reference_s": reference}
     for name in PROBLEMS:
-        found = [_search(name, seed) for seed in range(args.restarts)]
+        found = [_search(name, seed) for seed in range(restarts)]
         hits = sum(ratio <= MAX_SSE_RATIO for ratio, _ in found)
         seconds = statistics.median(seconds for _, seconds in found)
         out[name] = {"found": hits, "of": len(found), "cpu_s": seconds, "reference_over_it": reference / seconds}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Callable
@@ -16,7 +15,7 @@ REPEATS = 5
 IMPORTS = "import numpy, scipy.optimize, scipy.signal, scipy.stats, cv2, pandas, h5py, matplotlib.figure"
 
 
-def measure(args: argparse.Namespace, say: Callable[[str], None]) -> dict[str, float]:
+def measure(say: Callable[[str], None]) -> dict[str, float]:
     """CPU seconds of light commands, and of importing the libraries that frictrack is built on."""
     with tempfile.TemporaryDirectory() as name:
         study = study_of_tables(Path(name))

@@ -6,14 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from diagnosis.studies import BARE
+from diagnosis.studies import BARE, recorded
 
-import frictrack as ft
-from frictrack.blind.study_files import run_table, write_study
-from frictrack.blind.truth import RunTruth, Truth
+from frictrack.blind.study_files import write_study
+from frictrack.blind.truth import Truth
 from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
 from frictrack.errors import FrictrackError
-from frictrack.records import Displacement, Run
+from frictrack.records import Run
 
 RUNS, FRAMES = 5, 700
 MAX_SEEDS = 20  # tried until a study of this size is found
@@ -50,27 +49,7 @@ def draw_study(kind: str, turn: int) -> Truth:
 
 def recorded_runs(truth: Truth, seed: int = 0) -> list[Run]:
     """Runs that a camera of white noise records of a study."""
-    rng = np.random.default_rng([seed, 3])
-    return [_recorded_run(truth, run, rng) for run in truth.runs]
-
-
-def _recorded_run(truth: Truth, run: RunTruth, rng: np.random.Generator) -> Run:
-    data = run_table(truth, run, rng)
-    n = len(data)
-    columns = {name: data[name].to_numpy() if name in data else np.full(n, np.nan) for name in ("y_m", "sigma_m")}
-    sigma = columns["sigma_m"] if "sigma_m" in data else np.full(n, truth.noise)
-    displacement = Displacement(
-        data["t_s"].to_numpy(),
-        data["x_m"].to_numpy(),
-        columns["y_m"],
-        np.full(n, np.nan),
-        sigma,
-        np.full(n, np.nan),
-        np.ones(n, dtype=bool),
-        pixel_pitch=truth.pitch,
-    )
-    motion = ft.differentiate(ft.low_pass(displacement))
-    return Run(displacement, motion, mass=truth.mass * run.mass_ratio, name=run.name)
+    return recorded(truth, np.random.default_rng([seed, 3]))
 
 
 def study_of_tables(folder: Path) -> Path:
