@@ -67,6 +67,18 @@ def format_plain(value: float | None, digits: int = 4) -> str:
     return "-" if value is None else f"{value:.{digits}g}"
 
 
+def format_share(share: float) -> str:
+    """Format a share as a whole percentage; a share that would round to nothing is below 1 %.
+
+    Examples
+    --------
+    >>> format_share(0.937), format_share(0.0004), format_share(0.0)
+    ('94 %', '< 1 %', '0 %')
+
+    """
+    return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
 def format_change(value: float) -> str:
     """Format a whole number with its sign, thousands apart.
 

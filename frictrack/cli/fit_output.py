@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from frictrack.cli.tables import table as _table
-from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.number_format import format_plain, format_plus_minus, format_share
 
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
@@ -208,7 +208,7 @@ def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
         ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
         p = s.get("p")
         p_text = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
-        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", p_text)
+        table.add_row(s["run"], *ranges, format_share(s["share_of_error"]), p_text)
     out.print(table)
 
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from frictrack.number_format import format_number
+from frictrack.number_format import format_number, format_share
 from frictrack.plots import style
 from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
 from frictrack.records import Array, Curve
@@ -185,7 +185,7 @@ def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Seque
         return _residual_title(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
     t0, t1 = (format_number(1e3 * t) for t in worst["t"])
-    share = f"{100 * worst['share_of_error']:.0f} % of the error"
+    share = f"{format_share(worst['share_of_error'])} of the error"
     return f"{plain_name(model.name)} fails most in {worst['run']} from {t0} to {t1} ms: {share}"
 
 
@@ -334,7 +334,7 @@ def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
         if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue
         labelled.append((a + b) / 2)
-        share = f"{100 * s['share_of_error']:.0f} %"
+        share = format_share(s["share_of_error"])
         label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
         label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
 

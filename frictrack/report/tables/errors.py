@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from frictrack.number_format import DASH, format_interval, format_number, format_quantity
+from frictrack.number_format import DASH, format_interval, format_number, format_quantity, format_share
 from frictrack.plots import plain_name
 from frictrack.report.tables.parameters import PER_RUN_NAME
 from frictrack.report.tables.text_table import Cell, TextTable, code_cell, make_table
@@ -104,7 +104,7 @@ def failing_span_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
             format_interval(s.get("t"), 1e3),
             format_interval(s.get("x")),
             format_interval(s.get("v")),
-            f"{100 * s['share_of_error']:.0f} %",
+            format_share(s["share_of_error"]),
             _p_value(s.get("p")),
         )
         for s in spans
