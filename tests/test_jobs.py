@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
@@ -102,6 +103,16 @@ def test_a_process_that_never_began_is_not_running_whatever_the_clock(tmp_path: 
         assert Job(tmp_path).state == jobs.INTERRUPTED
     (tmp_path / "spec.json").write_text(json.dumps({"do": "fit", "study": "a.toml", "at": time.time()}))
     assert Job(tmp_path).state == jobs.RUNNING
+
+
+def test_a_process_that_is_just_taking_its_lock_is_running(tmp_path: Path) -> None:
+    (tmp_path / "spec.json").write_text(json.dumps({"do": "fit", "study": "a.toml", "at": time.time()}))
+    (tmp_path / "alive").touch()  # the file is created an instant before it is locked
+    assert Job(tmp_path).state == jobs.RUNNING
+    with FileLock(tmp_path / "alive"):
+        (tmp_path / "began").touch()
+        assert Job(tmp_path).state == jobs.RUNNING
+    assert Job(tmp_path).state == jobs.INTERRUPTED
 
 
 def test_an_attempt_changes_nothing_of_the_study(study: Study) -> None:

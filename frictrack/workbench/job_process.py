@@ -56,6 +56,7 @@ def main(folder: Path) -> None:
 
     """
     with FileLock(folder / "alive"):
+        (folder / "began").touch()
         Thread(target=_end_when_asked, args=(folder / "cancel",), daemon=True).start()
         try:
             result = _run_job(json.loads((folder / "spec.json").read_text(encoding="utf-8")), folder)

@@ -3,6 +3,7 @@
 jobs/0007/spec.json       the command, its arguments, and who started it
 jobs/0007/progress.jsonl  progress, one line per step
 jobs/0007/alive           locked by the process while it runs
+jobs/0007/began           created by the process once it holds that lock
 jobs/0007/cancel          created to cancel the job; the process ends at once
 jobs/0007/result.json     the result or the error
 """
@@ -88,9 +89,9 @@ class Job:
         """
         if result := self.result:
             return FAILED if "error" in result else DONE
-        if self._is_locked() or (
-            abs(time.time() - self.spec["at"]) < MAX_START_SECONDS and not (self.folder / "alive").exists()
-        ):
+        # read before the lock: the process takes the lock first and creates this file after it
+        began = (self.folder / "began").exists()
+        if self._is_locked() or (not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS):
             return RUNNING
         if result := self.result:  # written after the first check
             return FAILED if "error" in result else DONE
