@@ -10,14 +10,15 @@ import pytest
 from runs import BASE, FPS, HIDDEN, SIX, Spec, measured, study
 from scipy.integrate import solve_ivp
 from test_series import FPS as CELL_FPS
-from test_series import given, tustin_force
+from test_series import given, swing, tustin_force
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
+from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit
-from frictrack.fit.measured_friction import friction_noise
+from frictrack.fit.measured_friction import friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.noise import strokes
 from frictrack.fit.segments.swings import join_swings
 from frictrack.motion import differentiate, low_pass
@@ -52,6 +53,36 @@ def test_a_slow_misfit_of_one_record_is_no_noise():
     assert found.fails_at
     assert any("drifting sensor would have to explain" in line for line in found.remarks)
     assert any("place, time and speed rise together" in line for line in found.remarks)
+
+
+@pytest.fixture(scope="module")
+def long_swing():
+    """Thirty seconds of strokes under the law that is fitted, with white noise."""
+    return fit(["coulomb", "stribeck", "viscous"], [swing(n=30_000)]).solution
+
+
+def test_blocks_of_a_long_record_leave_a_true_law_no_misfit(long_swing):
+    weighted, noise = weight_by_noise(long_swing)
+    n = weighted.problem.n_frames
+    assert n < 3100
+    assert noise.correlation_frames == 1.0
+    # within a block the Stribeck curve bends by up to the noise of its mean
+    assert weighted.chi2 == pytest.approx(n, rel=5 * np.sqrt(2 / n))
+    assert weighted.problem.layout.span.fps == pytest.approx(100.0)
+
+
+def test_the_noise_of_a_weighted_record_is_that_of_all_its_frames(long_swing):
+    weighted, noise = weight_by_noise(long_swing)
+    again, same = weight_by_noise(weighted)
+    assert again.problem.n_frames == weighted.problem.n_frames
+    assert again.problem.layout.span.fps == weighted.problem.layout.span.fps
+    assert same.rms == pytest.approx(noise.rms, rel=1e-6)
+    np.testing.assert_allclose(again.residual, weighted.residual, atol=1e-3)
+
+
+def test_a_long_record_says_which_lines_were_not_tested(long_swing):
+    _, remarks = residual_kind(long_swing.problem).prepare(long_swing)
+    assert any("lines above 20 Hz are not tested" in remark for remark in remarks)
 
 
 def test_what_differs_from_stroke_to_stroke_is_noise():

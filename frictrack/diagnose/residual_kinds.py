@@ -17,7 +17,7 @@ from frictrack.diagnose.auxiliary_signals import (
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.review import review_found
 from frictrack.diagnose.rounds import RefinedCandidate, Round
-from frictrack.diagnose.subsampling import subsample_frames, subsample_pieces
+from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, heldout_rms
@@ -161,8 +161,9 @@ class FrictionResiduals(ResidualKind):
     unit, imitates = "N", False
 
     def prepare(self, start: Solution) -> tuple[Solution, list[str]]:
-        """Weight the residuals by the noise that differs between strokes."""
-        return self.before_round(start), []
+        """Weight the residuals by the noise that differs between strokes; few frames of long records remain."""
+        weighted = self.before_round(start)
+        return weighted, [omitted_lines(start, weighted)]
 
     def before_round(self, law: Solution) -> Solution:
         """Return the model with residuals weighted by the noise."""

@@ -70,9 +70,18 @@ def subsample_frames(solution: Solution) -> tuple[Solution, str]:
     problem = solution.problem.rebuild(coarse, pieces)
     fixed = np.zeros(len(solution.p), dtype=bool)
     some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=fixed, max_steps=0)
-    return some, (
-        f"long record: the search used every {every}th of its frames, so lines above "
-        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz are not tested; the fit uses all frames"
+    return some, omitted_lines(solution, some)
+
+
+def omitted_lines(whole: Solution, some: Solution) -> str:
+    """Return which lines a search of some of the frames cannot test; empty if it uses them all."""
+    fps = some.problem.layout.span.fps
+    every = round(whole.problem.layout.span.fps / fps)
+    if every <= 1:
+        return ""
+    return (
+        f"long record: the search used one in {every} of its frames, so lines above "
+        f"{MAX_FREQUENCY_RATIO * fps:.3g} Hz are not tested; the fit uses all frames"
     )
 
 

@@ -5,7 +5,7 @@ not to be friction: from the differences between repeated strokes over the same 
 of the instrument. With one record and no repeat, slow misfit counts as misfit.
 
 Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
-time. Long white series are averaged over short blocks.
+time. Of long series every short block is one frame.
 
 References
 ----------
@@ -20,14 +20,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.fit.least_squares import Solution, refine
+from frictrack.fit.least_squares import PieceResponse, Solution, refine
 from frictrack.fit.measured_friction.problem import MeasuredFrictionPiece
 from frictrack.fit.segments import Piece, Rows
 from frictrack.fit.smooth_functions import correlation_time_frames
 from frictrack.records import Array
 
 FRAMES_PER_CORRELATION = 4  # frames kept per correlation time
-MAX_FRAMES = 1500  # longer white series are averaged over short blocks
+MAX_FRAMES = 3000  # of longer series every block is one frame
 MIN_STROKES = 3  # strokes over the same positions
 MIN_SHARE = 0.5  # shortest comparable stroke over the longest one
 MIN_REVERSAL_SHARE = 0.25  # smallest reversal over the range of the coordinate
@@ -63,7 +63,8 @@ class FrictionNoise:
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     """Weight every frame by the noise of the measurement.
 
-    Of correlated frames only some are kept. Very long white series are averaged.
+    Of correlated frames only some are kept; of long series every block is one frame. The noise is always that of all
+    frames: a model that was refined on few of them is first refined on all.
 
     Parameters
     ----------
@@ -78,16 +79,29 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
         The noise.
 
     """
+    solution = _over_all_frames(solution)
     noise = friction_noise(solution)
     stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
-    if stride > 1:
-        pieces = [_every_nth_frame(p, stride) for p in solution.problem.pieces]
-        return _refit_pieces(solution, pieces, noise.rms * float(np.sqrt(noise.correlation_frames / stride))), noise
     block = -(-solution.problem.n_frames // MAX_FRAMES)
-    pieces = [_averaged(p, block) for p in solution.problem.pieces]
+    reduce = _every_nth_frame if stride >= block else _averaged
+    step = max(stride, block)
+    pieces = [reduce(r, step) for r in solution.responses]
     return _refit_pieces(
-        solution, pieces, noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / block)), block
+        solution, pieces, noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step)), step
     ), noise
+
+
+def _over_all_frames(solution: Solution) -> Solution:
+    """The same model refined on all frames, where only some of them were kept."""
+    pieces = [p.whole if isinstance(p, MeasuredFrictionPiece) else None for p in solution.problem.pieces]
+    whole = [p for p in pieces if p is not None]
+    if not whole:
+        return solution
+    layout = solution.problem.layout
+    steps = [p.every for p in solution.problem.pieces if isinstance(p, MeasuredFrictionPiece)]
+    spans = tuple(replace(s, fps=s.fps * steps[0]) for s in layout.spans)
+    problem = solution.problem.rebuild(replace(layout, spans=spans), whole)
+    return refine(problem, solution.p, solution.starts, tau=solution.tau)
 
 
 def friction_noise(solution: Solution) -> FrictionNoise:
@@ -199,33 +213,38 @@ def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Arr
     return np.interp(at, coordinate[order], residual[order])
 
 
-def _refit_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
+def _refit_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, step: int) -> Solution:
     """The same unknowns over other frames of one noise, N. Lines above the new frame rate are excluded."""
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     layout = solution.problem.layout
-    spans = tuple(replace(s, fps=s.fps / block) for s in layout.spans)
+    spans = tuple(replace(s, fps=s.fps / step) for s in layout.spans)
     problem = solution.problem.rebuild(replace(layout, spans=spans), ready)
     held = np.zeros(len(solution.p), dtype=bool)
     return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
-def _every_nth_frame(piece: Piece, stride: int) -> Piece:
-    rows = slice(None, None, stride)
-    return replace(
-        piece, frames=piece.frames[rows], t=piece.t[rows], y=piece.y[rows], sigma=piece.sigma[rows], at=piece.at[rows]
-    )
+def _every_nth_frame(response: PieceResponse, step: int) -> Piece:
+    """Every few of the frames of a piece."""
+    piece = _measured(response)
+    return piece if step == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), step), step)
 
 
-def _averaged(piece: Piece, block: int) -> Piece:
-    """Blocks of neighbouring frames of one direction averaged to one frame each."""
-    if block <= 1:
-        return piece
-    all_differences = len(piece.t) // block * block
-    frames, y = piece.frames[:all_differences].reshape(-1, block), piece.y[:all_differences].reshape(-1, block)
-    direction = piece.path.s[piece.at[:all_differences]].reshape(-1, block)
-    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(direction, axis=1) == 0)
-    middle = (np.arange(len(frames)) * block + block // 2)[kept]
-    thin = replace(
-        piece, frames=piece.frames[middle], t=piece.t[middle], sigma=piece.sigma[middle], at=piece.at[middle]
-    )
-    return replace(thin, y=y[kept].mean(axis=1))
+def _averaged(response: PieceResponse, step: int) -> Piece:
+    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
+
+    The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
+    friction is averaged but its residual.
+    """
+    piece = _measured(response)
+    n = len(piece.t) // step * step
+    frames = piece.frames[:n].reshape(-1, step)
+    direction = piece.path.s[piece.at[:n]].reshape(-1, step)
+    kept = (np.ptp(frames, axis=1) == step - 1) & (np.ptp(direction, axis=1) == 0)
+    middle = (np.arange(len(frames)) * step + step // 2)[kept]
+    residual = (piece.y - response.model_y)[:n].reshape(-1, step)[kept].mean(axis=1)
+    return replace(piece.at_frames_kept(middle, step), y=response.model_y[middle] + residual)
+
+
+def _measured(response: PieceResponse) -> MeasuredFrictionPiece:
+    assert isinstance(response.piece, MeasuredFrictionPiece)
+    return response.piece

@@ -17,7 +17,7 @@ from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, refine
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece, Reference, RunContext, path_of_rows, run_context
+from frictrack.fit.segments import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import path_at_compared
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
@@ -65,7 +65,18 @@ class DirectForce(LinearResponse):
 
 @dataclass(frozen=True)
 class MeasuredFrictionPiece(Piece):
-    """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path."""
+    """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path.
+
+    `whole` is the piece of all frames where only one in `every` frames is compared.
+    """
+
+    whole: MeasuredFrictionPiece | None = None
+    every: int = 1
+
+    def at_frames_kept(self, rows: Rows, every: int) -> MeasuredFrictionPiece:
+        """Return the piece that compares only some of these frames, one in `every`."""
+        kept: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
+        return replace(self, whole=self, every=every, **kept)
 
     def refined(self, per_frame: int) -> Piece:
         """Return the same piece, because nothing lies between its frames."""
