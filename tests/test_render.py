@@ -22,7 +22,7 @@ from frictrack.simulate.rendering import (
     render_clean,
     write_film,
 )
-from frictrack.simulate.rendering.surface import FourierSurface, Surface
+from frictrack.simulate.rendering.surface import FourierSurface, MovingCells, Surface
 
 SNAP = Camera(width=64, height=48, exposure=0.0)
 SMALL = Target(24, 18, Surface(size=3.0), course=False)
@@ -116,7 +116,10 @@ def test_shift_of_periodic_frames_is_exact() -> None:
     rng = np.random.default_rng(3)
 
     def picture(x: float, y: float) -> np.ndarray:
-        return series.integrate_cells((np.arange(65) - 0.5 - x)[None], (np.arange(49) - 0.5 - y)[None], np.ones(1))
+        borders = np.arange(65) - 0.5, np.arange(49) - 0.5
+        whole = zip(borders, series.waves(*borders), (x, y), strict=True)
+        columns, rows = (MovingCells(edges, waves, np.array([at]), 1000.0) for edges, waves, at in whole)
+        return series.integrate_cells(columns, rows, np.ones(1))
 
     for x, y in rng.uniform(-0.5, 0.5, (20, 2)):
         found = phase_shift(picture(0, 0), picture(x, y))

@@ -138,11 +138,11 @@ class Camera:
 
     def electrons(self, clean: Array) -> Array:
         """Mean number of electrons for light `clean` (1 = white)."""
-        return np.clip(clean, 0, None) * (WHITE_LEVEL * self.full_well)
+        return np.maximum(clean, 0) * (WHITE_LEVEL * self.full_well)
 
     def mean(self, clean: Array) -> Array:
         """Digital number without noise and rounding for light `clean` (1 = white)."""
-        return self.black + self.gain * self.electrons(clean)
+        return self._digital_number(self.electrons(clean))
 
     def noise(self, clean: Array) -> Array:
         """Standard deviation of shot noise, read noise and rounding, for light `clean` (1 = white).
@@ -182,14 +182,23 @@ class Camera:
         """
         electrons = self.electrons(clean)
         if self.prnu:
-            electrons = electrons * self.sensitivity
+            electrons *= self.sensitivity
         if electrons.min() >= MIN_GAUSSIAN_ELECTRONS:
-            spread = np.sqrt(electrons + self.read_noise**2).astype(np.float32)
-            electrons = electrons + spread * rng.standard_normal(clean.shape, dtype=np.float32)
+            noise = rng.standard_normal(clean.shape, dtype=np.float32)
+            noise *= np.sqrt(electrons + self.read_noise**2).astype(np.float32)
+            electrons += noise
         else:
             electrons = rng.poisson(electrons) + self.read_noise * rng.standard_normal(clean.shape)
-        number = np.clip(np.rint(self.black + self.gain * electrons), 0, self.full_scale)
+        number = self._digital_number(electrons)
+        np.rint(number, out=number)
+        np.clip(number, 0, self.full_scale, out=number)
         return number.astype(np.uint8 if self.bit_depth == 8 else np.uint16)
+
+    def _digital_number(self, electrons: Array) -> Array:
+        """Digital number, not rounded, of a number of electrons."""
+        number = self.gain * electrons
+        number += self.black
+        return number
 
 
 def cramer_rao_shift_std(clean_patch: Array, noise: Array | float) -> float:

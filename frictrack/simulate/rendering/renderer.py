@@ -21,7 +21,7 @@ from frictrack.records import Array
 from frictrack.simulate.rendering.camera import Camera, Oscillation
 from frictrack.simulate.rendering.foreground import Highlight, Rod
 from frictrack.simulate.rendering.rotated_block import BlockPose, render_rotated_block
-from frictrack.simulate.rendering.surface import Surface
+from frictrack.simulate.rendering.surface import MovingCells, Surface
 
 PositionFunction = Callable[[Array], tuple[Array, ...]]  # times (n,), s -> x, y, px and, if it rotates, angle, rad
 
@@ -30,6 +30,8 @@ Pixels = NDArray[np.int_]
 WALL = Surface(size=5.0, level=0.25, contrast=0.05, seed=2)
 COURSE_STEP = 0.22  # light of the course above that of the wall behind it; 1 = white
 COURSE_EDGE_PX = 1.2  # softness of the upper edge of the course
+FRAMES_AT_ONCE = 256  # frames whose exposures are computed together
+EXPOSURE_POINTS = 17  # instants of an exposure between which an edge of the block is taken to move evenly
 GAUSS_3, GAUSS_5 = (np.polynomial.legendre.leggauss(n) for n in (3, 5))  # sufficient for 0.25 and 1 px of travel
 
 
@@ -113,7 +115,9 @@ def render_clean(
     """Render frames (height, width) of light without noise, 1 = white; see `render` for the arguments."""
     path, n = _path(position_px, camera, n_frames)
     renderer = _Renderer(path, camera, target)
-    return (renderer.frame(i / camera.fps) for i in range(n))
+    starts = range(0, n, FRAMES_AT_ONCE)
+    exposures = (renderer.exposures(np.arange(i, min(i + FRAMES_AT_ONCE, n)) / camera.fps) for i in starts)
+    return (renderer.frame(moments) for block in exposures for moments in block)
 
 
 def _path(position: PositionFunction | Array, camera: Camera, n_frames: int | None) -> tuple[PositionFunction, int]:
@@ -157,13 +161,13 @@ class _Renderer:
         self.rotates = target.rotation is not None or len(path(np.zeros(1))) == 3
         self.shakes = camera.shake_x is not None or camera.shake_y is not None
         self.edges = _edges(np.arange(camera.width)), _edges(np.arange(camera.height))
+        self.waves = self.surface.waves(*self.edges)
         self.grid = self.background.grid(*self.edges)
         self.still_background = self._background(np.ones(1), np.zeros(1), np.zeros(1))
         self.glare = target.highlight.light(*self.edges) if target.highlight else None
 
-    def frame(self, t: float) -> Array:
-        """Light of the frame exposed about t (s), (height, width)."""
-        moments = self._exposure(t)
+    def frame(self, moments: _ExposureSamples) -> Array:
+        """Light of the frame of one exposure, (height, width)."""
         if self.shakes:
             picture = self._background(moments.weight, moments.shake_x, moments.shake_y)
         else:
@@ -196,18 +200,25 @@ class _Renderer:
             angle = angle + self.target.rotation(t)
         return position[0] + shake_x, position[1] + shake_y, angle
 
-    def _exposure(self, t: float) -> _ExposureSamples:
-        """Gauss-Legendre instants of one exposure, which is cut where an edge of the block passes a pixel border."""
+    def exposures(self, t: Array) -> list[_ExposureSamples]:
+        """Instants of the exposures about the times t (n,), s, each cut where the block's edges pass pixel borders."""
+        instants = [(np.array([at]), np.ones(1)) for at in t]
         span = self.camera.exposure / self.camera.fps
-        times, weight = np.array([t]), np.ones(1)
         if span > 0:
-            grid = t + span * np.linspace(-0.5, 0.5, 17)
-            x, y, _ = self._place(grid)
-            sides = [(x, self.target.width), (y, self.target.height)]
-            cuts = [_crossings(grid, path + sign * side / 2) for path, side in sides for sign in (-1, 1)]
-            times, weight = _gauss_legendre(np.unique(np.concatenate([grid[[0, -1]], *cuts])), np.ptp(x) + np.ptp(y))
-        weight = weight * self.camera.light(times)
-        return _ExposureSamples(weight, *self._place(times), *self.camera.shake(times))
+            grid = t[:, None] + span * np.linspace(-0.5, 0.5, EXPOSURE_POINTS)
+            x, y, _ = (at.reshape(grid.shape) for at in self._place(grid.ravel()))
+            instants = [self._cut(*exposure) for exposure in zip(grid, x, y, strict=True)]
+        times = np.concatenate([at for at, _ in instants])
+        weight = np.concatenate([share for _, share in instants]) * self.camera.light(times)
+        ends = np.cumsum([len(at) for at, _ in instants])[:-1]
+        series = (weight, *self._place(times), *self.camera.shake(times))
+        return [_ExposureSamples(*one) for one in zip(*(np.split(values, ends) for values in series), strict=True)]
+
+    def _cut(self, t: Array, x: Array, y: Array) -> tuple[Array, Array]:
+        """Gauss-Legendre instants and weights of one exposure, where the block's centre is at (x, y) at times t."""
+        sides = [(x, self.target.width), (y, self.target.height)]
+        cuts = [_crossings(t, path + sign * side / 2) for path, side in sides for sign in (-1, 1)]
+        return _gauss_legendre(np.unique(np.concatenate([t[[0, -1]], *cuts])), np.ptp(x) + np.ptp(y))
 
     def _window(self, moments: _ExposureSamples) -> tuple[Pixels, Pixels]:
         """Columns and rows of the picture that the block touches during the exposure, with a margin of one pixel."""
@@ -222,11 +233,15 @@ class _Renderer:
 
     def _upright_block(self, moments: _ExposureSamples, x: Pixels, y: Pixels) -> tuple[Array, Array]:
         """Light of an upright block and area that it covers per pixel, summed over the exposure: two (ny, nx)."""
-        x_edges = _clip(x, moments.x, self.target.width)
-        y_edges = _clip(y, moments.y, self.target.height)
-        weight = moments.weight[:, None]
-        cover = (weight * np.diff(y_edges)).T @ np.diff(x_edges)
-        return self.surface.integrate_cells(x_edges, y_edges, moments.weight), cover
+        columns = self._cells(0, x, moments.x, self.target.width)
+        rows = self._cells(1, y, moments.y, self.target.height)
+        cover = (moments.weight[:, None] * rows.lengths).T @ columns.lengths
+        return self.surface.integrate_cells(columns, rows, moments.weight), cover
+
+    def _cells(self, axis: int, pixels: Pixels, centre: Array, side: float) -> MovingCells:
+        """Cells of the block along one axis of the picture (0: columns, 1: rows), at neighbouring pixels."""
+        part = slice(pixels[0], pixels[-1] + 2)
+        return MovingCells(self.edges[axis][part], self.waves[axis][:, part], centre, side)
 
     def _rotated_block(self, moments: _ExposureSamples, x: Pixels, y: Pixels) -> tuple[Array, Array]:
         """The same for a rotated block."""
@@ -255,11 +270,6 @@ def _soft_step(z: Array) -> Array:
 def _edges(pixels: Pixels) -> Array:
     """Borders of neighbouring pixels: (n,) -> (n + 1,)."""
     return np.append(pixels - 0.5, pixels[-1] + 0.5)
-
-
-def _clip(pixels: Pixels, centre: Array, side: float) -> Array:
-    """Pixel borders relative to the block's centre and clipped to the block, (q, n + 1)."""
-    return np.clip(_edges(pixels) - centre[:, None], -side / 2, side / 2)
 
 
 def _inside(centre: Array, half: float, n: int) -> Pixels:

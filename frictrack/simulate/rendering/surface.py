@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,65 @@ OVERSAMPLING = 4  # points per pixel on which a pattern is drawn before it is ba
 MAX_FREQUENCY = 0.45  # cycles/px, below Nyquist: films contain no aliased texture
 LENS_FWHM_PX = 1.5  # blur of the lens
 FWHM_PER_SIGMA = 2.3548200450309493  # full width at half maximum over the standard deviation of a Gaussian
+
+
+class MovingCells(NamedTuple):
+    """Cells along one axis that a block covers at q instants: pixels, cut where the block ends.
+
+    Attributes
+    ----------
+    borders
+        Borders of the pixels in the picture, px, (n + 1,).
+    waves
+        Waves exp(i q x) at the borders, for k wavenumbers, (k, n + 1).
+    centre
+        Centre of the block at every instant, px, (q,).
+    side
+        Length of the block, px.
+
+    """
+
+    borders: Array
+    waves: Complex
+    centre: Array
+    side: float
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the cells, px, (q, n)."""
+        return np.diff(self._places(slice(None)))
+
+    def integrals(self, q: Array, share: Array) -> Complex:
+        """Integrate the waves exp(i q u) over the cells, u from the centre, and sum over instants.
+
+        Parameters
+        ----------
+        q
+            Wavenumbers, rad/px, (k,).
+        share
+            Weights of the instants in each of m sums, (m, q).
+
+        Returns
+        -------
+        Array
+            Sums of the integrals, px, (k, m, n).
+
+        """
+        # A wave at a border in the block is a wave in the picture times one at the centre, so the sum over instants
+        # is the same for all borders but those that an end of the block passes.
+        turns = np.exp(-1j * np.outer(q, self.centre)) @ share.T
+        waves = turns[:, :, None] * self.waves[:, None]
+        inside = np.abs(self.borders - self.centre[:, None]) <= self.side / 2
+        cut = np.flatnonzero(~inside.all(axis=0))
+        waves[:, :, cut] = share @ np.exp(1j * q[:, None, None] * self._places(cut))
+        out = np.diff(waves, axis=-1)
+        out[q == 0] = share @ self.lengths
+        out[q != 0] /= 1j * q[q != 0, None, None]
+        return out
+
+    def _places(self, which: slice | NDArray[np.int_]) -> Array:
+        """Borders from the centre, at most at the ends of the block, (q, ...)."""
+        return np.clip(self.borders[which] - self.centre[:, None], -self.side / 2, self.side / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +103,15 @@ class FourierSurface:
     q_x: Array
     q_y: Array
 
-    def integrate_cells(self, x_edges: Array, y_edges: Array, weight: Array) -> Array:
-        """Integrate over the cells of q grids, and sum over the grids of one exposure.
+    def integrate_cells(self, x: MovingCells, y: MovingCells, weight: Array) -> Array:
+        """Integrate over the cells of a block at q instants, and sum over the instants of one exposure.
 
         Parameters
         ----------
-        x_edges, y_edges
-            Borders of the cells, px, (q, nx + 1) and (q, ny + 1).
+        x, y
+            Columns and rows of cells.
         weight
-            Weight of each grid, (q,).
+            Weight of each instant, (q,).
 
         Returns
         -------
@@ -58,11 +119,15 @@ class FourierSurface:
             Weighted sum of the integrals, px^2, (ny, nx).
 
         """
-        e_x = np.diff(_antiderivative(self.q_x, x_edges), axis=-1)  # (kx, q, nx)
-        e_y = np.diff(_antiderivative(self.q_y, y_edges), axis=-1) * weight[:, None]  # (ky, q, ny)
+        each = np.eye(len(weight))
+        if np.all(y.centre == y.centre[0]):  # the rows stay: the instants differ in x alone and are summed first
+            weight, each, y = weight[None], np.ones((1, 1)), y._replace(centre=y.centre[:1])
+        else:
+            weight = np.diag(weight)
+        e_x, e_y = x.integrals(self.q_x, weight), y.integrals(self.q_y, each)  # (kx, m, nx), (ky, m, ny)
         n_x, n_y = e_x.shape[-1], e_y.shape[-1]
-        rows = (self.c @ e_x.reshape(len(self.q_x), -1)).reshape(-1, n_x)  # (ky q, nx)
-        columns = e_y.reshape(-1, n_y).T  # (ny, ky q)
+        rows = (self.c @ e_x.reshape(len(self.q_x), -1)).reshape(-1, n_x)  # (ky m, nx)
+        columns = e_y.reshape(-1, n_y).T  # (ny, ky m)
         # Only the real part is needed: two real products instead of one complex one.
         return columns.real @ rows.real - columns.imag @ rows.imag
 
@@ -73,6 +138,10 @@ class FourierSurface:
         turn_y = np.exp(-1j * np.outer(self.q_y, shift[1])) * weight
         rows = (self.c * (turn_y @ turn_x.T)) @ e_x
         return e_y.real.T @ rows.real - e_y.imag.T @ rows.imag
+
+    def waves(self, x_edges: Array, y_edges: Array) -> tuple[Complex, Complex]:
+        """Waves at borders of pixels, for `MovingCells`: (kx, nx + 1) and (ky, ny + 1)."""
+        return np.exp(1j * np.outer(self.q_x, x_edges)), np.exp(1j * np.outer(self.q_y, y_edges))
 
     def grid(self, x_edges: Array, y_edges: Array) -> tuple[Complex, Complex]:
         """Integrals of all waves over the pixels between the borders, (kx, nx) and (ky, ny)."""
@@ -119,6 +188,7 @@ class Surface:
             faults.append(f"expected a contrast between 0 and the level {self.level:g} but got {self.contrast:g}")
         raise_faults(faults, "surface")
 
+    @lru_cache(maxsize=8)  # noqa: B019 - few surfaces are painted, and the films of a study share them
     def series(self, width: float, height: float) -> FourierSurface:
         """Fourier series of the surface, which does not repeat within width x height px."""
         period = tuple(self._period(side) for side in (width, height))
