@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from frictrack.recording import Recording
     from frictrack.tracking import TargetModel
 
+MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
 
 Progress = Callable[[int, int, str], None]
@@ -101,6 +103,8 @@ class RunPipeline:
         self._keys: dict[str, str] = {}
         self._inputs: dict[str, list[tuple[str, str]]] = {}
         self._provenances: dict[str, Provenance | None] = {}
+        self._unsaved: dict[str, GroupContent] = {}
+        self._unsaved_since: float | None = None  # time.monotonic() when the oldest unsaved stage began; None: no block
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Report progress, with the name of the run before `what`."""
@@ -141,6 +145,28 @@ class RunPipeline:
         if name not in self._results:
             self._results[name] = self._read(name) if self.is_current(name) else self._compute(name)
         return self._results[name]
+
+    @contextmanager
+    def saved_together(self) -> Iterator[None]:
+        """Write the stages that are computed in the block into the file at once; those that took long, when they end.
+
+        They are written also if the block ends by an error or is interrupted.
+        """
+        if self._unsaved_since is not None:
+            yield
+            return
+        self._unsaved_since = time.monotonic()
+        try:
+            yield
+        finally:
+            self._save()
+            self._unsaved_since = None
+
+    def _save(self) -> None:
+        """Write the stages that are not in the file yet."""
+        if self._unsaved:
+            store.write(self.path, self._unsaved)
+        self._unsaved, self._unsaved_since = {}, time.monotonic()
 
     def is_current(self, name: str) -> bool:
         """Return whether a stage is stored with the key that it would get today."""
@@ -255,9 +281,12 @@ class RunPipeline:
     def _compute(self, name: str) -> Any:
         """Compute a stage from its inputs and store it."""
         stage = self.stages[name]
-        with self.open_film() if name == "tracks" else nullcontext():  # the track may be computed on the way
-            result, provenance = self._call(stage, [self.get(i) for i in stage.inputs])
-        store.write(self.path, {name: GroupContent(result, provenance)})
+        with self.saved_together():
+            with self.open_film() if name == "tracks" else nullcontext():  # the track may be computed on the way
+                result, provenance = self._call(stage, [self.get(i) for i in stage.inputs])
+            self._unsaved[name] = GroupContent(result, provenance)
+            if self._unsaved_since is not None and time.monotonic() - self._unsaved_since > MAX_UNSAVED_S:
+                self._save()
         return result
 
     def _new_provenance(self, name: str) -> Provenance:

@@ -567,8 +567,9 @@ class Session:
     def _update_all(self, seed: int | None) -> tuple[str, ...]:
         """Compute all that is missing or outdated; return notes, also on what could not be computed."""
         for pipeline in self.runs:
-            for stage in pipeline.stages:
-                pipeline.get(stage)
+            with pipeline.saved_together():
+                for stage in pipeline.stages:
+                    pipeline.get(stage)
         self.compare()
         self.diagnose(self._last_seed() if seed is None else seed)
         return (*self.notes, *self._update_papers_route())

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 
 from frictrack.distributions import chi2_sf
 from frictrack.records import Array, Mask, Track, stretches
@@ -196,8 +195,19 @@ def _long_stretches(found: Mask) -> list[slice]:
 
 
 def _detrend(values: Array) -> Array:
-    """Residuals about a local cubic (Savitzky-Golay) along the first axis."""
-    return np.asarray(values - savgol_filter(values, SMOOTHING_FRAMES, 3, axis=0), dtype=np.float64)
+    """Residuals about a local cubic along the first axis, in full windows at the ends.
+
+    References
+    ----------
+    Savitzky, A. & Golay, M. J. E. (1964). Smoothing and differentiation of data by simplified least squares
+    procedures. Analytical Chemistry 36, 1627-1639.
+
+    """
+    cubics, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTHING_FRAMES), 4))
+    smoother, half = cubics @ cubics.T, SMOOTHING_FRAMES // 2
+    middle = np.lib.stride_tricks.sliding_window_view(values, SMOOTHING_FRAMES, axis=0) @ smoother[half]
+    first, last = smoother[:half] @ values[:SMOOTHING_FRAMES], smoother[half + 1 :] @ values[-SMOOTHING_FRAMES:]
+    return np.asarray(values - np.concatenate([first, middle, last]), dtype=np.float64)
 
 
 @dataclass(frozen=True)
