@@ -7,7 +7,8 @@ the names in it, their checksums and its links, so that the checksum of the root
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import h5py
@@ -21,12 +22,17 @@ CHECKSUM = "sha256"
 def add_checksums(item: h5py.Group | h5py.Dataset) -> str:
     """Write the missing checksums of an object and everything in it; return the checksum of the object."""
     stored = item.attrs.get(CHECKSUM)
+    if stored is None and isinstance(item, h5py.Group):
+        return add_group_checksum(item, {name: add_checksums(child) for name, child in members(item)})
     if stored is None:
-        if isinstance(item, h5py.Group):
-            for _, child in members(item):
-                add_checksums(child)
         stored = item.attrs[CHECKSUM] = _checksum(item)
     return str(stored)
+
+
+def add_group_checksum(group: h5py.Group, inside: Mapping[str, str]) -> str:
+    """Write the checksum of a group, given those of everything in it by name; return it."""
+    checksum = group.attrs[CHECKSUM] = _digest(_group(group, inside), dict(group.attrs))
+    return checksum
 
 
 def drop_checksums(file: h5py.File, name: str) -> None:
@@ -80,18 +86,39 @@ def _wrong_child(group: h5py.Group, name: str, met: set[int]) -> Iterator[tuple[
         yield from wrong_checksums(inside, met)
 
 
+def array_checksum(value: np.ndarray[Any, Any], attributes: Mapping[str, Any]) -> str:
+    """Compute the checksum of a dataset from what is written into it, so that it need not be read again.
+
+    Parameters
+    ----------
+    value
+        The array as it is stored.
+    attributes
+        Attributes of the dataset.
+
+    Returns
+    -------
+    str
+        The checksum that `add_checksums` would compute.
+
+    """
+    return _digest(_coded(value[()] if value.ndim == 0 else value, value.dtype), attributes)
+
+
 def _checksum(item: h5py.Group | h5py.Dataset) -> str:
     """Compute the checksum of an object; for the members of a group, their stored checksums are used."""
+    content = _group(item, {}) if isinstance(item, h5py.Group) else _coded(_array(item), item.dtype)
+    return _digest(content, dict(item.attrs))
+
+
+def _digest(content: Iterable[bytes], attributes: Mapping[str, Any]) -> str:
+    """Compute the checksum of encoded content and attributes."""
     digest = hashlib.sha256()
-    for part in _group(item) if isinstance(item, h5py.Group) else _coded(_array(item), item.dtype):
+    pairs = ((name, attributes[name]) for name in sorted(attributes) if name != CHECKSUM)
+    coded = ((name.encode(), *_coded(value, getattr(value, "dtype", None))) for name, value in pairs)
+    for part in chain(content, *coded):
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)
-    for name in sorted(item.attrs):
-        if name != CHECKSUM:
-            value = item.attrs[name]
-            for part in (name.encode(), *_coded(value, getattr(value, "dtype", None))):
-                digest.update(len(part).to_bytes(8, "little"))
-                digest.update(part)
     return digest.hexdigest()
 
 
@@ -103,10 +130,14 @@ def _array(dataset: h5py.Dataset) -> Any:
     return dataset[()]
 
 
-def _group(group: h5py.Group) -> Iterator[bytes]:
+def _group(group: h5py.Group, inside: Mapping[str, str]) -> Iterator[bytes]:
+    """Encode the names in a group with their checksums; those not in `inside` are read."""
     yield b"group"
     for name in sorted(group):
         yield name.encode()
+        if name in inside:
+            yield inside[name].encode()
+            continue
         link = group.get(name, getlink=True)
         if isinstance(link, h5py.HardLink):
             yield str(group[name].attrs.get(CHECKSUM)).encode()

@@ -8,16 +8,17 @@ stage wrote has the attributes of its `Provenance`.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
+from types import MappingProxyType
 from typing import Any
 
 import h5py
 import numpy as np
 
 from frictrack.results import to_builtins
-from frictrack.store.checksums import CHECKSUM
+from frictrack.store.checksums import CHECKSUM, add_group_checksum, array_checksum
 from frictrack.store.size_checks import check_visited_once, members, read_array
 from frictrack.version import __version__
 
@@ -57,42 +58,67 @@ def new_group(parent: h5py.Group, name: str) -> h5py.Group:
     return h5py.Group(h5py.h5g.create(parent.id, last.encode(), gcpl=creation))
 
 
-def write_group(group: h5py.Group, content: Any) -> None:
-    """Write a record or a dictionary into an empty group."""
+def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """Write a record or a dictionary into an empty group, and its checksum.
+
+    Parameters
+    ----------
+    group
+        The group.
+    content
+        The record, or the values by name.
+    attributes
+        More attributes of the group.
+
+    Returns
+    -------
+    str
+        The checksum.
+
+    """
+    group.attrs.update(attributes)
+    inside = {}
     if is_dataclass(content):
-        for f in fields(content):
-            _write_value(group, f.name, getattr(content, f.name), f.metadata.get("unit"))
+        triples = [(f.name, getattr(content, f.name), f.metadata.get("unit")) for f in fields(content)]
     else:
-        for name, value in content.items():
-            _write_value(group, name, value, None)
+        triples = [(name, value, None) for name, value in content.items()]
+    for name, value, unit in triples:
+        checksum = _write_value(group, name, value, unit)
+        if checksum is not None:
+            inside[name] = checksum
+    return add_group_checksum(group, inside)
 
 
-def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> None:
+def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> str | None:
+    """Write one value: a subgroup or an array, whose checksum is returned, or an attribute."""
+    if isinstance(value, dict) or is_dataclass(value):
+        return write_group(new_group(group, name), value)
+    if isinstance(value, np.ndarray):
+        return write_array(group, name, value, unit=unit or "")
+    if isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
+        return write_array(group, name, np.array(value))
     if value is None:
-        group.attrs[name] = h5py.Empty("f8")
-    elif isinstance(value, dict) or is_dataclass(value):
-        write_group(new_group(group, name), value)
-    elif isinstance(value, np.ndarray):
-        write_array(group, name, value).attrs["unit"] = unit or ""
-    elif isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
-        write_array(group, name, np.array(value))
-    else:
-        group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
-        if unit and isinstance(value, float):
-            group.attrs[f"{name}_unit"] = unit
+        value = h5py.Empty("f8")
+    group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
+    if unit and isinstance(value, float):
+        group.attrs[f"{name}_unit"] = unit
+    return None
 
 
-def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5py.Dataset:
-    """Write an array of numbers or strings as a compressed dataset.
+def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **attributes: Any) -> str:
+    """Write an array of numbers or strings as a compressed dataset, and its attributes; return its checksum.
 
     Strings get one fixed length, because HDF5 compresses and checks only those.
     """
     if value.dtype.kind in "UO":
         coded = np.char.encode(value.astype(np.str_), "utf-8")
         value = coded.astype(h5py.string_dtype("utf-8", max(coded.dtype.itemsize, 1)))
-    if value.ndim == 0 or value.size == 0:
-        return group.create_dataset(name, data=value)
-    return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
+    is_plain = value.ndim == 0 or value.size == 0
+    compressed = {} if is_plain else {"compression": "gzip", "shuffle": True, "fletcher32": True}
+    dataset = group.create_dataset(name, data=value, **compressed)
+    dataset.attrs.update(attributes)
+    checksum = dataset.attrs[CHECKSUM] = array_checksum(value, attributes)
+    return checksum
 
 
 def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:

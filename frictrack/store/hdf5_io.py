@@ -71,9 +71,7 @@ def write(
             if file.get(name, getlink=True) is not None:
                 del file[name]
         for name, entry in groups.items():
-            group = encoding.new_group(file, name)
-            encoding.write_group(group, entry.content)
-            group.attrs.update(vars(entry.provenance))
+            encoding.write_group(encoding.new_group(file, name), entry.content, vars(entry.provenance))
         for name, target in links.items():
             inside = target.startswith("/")
             file[name] = h5py.SoftLink(target) if inside else h5py.ExternalLink(target, "/")

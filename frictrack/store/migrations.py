@@ -47,8 +47,7 @@ def _add_checksums(old: h5py.Group, new: h5py.Group) -> None:
         elif isinstance(old[name], h5py.Group):
             _add_checksums(old[name], new_group(new, name))
         else:
-            array = write_array(new, name, np.asarray(read_array(old[name])))
-            array.attrs.update(old[name].attrs)
+            write_array(new, name, np.asarray(read_array(old[name])), **old[name].attrs)
 
 
 MIGRATIONS: dict[int, Callable[[h5py.Group, h5py.Group], None]] = {1: _add_checksums}
