@@ -15,11 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares.few_rows import RotatedJacobian, rotated_jacobian, stacked_jacobian, triangular
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
+from frictrack.fit.least_squares.trust_region import (
+    MIN_DAMPING,
+    DampedStep,
+    TrustRegion,
+    damped_step,
+    is_converged,
+)
 from frictrack.fit.parameters import (
     MIN_RUNS_FOR_SCATTER,
     JacobianBasis,
@@ -33,10 +39,9 @@ from frictrack.fit.parameters import (
 )
 from frictrack.records import Array, Mask
 
-MAX_SCATTER_ESTIMATES = 4  # estimates of tau
+MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
+MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
-FIRST_DAMPING, MAX_DAMPING = 1e-8, 1e8
-MIN_DAMPING = 1e-12  # below: Gauss-Newton steps
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same for motions with reversals, which are not smooth between nodes
 
@@ -119,6 +124,12 @@ class Solution:
         basis, data = self._basis_of(rows), residual + rows @ self._departure()
         return basis.spread(basis.u.T @ data, float(data @ data))
 
+    def with_scatter(self, tau: float) -> Solution:
+        """Return the same unknowns and responses with another scatter of the levels."""
+        penalty = penalty_residual(self.problem.layout, self.p, tau)
+        objective = sum(float(r.r_full @ r.r_full) for r in self.responses) + float(penalty @ penalty)
+        return replace(self, tau=tau, objective=objective)
+
     @property
     def levels_are_random(self) -> bool:
         """Whether the friction levels are a random effect."""
@@ -136,25 +147,35 @@ class Solution:
 
 @dataclass(frozen=True)
 class _Refinement:
-    """The constant settings of one refinement: problem, scatter of the levels, and bounds of the unknowns."""
+    """The constant settings of one refinement: problem and bounds of the unknowns."""
 
     problem: LeastSquaresProblem
-    tau: float
     low: Array
     high: Array
     all_free: bool  # whether every unknown may change
+    estimates_scatter: bool = False  # whether tau is estimated again at every step near the optimum
 
-    def at(self, p: Array, starts: list[Array]) -> Solution:
+    def step(self, state: Solution, region: TrustRegion) -> DampedStep:
+        """The next step from a state."""
+        return _step(state, region, (self.low, self.high))
+
+    def next_step(self, state: Solution, region: TrustRegion) -> tuple[Solution, DampedStep]:
+        """A new state with its scatter of the levels, and the step from there."""
+        step = self.step(state, region)
+        if not self.estimates_scatter or step.predicted_fall > MAX_FALL_SHARE_SCATTER * state.objective:
+            return state, step
+        state = state.with_scatter(state.level_scatter())
+        return state, self.step(state, region)
+
+    def at(self, p: Array, starts: list[Array], tau: float) -> Solution:
         """The solution at p, clipped to the bounds and brought to canonical form."""
         p = canonical_form(self.problem.layout, np.clip(p, self.low, self.high))
-        return _solution_at(
-            self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, self.tau
-        )
+        return _solution_at(self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, tau)
 
     def after_step(self, state: Solution, step: Array) -> Solution:
         """The solution after a step, its starts adjusted."""
         pairs = zip(state.starts, state.responses, strict=True)
-        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs])
+        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
 
     def after_trial(self, state: Solution, step: Array) -> Solution:
         """The solution after a trial step.
@@ -168,7 +189,10 @@ class _Refinement:
             if trial.objective < state.objective:
                 break
             bounds = np.where(linear, self.low, trial.p), np.where(linear, self.high, trial.p)
-            trial = self.after_step(trial, _step(trial, MIN_DAMPING, bounds)[0])
+            projection = _step(trial, TrustRegion(MIN_DAMPING), bounds)
+            if trial.objective - projection.predicted_fall >= state.objective:
+                break
+            trial = self.after_step(trial, projection.values)
         return trial
 
 
@@ -212,8 +236,8 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
         If the motion at p cannot be integrated.
 
     """
-    refinement = _make_refinement(problem, p, tau, free)
-    return _run_refinement(refinement, refinement.at(p, list(starts)), max_steps, min_fall)
+    refinement = _make_refinement(problem, p, free)
+    return _run_refinement(refinement, refinement.at(p, list(starts), tau), max_steps, min_fall)
 
 
 def refine_further(
@@ -240,10 +264,8 @@ def refine_further(
         The refined unknowns.
 
     """
-    penalty = penalty_residual(solution.problem.layout, solution.p, tau)
-    objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(penalty @ penalty)
-    state = replace(solution, tau=tau, objective=objective)
-    return _run_refinement(_make_refinement(solution.problem, solution.p, tau, free), state, max_steps, min_fall)
+    refinement = _make_refinement(solution.problem, solution.p, free)
+    return _run_refinement(refinement, solution.with_scatter(tau), max_steps, min_fall)
 
 
 def predicted_objective(
@@ -272,41 +294,44 @@ def predicted_objective(
         The solution at p.
 
     """
-    refinement = _make_refinement(problem, p, tau, free)
-    state = refinement.at(p, list(starts))
-    return state.objective - _step(state, FIRST_DAMPING, (refinement.low, refinement.high))[1], state
+    refinement = _make_refinement(problem, p, free)
+    state = refinement.at(p, list(starts), tau)
+    return state.objective - refinement.step(state, TrustRegion()).predicted_fall, state
 
 
-def _make_refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask | None) -> _Refinement:
+def _make_refinement(problem: LeastSquaresProblem, p: Array, free: Mask | None) -> _Refinement:
     """A refinement in which only the `free` unknowns may change; default all."""
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
-    return _Refinement(problem, tau, low, high, free is None)
+    return _Refinement(problem, low, high, free is None)
 
 
 def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, min_fall: float) -> Solution:
-    """Levenberg-Marquardt steps from a state until one is predicted to gain less than `min_fall`."""
-    problem, (low, high), damping = refinement.problem, (refinement.low, refinement.high), FIRST_DAMPING
-    if any(getattr(piece, "turns", False) for piece in problem.pieces):
+    """Damped steps from a state until one is predicted to gain less than `min_fall`."""
+    region = TrustRegion()
+    if any(getattr(piece, "turns", False) for piece in refinement.problem.pieces):
         min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
+    state, step = refinement.next_step(state, region)
     for _ in range(max_steps):
-        threshold = min_fall * max(1.0, state.objective / max(problem.n_frames, 1))
-        step, predicted_fall = _step(state, damping, (low, high))
-        if predicted_fall < threshold or damping > MAX_DAMPING:
+        threshold = min_fall * max(1.0, state.objective / max(refinement.problem.n_frames, 1))
+        if step.predicted_fall < threshold:
             break
         try:
-            trial = refinement.after_trial(state, step)
+            trial = refinement.after_trial(state, step.values)
         except FrictrackError:  # the motion diverges: take a shorter step
-            damping *= 100
+            region = region.after_divergence(step)
+            step = refinement.step(state, region)
             continue
-        improved = state.objective - trial.objective
-        if improved > 0:
-            state, damping = trial, max(damping * 0.01, MIN_DAMPING)
-        else:
-            damping *= 100
-        if 0 < improved < threshold and damping == MIN_DAMPING:
+        fall = state.objective - trial.objective
+        state, region, converged = (
+            trial if fall > 0 else state,
+            region.after(step, fall),
+            is_converged(step, fall, threshold),
+        )
+        if converged:
             break
+        state, step = refinement.next_step(state, region) if fall > 0 else (state, refinement.step(state, region))
     return state
 
 
@@ -317,31 +342,21 @@ def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], ta
     return Solution(problem, p, starts, tau, responses, objective)
 
 
-def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple[Array, float]:
+def _step(state: Solution, region: TrustRegion, bounds: tuple[Array, Array]) -> DampedStep:
     """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
-    n = len(state.p)
     layout = state.problem.layout
-    rows, right = triangular(state.responses, n)
+    rows, right = triangular(state.responses, len(state.p))
     rows = np.vstack([rows, penalty_jacobian(layout, state.tau, state.p)])
     right = np.concatenate([right, -penalty_residual(layout, state.p, state.tau)])
     rows[:, bounds[1] <= bounds[0]] = 0.0
-    norm = np.linalg.norm(rows, axis=0)
-    norm[norm == 0] = 1.0
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
         raise FrictrackError("the motion under this law could not be integrated; check mass, drive and units")
-    damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(n)])
-    target = np.concatenate([right, np.zeros(n)])
-    low, high = (bounds[0] - state.p) * norm, (bounds[1] - state.p) * norm
-    z = np.linalg.lstsq(damped, target, rcond=1e-13)[0]
-    if np.any(z < low) or np.any(z > high):
-        half_width = 1e-12 * (1 + np.abs(state.p)) * norm
-        z = lsq_linear(
-            damped, target, bounds=(np.minimum(low, -half_width), np.maximum(high, half_width)), method="bvls"
-        ).x
+    margin = 1e-12 * (1 + np.abs(state.p))
+    steps = np.minimum(bounds[0] - state.p, -margin), np.maximum(bounds[1] - state.p, margin)
+    found = damped_step(rows, right, steps, region)
     # the gain from the starts alone is included (r_full against r)
     start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
-    gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + start_gain
-    return z / norm, gain
+    return replace(found, predicted_fall=found.predicted_fall + start_gain)
 
 
 def fit_with_scatter(
@@ -350,10 +365,13 @@ def fit_with_scatter(
     starts: Sequence[Array],
     tau: float = 0.03,
     *,
-    max_steps: int = 20,
+    max_steps: int = MAX_STEPS_WITH_SCATTER,
     min_fall: float = MIN_CHI2_FALL,
 ) -> Solution:
-    """Refine the unknowns and the scatter of the friction levels in turn until the scatter converges.
+    """Refine the unknowns and the scatter of the friction levels together.
+
+    The estimate of the scatter hardly depends on the unknowns while these are near the optimum, because it is made from
+    the linearised model with the levels projected out. It is therefore made again after every step there.
 
     Parameters
     ----------
@@ -366,7 +384,7 @@ def fit_with_scatter(
     tau : float
         First relative standard deviation of the levels.
     max_steps : int
-        Steps per refinement.
+        Largest number of steps.
     min_fall : float
         See `refine`.
 
@@ -376,22 +394,18 @@ def fit_with_scatter(
         Unknowns at the restricted-maximum-likelihood estimate of tau.
 
     """
-    solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
-    return _with_converged_scatter(solution, max_steps, min_fall)
+    refinement = _estimating_scatter(problem, p)
+    return _run_refinement(refinement, refinement.at(p, list(starts), tau), max_steps, min_fall)
 
 
 def refit_with_scatter(solution: Solution, tau: float) -> Solution:
     """Refine an existing solution and the scatter of its levels to convergence."""
-    return _with_converged_scatter(refine_further(solution, tau), 20, MIN_CHI2_FALL)
+    refinement = _estimating_scatter(solution.problem, solution.p)
+    return _run_refinement(refinement, solution.with_scatter(tau), MAX_STEPS_WITH_SCATTER, MIN_CHI2_FALL)
 
 
-def _with_converged_scatter(solution: Solution, max_steps: int, min_fall: float) -> Solution:
-    """Alternate between the scatter of the levels and the solution at that scatter."""
-    for _ in range(MAX_SCATTER_ESTIMATES):
-        if not solution.levels_are_random or solution.problem.layout.levels_free:
-            return solution
-        old, new = solution.tau, solution.level_scatter()
-        solution = refine_further(solution, new, max_steps=max_steps, min_fall=min_fall)
-        if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
-            break
-    return solution
+def _estimating_scatter(problem: LeastSquaresProblem, p: Array) -> _Refinement:
+    """A refinement of all unknowns that estimates the scatter of the levels, where these are a random effect."""
+    layout = problem.layout
+    is_random = len(layout.levels) >= MIN_RUNS_FOR_SCATTER and not layout.levels_free
+    return replace(_make_refinement(problem, p, None), estimates_scatter=is_random)

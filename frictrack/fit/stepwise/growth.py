@@ -32,7 +32,7 @@ from frictrack.records import Array
 
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking
 TRIAL_MIN_EXCESS_SHARE = 1e-3  # the same as a share of the chi-squared beyond noise
-TRIAL_MAX_STEPS = 8  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
+TRIAL_MAX_STEPS = 16  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
 
 
 def guess_coefficients(problem: LeastSquaresProblem) -> Array:

@@ -28,7 +28,7 @@ MIN_GAIN_SHARE = 0.5  # share of the best gain
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps for every grid point, and for the best two
-ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # predicted fall of a step, share of the misfit
+ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-5  # predicted fall of a step, share of the misfit
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
@@ -78,12 +78,9 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     )
     if shared:
         return free_amplitudes
-    shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect)
-    return (
-        free_amplitudes
-        if shared_amplitude.misfit - free_amplitudes.misfit > chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1)
-        else shared_amplitude
-    )
+    limit = free_amplitudes.misfit + float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
+    shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect, limit)
+    return free_amplitudes if shared_amplitude.misfit > limit else shared_amplitude
 
 
 def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
@@ -266,9 +263,9 @@ def _trial(effect: Effect, problem: ProjectedProblem, state: SeparableSolution) 
 
 
 def _with_shared_amplitude(
-    linearised: LinearisedModel, free_amplitudes: CandidateTrial, effect: Effect
+    linearised: LinearisedModel, free_amplitudes: CandidateTrial, effect: Effect, limit: float
 ) -> CandidateTrial:
-    """The same effect with one amplitude for all runs, started at the mean of the amplitudes per run."""
+    """The same effect with one amplitude for all runs, started at the mean; refined while it may reach a misfit."""
     old = free_amplitudes.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects[:-1], effect)))
     known_values: dict[str, list[float]] = {}
@@ -276,7 +273,8 @@ def _with_shared_amplitude(
         known_values.setdefault(name, []).append(float(value))
         known_values.setdefault(name.split("[")[0], []).append(float(value))
     problem = _projected_problem(linearised, layout)
-    return _trial(effect, *_refined(problem, problem.at(np.array([np.mean(known_values[n]) for n in layout.names]))))
+    p = np.array([np.mean(known_values[n]) for n in layout.names])
+    return _trial(effect, *_refined(problem, problem.at(p), limit))
 
 
 def is_unconstrained(p: Parameter) -> bool:
