@@ -1,12 +1,6 @@
 """Fit by output-error Gauss-Newton: simulate, linearise, step, until the parameters stop changing.
 
-Steps are damped (Levenberg-Marquardt) and bounded. The scatter of the friction levels is estimated in between.
-
-References
-----------
-Levenberg, K. (1944). Quarterly of Applied Mathematics 2, 164-168.
-Marquardt, D. W. (1963). SIAM J. Appl. Math. 11, 431-441.
-
+Steps are bounded and kept within a trust region. The scatter of the friction levels is estimated in between.
 """
 
 from __future__ import annotations
@@ -19,13 +13,7 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares.few_rows import RotatedJacobian, rotated_jacobian, stacked_jacobian, triangular
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
-from frictrack.fit.least_squares.trust_region import (
-    MIN_DAMPING,
-    DampedStep,
-    TrustRegion,
-    damped_step,
-    is_converged,
-)
+from frictrack.fit.least_squares.trust_region import MIN_DAMPING, DampedStep, TrustRegion, damped_step, is_converged
 from frictrack.fit.parameters import (
     MIN_RUNS_FOR_SCATTER,
     JacobianBasis,

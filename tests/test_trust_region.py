@@ -1,0 +1,66 @@
+"""Steps within a trust region, and fits whose scatter of the levels is estimated on the way."""
+
+import numpy as np
+import pytest
+from runs import study
+
+from frictrack import fit
+from frictrack.fit.least_squares.trust_region import DampedStep, TrustRegion, damped_step, is_converged
+
+ROWS = np.array([[3.0, 0.2], [0.0, 0.01], [1.0, 0.0]])
+RIGHT = np.array([1.0, 2.0, -0.5])
+FREE = np.full(2, -np.inf), np.full(2, np.inf)
+
+
+def parabola(curvature):
+    """A step of length one with predicted fall 2, and its actual fall under a parabola of some curvature."""
+    predicted = 2.0
+    return DampedStep(np.ones(1), 1.0, predicted), 2 * predicted - curvature
+
+
+class TestDampedStep:
+    def test_without_radius_is_least_squares(self):
+        step = damped_step(ROWS, RIGHT, FREE, TrustRegion(1e-12))
+        expected = np.linalg.lstsq(ROWS, RIGHT, rcond=None)[0]
+        assert step.values == pytest.approx(expected, rel=1e-6)
+        assert step.predicted_fall == pytest.approx(RIGHT @ RIGHT - np.sum((RIGHT - ROWS @ expected) ** 2))
+
+    @pytest.mark.parametrize("share", [0.9, 0.5, 0.01])
+    def test_is_not_longer_than_the_radius(self, share):
+        whole = damped_step(ROWS, RIGHT, FREE, TrustRegion())
+        step = damped_step(ROWS, RIGHT, FREE, TrustRegion(radius=share * whole.length))
+        assert 0.4 * share * whole.length < step.length <= share * whole.length
+        assert 0 < step.predicted_fall < whole.predicted_fall
+
+    def test_stays_within_bounds(self):
+        whole = damped_step(ROWS, RIGHT, FREE, TrustRegion())
+        high = whole.values.max() / 2
+        step = damped_step(ROWS, RIGHT, (np.full(2, -1.0), np.full(2, high)), TrustRegion())
+        assert step.values.max() <= high * (1 + 1e-9)
+
+
+class TestTrustRegion:
+    def test_steps_that_hold_what_they_promise_are_not_shortened(self):
+        step, fall = parabola(2.0)
+        assert TrustRegion(radius=0.1).after(step, fall).radius > step.length
+
+    @pytest.mark.parametrize("curvature", [4.5, 8.0])
+    def test_a_failed_step_is_shortened_to_the_minimum_of_the_parabola(self, curvature):
+        step, fall = parabola(curvature)
+        assert fall < 0
+        assert TrustRegion().after(step, fall).radius == pytest.approx(2.0 / curvature)
+
+    def test_stops_only_where_the_parabola_leaves_little(self):
+        step, fall = parabola(4.5)  # its minimum lies 2^2 / 4.5 below the start
+        assert is_converged(step, fall, threshold=0.9)
+        assert not is_converged(step, fall, threshold=0.85)
+        assert not is_converged(step, 1.9, threshold=100.0)  # a good step is followed by another
+
+
+class TestScatterOfLevels:
+    def test_scatter_is_the_estimate_at_the_solution(self):
+        # levels of six runs scatter by 3 %; the fit has to end where its scatter is the estimate made there
+        runs, levels = study(sigma=1e-6, scatter=0.03, rng=np.random.default_rng(3))
+        solution = fit("tustin", runs).solution
+        assert solution.tau == pytest.approx(solution.level_scatter(), rel=0.02)
+        assert solution.tau == pytest.approx(np.std(levels, ddof=1), rel=0.3)
