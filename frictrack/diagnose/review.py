@@ -12,7 +12,14 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, candidate_grids, linearise, measured_series, scan_candidate
-from frictrack.fit.stepwise import deepen_trials, effect_for_scan, remove_effect, simulate_trial, try_effect
+from frictrack.fit.stepwise import (
+    deepen_trials,
+    effect_for_scan,
+    remove_effect,
+    simulate_trial,
+    try_effect,
+    try_known_effect,
+)
 from frictrack.records import Array
 
 MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
@@ -97,7 +104,7 @@ def _exchange_effect(
     tried_again = (
         _alternatives_at_first(first, old, evidence)
         if reduced is first.solution
-        else _alternatives(reduced, own, old, min_evidence=evidence)
+        else _alternatives(reduced, own, old, min_evidence=evidence, known=full)
     )
     best = tried_again[0] if tried_again else old
     if not _is_better(best, old, evidence):
@@ -191,8 +198,9 @@ def _alternatives(
     *,
     which: Callable[[Effect], bool] = lambda effect: True,
     min_evidence: float,
+    known: Solution | None = None,
 ) -> list[RefinedCandidate]:
-    """Effects that could replace one that was removed, best first, without new draws."""
+    """Effects that could replace one that was removed, best first, without new draws; `known` is the fit with it."""
     law = linearise(rest)
     series = measured_series(law)
     data: Array = series.coordinates[:, 0]
@@ -202,6 +210,8 @@ def _alternatives(
         scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
         if _may_reach(e, scans, min_evidence):
             trials.append(try_effect(law, e, scans, data))
+            if known is not None and e is old.effect:  # where it was, it explains something already
+                trials[-1] = min(trials[-1], try_known_effect(law, known, e), key=lambda t: t.misfit)
     p = dict.fromkeys((t.effect.name for t in trials), old.p)
     trials = deepen_trials(law, trials, min_evidence)
     return simulate_promising(law, rest, trials, p, min_evidence=min_evidence)

@@ -20,6 +20,7 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     misfit_left_by_other,
     try_effect,
+    try_known_effect,
     try_linear_effects,
 )
 
@@ -44,5 +45,6 @@ __all__ = [
     "simulate_trial",
     "ties_are_resolved",
     "try_effect",
+    "try_known_effect",
     "try_linear_effects",
 ]

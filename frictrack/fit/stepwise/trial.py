@@ -13,6 +13,7 @@ import numpy as np
 
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter
+from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout, Slot
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
@@ -28,7 +29,7 @@ MIN_GAIN_SHARE = 0.5  # share of the best gain
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps for every grid point, and for the best two
-ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-5  # predicted fall of a step, share of the misfit
+ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # predicted fall of a step, share of the misfit
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
@@ -81,6 +82,19 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     limit = free_amplitudes.misfit + float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
     shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect, limit)
     return free_amplitudes if shared_amplitude.misfit > limit else shared_amplitude
+
+
+def try_known_effect(linearised: LinearisedModel, known: Solution, effect: Effect) -> CandidateTrial:
+    """Fit a model with one more effect along the measured motion, from its values in another fit that has it."""
+    old, name = linearised.solution.problem.layout, effect.name
+    fitted = next(e for e in known.problem.model.effects if e.name == name)
+    absent = {pair for pair in known.problem.layout.absent if pair[0] == name}
+    layout = replace(old, model=old.model + fitted, absent=old.absent | absent)
+    values = dict(zip(known.problem.layout.names, known.p, strict=True))
+    values |= dict(zip(old.names, linearised.solution.p, strict=True))
+    problem = _projected_problem(linearised, layout)
+    state = problem.at(np.array([values[n] for n in layout.names]))
+    return _trial(effect, *_refined(problem, state))
 
 
 def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
