@@ -18,7 +18,7 @@ from frictrack.fit.separable.groups import NO_INDICES, Indices
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array
 
-MAX_AT_ONCE = 20  # individuals evaluated at once, so that they fit into the cache
+MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
 RIDGE = 1e-9  # relative; keeps nearly equal columns solvable
 MAX_PIVOT_ROUNDS = 6  # rounds of block pivoting
 
