@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -45,15 +46,20 @@ VAGUE = {
 }
 
 
-def words_of(name: str) -> set[str]:
+@cache
+def words_of(name: str) -> frozenset[str]:
     """The words of an identifier, in lower case."""
-    return set(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_"))
+    return frozenset(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_"))
 
 
 def names_of(tree: ast.Module) -> list[str]:
     """Every class, function and argument that a module defines."""
     named = [n.name for n in ast.walk(tree) if isinstance(n, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
     return [*named, *(n.arg for n in ast.walk(tree) if isinstance(n, ast.arg))]
+
+
+# Every name that a module defines, looked up once for all tests.
+NAMES = {module: names_of(tree) for module, tree in TREES.items()}
 
 
 def constants_of(tree: ast.Module) -> list[str]:
@@ -87,7 +93,7 @@ def test_a_public_class_name_has_one_meaning():
 @pytest.mark.parametrize("word", sorted(RETIRED))
 def test_no_name_holds_a_retired_word(word):
     files = [name for name in MODULES if word in words_of(name.rpartition(".")[2])]
-    names = [f"{module}: {name}" for module, tree in TREES.items() for name in names_of(tree) if word in words_of(name)]
+    names = [f"{module}: {name}" for module, own in NAMES.items() for name in own if word in words_of(name)]
     assert files + names == []
 
 

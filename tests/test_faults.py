@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaigns import campaign, contents, results
+from repeats import few_or_many
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, verify
@@ -104,12 +105,16 @@ def run(folder: Path) -> tuple[str | Path, ...]:
     return "run", folder / "day_1" / "study.toml"
 
 
+def fitting(folder: Path) -> tuple[str | Path, ...]:
+    return "fit", folder / "day_1" / "study.toml"
+
+
 def batch(folder: Path) -> tuple[str | Path, ...]:
     return "batch", folder, "-o", folder / "all", "--workers", "2"
 
 
 def test_what_is_killed_goes_on(tmp_path: Path) -> None:
-    survives(lambda folder: campaign(folder, 1), tmp_path, run, 3, 0)
+    survives(lambda folder: campaign(folder, 1), tmp_path, fitting, 2, 0)
 
 
 @pytest.mark.slow
@@ -228,11 +233,14 @@ def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"a.txt", live.name, fresh.name}
 
 
-def test_several_at_once_come_to_what_one_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("words", "people"), few_or_many((fitting, 2), (run, 3)))
+def test_several_at_once_come_to_what_one_does(
+    tmp_path: Path, words: Callable[[Path], tuple[str | Path, ...]], people: int
+) -> None:
     """Two people begin the same study: one works, the others wait and find all done."""
     calm, folder = campaign(tmp_path / "calm", 1), campaign(tmp_path / "c", 1)
-    done(calm, *run(calm))
-    together = [command(*run(folder)) for _ in range(3)]
-    assert [process.wait(300) for process in together] == [0, 0, 0]
+    done(calm, *words(calm))
+    together = [command(*words(folder)) for _ in range(people)]
+    assert [process.wait(300) for process in together] == [0] * people
     assert results(folder) == results(calm)
     assert verify([folder])["sound"]

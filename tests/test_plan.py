@@ -38,7 +38,10 @@ LAW = ["coulomb", "stribeck", "viscous"]
 
 @pytest.fixture(scope="module")
 def run_plan():
-    return choose_runs(default_setup(MASS, FPS, PITCH))
+    begin = time.process_time()
+    chosen = choose_runs(default_setup(MASS, FPS, PITCH))
+    assert time.process_time() - begin < 60
+    return chosen
 
 
 @pytest.fixture(scope="module")
@@ -180,10 +183,12 @@ def before(tmp_path):
     return path
 
 
-def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys):
-    begin = time.process_time()
+def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys, monkeypatch, run_plan):
+    """The command asks for a plan of the very set-up that `run_plan` has planned already."""
+    asked = []
+    monkeypatch.setattr("frictrack.plan.choose_runs", lambda setup, progress: asked.append(setup) or run_plan)
     main_ok(["plan", str(before), "--json"])
-    assert time.process_time() - begin < 60
+    assert [repr(setup) for setup in asked] == [repr(run_plan.setup)]
     found = json.loads(capsys.readouterr().out)
     assert found["runs"]
     assert found["runs"][0].keys() >= {"what", "speed", "mass", "incline_deg", "separates", "adds", "pairs_left"}
