@@ -82,10 +82,9 @@ class BlockSums:
         return np.asarray(self.gram + self.coordinates @ left @ self.coordinates.transpose(0, 2, 1))
 
     def from_coordinates(self, projected: Products) -> Products:
-        """Products (G, k, D) of the coordinates over `scale` with the projected ones (L, D) of the series."""
+        """Products (G, k, D) of the coordinates over `scale` with the projected ones (L_b, D) of the series."""
         scaled = (self.coordinates / self.scale[:, :, None]).reshape(-1, len(self.rows))
-        of_rows = projected[self.rows]
-        return np.matmul(scaled, of_rows, dtype=projected.dtype, casting="same_kind").reshape(*self.scale.shape, -1)
+        return np.matmul(scaled, projected, dtype=projected.dtype, casting="same_kind").reshape(*self.scale.shape, -1)
 
 
 @dataclass(eq=False)

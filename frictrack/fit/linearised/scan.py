@@ -177,12 +177,12 @@ class _SeriesGains:
             total.add(blocks, sums, every[..., mine.start : mine.stop])
         for t, total in self._of_data.items():
             projected = self._series.residual_projectors[t] @ self._series.coordinates[:, :1]
-            of_data = [(s.data / s.scale)[:, :, None] + s.from_coordinates(projected) for s in sums]
+            of_data = [(s.data / s.scale)[:, :, None] + s.from_coordinates(projected[s.rows]) for s in sums]
             total.add(blocks, sums, self._within_bounds(np.stack(of_data, axis=1)))
 
     def _at_scatter(self, sums: Sequence[BlockSums], products: Products, t: int) -> Products:
         """Products with what the model leaves at scatter `t`; of a column that it absorbs less than 1e-7 is left."""
-        across: Array = np.stack([s.from_coordinates(self._series.projected_at(t)) for s in sums], axis=1)
+        across: Array = np.stack([s.from_coordinates(self._series.projected_at(t, s.rows)) for s in sums], axis=1)
         return self._within_bounds(np.asarray(products + across, dtype=np.float32))
 
     def _within_bounds(self, products: Products) -> Products:

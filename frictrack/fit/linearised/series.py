@@ -95,9 +95,9 @@ class ScannedSeries:
             self._coupled[t] = _shared_columns(np.eye(len(levels)) - self.residual_projectors[t] - levels @ levels.T)
         return Absorbed([_left_by(levels[coordinate_rows(law, block)]) for block in blocks], self._coupled[t])
 
-    def projected_at(self, t: int) -> Array:
-        """Compute what the model leaves of the coordinates at scatter `t`, (L, D)."""
-        return np.asarray(self.residual_projectors[t] @ self.coordinates)
+    def projected_at(self, t: int, rows: NDArray[np.int_]) -> Array:
+        """Compute what the model leaves of some rows of the coordinates at scatter `t`, (rows, D)."""
+        return np.asarray(self.residual_projectors[t][rows] @ self.coordinates)
 
     @cached_property
     def projected(self) -> Float32Array:
