@@ -31,10 +31,12 @@ from frictrack.diagnose.experiments import (
 )
 from frictrack.diagnose.experiments.advice_text import describe_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
-from frictrack.diagnose.experiments.virtual_runs import RunDesign, simulate_run
+from frictrack.diagnose.experiments.rival_runs import RivalOfAllRuns
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import fit
+from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
 from frictrack.report import tables
@@ -130,6 +132,46 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
         # a tie of the amplitudes is all that tells them apart: a rival with one per run pays for four more
         frames = sum(len(p.t) for p in shake.solution.problem.pieces)
         assert 10 < discrimination.expected_delta_bic_after(heavy) < 4 * np.log(2 * frames)
+
+
+def test_a_rival_far_from_its_fit_leaves_what_the_simulated_one_leaves():
+    law = {"coulomb": {"F_c": 1.2}, "viscous": {"F_v": 0.4}}
+    specs = tuple(Spec(v, 1, 0.125) for v in (2.0, 3.0, 3.5))
+    runs, _ = study(models.of(law), law, specs=specs, sigma=SIGMA)
+    bare = fit(["coulomb"], runs).solution
+    viscous, drift = (make_explanation(n, add_effect(bare, effects.get(n)), bare) for n in ("viscous", "drift"))
+    pair = ModelDiscrimination(viscous, drift)
+    half = next(e.design for e in candidate_experiments(bare) if e.key == "half mass")
+    expected = simulated_objective(pair, half)
+    assert expected > 1e4  # the friction levels of the present runs change by tens of per cent
+    assert pair.expected_delta_bic_after(half) == pytest.approx(expected, rel=0.01)
+
+
+def simulated_objective(pair, design):
+    """What the rival leaves of the present runs and a planned one, all of them simulated (same number of unknowns)."""
+    rival, truth = pair.fitted_rival, pair.truth.solution
+    piece = simulate_run(truth, design)
+    layout, p = extend_layout(rival, truth.problem.layout.span, design.phase)
+    problem = LeastSquaresProblem(layout.model, layout, [*rival.problem.pieces, piece])
+    starts = [*rival.starts, np.array(design.start)]
+    return refine(problem, p, starts, tau=expected_scatter(truth, len(layout.run_names)), max_steps=100).objective
+
+
+def test_a_present_run_does_not_tell_the_scale_of_its_friction_level():
+    runs = runs_with("drag", {"c": 0.05}, (3.0, 4.0, 4.4))
+    solution = fit(LAW, runs).solution
+    layout, p = solution.problem.layout, solution.p.copy()
+    p[layout.levels] *= 1.25
+    p[layout.index("coulomb", "F_c")] /= 1.25
+    rival = RivalOfAllRuns((solution, solution.responses), layout)
+    for scaled, fitted in zip(rival.evaluate(p, solution.starts), solution.responses, strict=True):
+        np.testing.assert_allclose(scaled.r, fitted.r, rtol=0, atol=1e-6)
+    one, step = rival.evaluate(p, solution.starts)[0], 1e-6
+    for k, i in enumerate(one.active):  # slopes by differences
+        moved = rival.evaluate(p + step * np.eye(len(p))[i], solution.starts)[0]
+        np.testing.assert_allclose(
+            (one.r - moved.r) / step, one.jac[:, k], rtol=1e-4, atol=1e-4 * np.abs(one.jac).max()
+        )
 
 
 def test_the_planned_run_is_the_one_that_the_law_makes():

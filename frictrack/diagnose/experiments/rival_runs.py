@@ -1,15 +1,15 @@
 """Fit a rival explanation to the present runs and to a planned run that another explanation predicts, without noise.
 
-The present runs answer linearly about the fitted rival. In the planned run the rival is linearised along the motion
-that it would have to reproduce, by one Newton step from there, so that no motion is integrated.
+The present runs answer linearly to the forces of the fitted rival: to every coefficient, times the friction level of
+the run if it carries the load. In the planned run the rival is linearised along the motion that it would have to
+reproduce, by one Newton step from there, so that no motion is integrated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.parameters import LEVEL, ParameterLayout
 from frictrack.fit.segments import Piece
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, linearise_acceleration
 
 THREE_PHASES = 2 * np.pi * np.arange(3) / 3  # rad; they determine a constant, a cosine and a sine
@@ -91,8 +91,67 @@ class RivalOfPlannedRun(LeastSquaresProblem):
         return piece.with_clock(self.model.clock(self.layout.values(p, piece.run)[0]))
 
 
+@dataclass(frozen=True, eq=False)
+class _PresentRun:
+    """Response of one present run about the fitted rival.
+
+    The force depends on the products of the friction level and the coefficients that carry the load, so that the run
+    answers linearly to these products.
+
+    Attributes
+    ----------
+    response : PieceResponse
+        Response about `p`, with the friction level among its A unknowns if the layout has one.
+    p : array of shape (A,)
+        Unknowns of the fitted rival.
+    phases, loaded, level : array of bool, shape (A,)
+        Which unknowns are phases, coefficients that carry the load, and the friction level.
+
+    """
+
+    response: PieceResponse
+    p: Array
+    phases: Mask
+    loaded: Mask
+    level: Mask
+
+    def at(self, p: Array) -> PieceResponse:
+        """The response at other unknowns p (P,) of the rival."""
+        change = self._change(p)
+        ratio = 1.0 + float(np.sum(change[self.level] / self.p[self.level]))
+        scale, loads = np.where(self.loaded, ratio, 1.0), change * self.loaded
+        jac = self.response.jac * scale
+        jac[:, self.level] += (self.response.jac @ loads)[:, None] / self.p[self.level]
+        residual = self.response.r - self.response.jac @ (change * scale)
+        return replace(self.response, jac=jac, r=residual, r_full=residual)
+
+    def _change(self, p: Array) -> Array:
+        """Change (A,) of the unknowns; phases change by less than half a turn."""
+        change = p[self.response.active] - self.p
+        return np.where(self.phases, (change + np.pi) % (2 * np.pi) - np.pi, change)
+
+
+def _present_run(response: PieceResponse, about: Solution, layout: ParameterLayout) -> _PresentRun:
+    """A present run under a layout that may have more runs, values per run, or friction levels that `about` lacks."""
+    active, p = _positions(about.problem.layout, layout, response), about.p[response.active]
+    known = {(e.name, q.name): q for e in layout.model.effects for q in e.parameters}
+    parameters = [known.get((s.effect, s.parameter)) for s in (layout.slots[i] for i in active)]
+    loaded = np.array([q is not None and q.loaded for q in parameters], dtype=bool)
+    phases = np.array([q is not None and q.role == "phase" for q in parameters], dtype=bool)
+    if missing := [i for i in layout.levels if layout.slots[i].run == response.piece.run and i not in active]:
+        response, active, p = _with_level(response, p * loaded), [*active, *missing], np.append(p, 1.0)
+        loaded, phases = np.append(loaded, False), np.append(phases, False)
+    return _PresentRun(replace(response, active=active), p, phases, loaded, np.isin(active, layout.levels))
+
+
+def _with_level(response: PieceResponse, loads: Array) -> PieceResponse:
+    """The response with a friction level, now one, on all coefficients that carry the load; `loads` (A,) are these."""
+    jac, on_start = (np.column_stack([m, m @ loads]) for m in (response.jac, response.on_start))
+    return replace(response, jac=jac, on_start=on_start)
+
+
 class RivalOfAllRuns(LeastSquaresProblem):
-    """The present runs, which answer linearly about the fitted rival, and a planned run if there is one."""
+    """The present runs, which answer linearly to the forces of the fitted rival, and a planned run if there is one."""
 
     def __init__(
         self,
@@ -100,30 +159,15 @@ class RivalOfAllRuns(LeastSquaresProblem):
         layout: ParameterLayout,
         planned: RivalOfPlannedRun | None = None,
     ) -> None:
-        (self._about, self._responses), self._planned = present, planned
+        about, responses = present
         own = [] if planned is None else planned.pieces
-        super().__init__(layout.model, layout, [*(r.piece for r in self._responses), *own])
-        self._positions = [_positions(self._about.problem.layout, layout, r) for r in self._responses]
+        super().__init__(layout.model, layout, [*(r.piece for r in responses), *own])
+        self._present, self._planned = [_present_run(r, about, layout) for r in responses], planned
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Residuals and sensitivities of all runs at unknowns p (P,)."""
-        present = [self._respond_linearly(i, p) for i in range(len(self._responses))]
+        present = [run.at(p) for run in self._present]
         return present if self._planned is None else [*present, self._planned.respond(p, starts[-1])]
-
-    def _respond_linearly(self, i: int, p: Array) -> PieceResponse:
-        linear, active = self._responses[i], self._positions[i]
-        residual = linear.r - linear.jac @ self._change(p[active] - self._about.p[linear.active], active)
-        return replace(linear, active=active, r=residual, r_full=residual)
-
-    def _change(self, change: Array, active: list[int]) -> Array:
-        """Change of unknowns; phases change by less than half a turn."""
-        phases = np.array([self._is_phase[k] for k in active], dtype=bool)
-        return np.where(phases, (change + np.pi) % (2 * np.pi) - np.pi, change)
-
-    @cached_property
-    def _is_phase(self) -> list[bool]:
-        roles = _roles(self.layout)
-        return [roles.get((s.effect, s.parameter)) == "phase" for s in self.layout.slots]
 
 
 def _roles(layout: ParameterLayout) -> dict[tuple[str, str], str]:
@@ -139,9 +183,8 @@ def _positions(old: ParameterLayout, new: ParameterLayout, response: PieceRespon
 
 
 def refine_rival(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
-    """Refine all unknowns; levels are not normalised, because the present runs are linear in them."""
-    free = np.ones(len(p), dtype=bool)
-    return refine(problem, p, starts, tau=tau, free=free, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
+    """Refine all unknowns of a rival as far as the choice of a run needs."""
+    return refine(problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 
 
 def compress_response(response: PieceResponse) -> PieceResponse:
