@@ -1,5 +1,7 @@
 """The separable engine: along a measured motion coefficients are linear. Truth from closed forms and from scipy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -52,6 +54,11 @@ def along(model, data, sigma=1.0):
 def numbers(made, state):
     p = made.law(state.nonlinear_values, state.coefficients)
     return dict(zip(made.layout.names, p, strict=True))
+
+
+def cut(path, n):
+    """The first n samples of a path."""
+    return replace(path, t=path.t[:n], x=path.x[:n], v=path.v[:n], s=path.s[:n])
 
 
 def best(model, data, start):
@@ -266,6 +273,31 @@ class TestPopulations:
         laws = reduced.law(some)
         assert reduced(some) == pytest.approx(_one_by_one(made, laws, data), rel=1e-7)
         assert np.all(reduced(some) <= full(points) * (1 + 1e-9))
+
+    def test_runs_of_other_length_load_and_mass_are_evaluated_together(self):
+        law = models.atm1(1) + "slope"
+        ties = {"viscous": {"F_v": {"tie": "0.2*coulomb.F_c"}}}
+        law = models.Model(tuple(e.adjusted(**ties.get(e.name, {})) for e in law.effects))
+        heavy = replace(cut(PATH, 400), load=1.7, mass_ratio=2.0)
+        paths = (PATH, heavy, cut(PATH, 500))
+        made = ParameterLayout(law, ("a", "b", "c"), (SPAN,) * 3)
+        rng = np.random.default_rng(3)
+        data = [rng.normal(0, 5, len(path.t)) for path in paths]
+        blocks = [force_block(run, path, y, 0.5) for run, (path, y) in enumerate(zip(paths, data, strict=True))]
+        misfit = PopulationMisfit(made, blocks, tau=0.03)
+        points = np.abs(rng.normal(1, 0.3, (6, len(misfit.searched))))
+        found, levels = misfit.evaluate(points)
+        p = misfit.full_vectors(points)
+        p[:, made.levels] = levels
+        for i in range(len(p)):
+            values = [made.values(p[i], run) for run in range(3)]
+            forces = [
+                law.force(replace(path, load=path.load * level), own)
+                for path, (own, level) in zip(paths, values, strict=True)
+            ]
+            expected = sum(np.sum(((y - f) / 0.5) ** 2) for y, f in zip(data, forces, strict=True))
+            assert found[i] == pytest.approx(expected + np.sum(((levels[i] - 1) / 0.03) ** 2), rel=1e-9)
+        assert np.ptp(levels) > 1e-3
 
     def test_phases_are_not_searched(self):
         made = ReducedPopulationMisfit(layout("atm1:2"), [force_block(0, PATH, np.zeros(N), 1.0)])

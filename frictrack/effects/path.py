@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Path:
     begin: Array | None = None  # that of the effect at hand, (P, k)
     runs: tuple[Path, ...] = ()  # the path of each run, if it joins several; their motion is not that of this path
 
-    @property
+    @cached_property
     def speed(self) -> Array:
         """|v| along the direction of motion, never below zero."""
         return np.maximum(self.s * self.v, 0.0)

@@ -22,7 +22,7 @@ from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solu
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.linearised.stacked_pieces import ForceMap, stack_blocks
 from frictrack.fit.parameters import JacobianBasis
-from frictrack.fit.separable import BlockStack, DataBlock, path_at_compared, rows_at_compared
+from frictrack.fit.separable import BlockStack, DataBlock, path_at_compared, rows_at_compared, tiled_path
 from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
@@ -198,12 +198,7 @@ class LinearisedPiece:
         """One path through the individuals of a population laid end to end."""
         n = len(path.t)
         if (count, n) not in self._tiled:
-            tiled: dict[str, Any] = {
-                name: np.tile(value, count)
-                for name, value in vars(path).items()
-                if isinstance(value, np.ndarray) and value.shape == (n,)
-            }
-            self._tiled[count, n] = replace(path, starts=tuple(range(0, n * count, n)), **tiled)
+            self._tiled[count, n] = tiled_path(path, count)
         return self._tiled[count, n]
 
 

@@ -29,7 +29,7 @@ from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
 from frictrack.fit.separable.scan_tables import is_scannable
-from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path
+from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path, tiled_path
 from frictrack.fit.separable.varpro import VariableProjection
 
 __all__ = [
@@ -50,5 +50,6 @@ __all__ = [
     "joined_path",
     "path_at_compared",
     "rows_at_compared",
+    "tiled_path",
     "variable_projection",
 ]

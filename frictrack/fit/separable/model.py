@@ -256,18 +256,31 @@ class SeparableModel:
                 rows *= np.where(carried[:, None], np.repeat(scale, stack.lengths), 1.0)
         return rows
 
+    def load_factors(self, g: int, stack: BlockStack) -> Array:
+        """Return what the joined path of a stack leaves out of the columns of a group, (B, k): loads and mass ratios.
+
+        A sinusoid has one column here, at its phase.
+        """
+        loaded, heavy = (carried[: len(carried) // self._quadratures(g)] for carried in self._carried_by(g))
+        loads, masses = (np.array(values)[:, None] for values in (stack.loads, stack.mass_ratios))
+        return np.asarray(np.where(loaded, loads, 1.0) * np.where(heavy, masses, 1.0))
+
+    def _quadratures(self, g: int) -> int:
+        """Rows of a group per linear parameter."""
+        return len(QUADRATURES) if self.groups[g].is_sinusoid else 1
+
     def _carried_by(self, g: int) -> tuple[Mask, Mask]:
         """Which columns of a group carry the normal load of the run, and which its mass."""
         group = self.groups[g]
         columns = [(p.loaded, e.scales_with == "mass") for e in group.model.effects for p in e.linear]
-        loaded, heavy = np.array(columns * (len(QUADRATURES) if group.is_sinusoid else 1), dtype=bool).reshape(-1, 2).T
+        loaded, heavy = np.array(columns * self._quadratures(g), dtype=bool).reshape(-1, 2).T
         return loaded, heavy
 
     def _parts(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Iterator[Array]:
         group = self.groups[g]
         forward = stack.picture if group.is_measurement else stack.forward
         if not group.is_sinusoid:
-            yield forward(self._unit_rows(g, stack, nonlinear_values, level))
+            yield forward(self.unit_rows(g, stack, nonlinear_values, level))
             return
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         effect = group.model.effects[0]
@@ -292,11 +305,21 @@ class SeparableModel:
         """Name of the phase of a sinusoid."""
         return next(q.name for q in self.groups[g].model.effects[0].nonlinear if q.role == "phase")
 
-    def unit_rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Compute rows (Q, k, n) along block b per unit of every linear parameter, N or m; sinusoids at their phase."""
-        return self._unit_rows(g, self._single_blocks[b], nonlinear_values[:, None], level)
+    def unit_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float = 1.0) -> Array:
+        """Compute rows (Q, k, n) along a stack per unit of every linear parameter, N or m; sinusoids at their phase.
 
-    def _unit_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
+        Parameters
+        ----------
+        g : int
+            Index of the group.
+        stack : BlockStack
+            B blocks.
+        nonlinear_values : array of shape (Q, B, P)
+            Parameter vectors of Q individuals in every block.
+        level : float
+            Friction level.
+
+        """
         group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
         values = self._values(g, stack, nonlinear_values[:p])

@@ -7,18 +7,19 @@ least-squares value, with a penalty about one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, prior_misfit
+from frictrack.fit.parameters import LEVEL, ParameterLayout, prior_misfit
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.groups import NO_INDICES, Indices
 from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.population_forces import PopulationForces
 from frictrack.records import Array
 
 MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
+MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in the cache of the processor
 RIDGE = 1e-9  # relative; keeps nearly equal columns solvable
 MAX_PIVOT_ROUNDS = 6  # rounds of block pivoting
 
@@ -47,13 +48,12 @@ class PopulationMisfit:
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
     ) -> None:
-        self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
+        self.layout, self.tau, self.unit = layout, tau, unit
+        self._forces = PopulationForces(layout, blocks)
+        self.separable = self._forces.separable
         runs = {None, *self.separable.runs}
         self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
-        self._constant = [
-            {g: self.separable.rows(g, b, np.zeros((1, len(layout.slots))))[0] for g in self._constant_groups()}
-            for b in range(len(self.separable.blocks))
-        ]
+        self._by_run = _RunSums(self.separable.run_of_datum)
 
     @property
     def blocks(self) -> list[DataBlock]:
@@ -62,7 +62,7 @@ class PopulationMisfit:
 
     def __call__(self, points: Array) -> Array:
         """Compute the misfits (Q,) of points (Q, d)."""
-        return _in_chunks(points, lambda some: self.evaluate(some)[0])
+        return _in_chunks(points, lambda some: self.evaluate(some)[0], self.separable.size)
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Compute misfits and friction levels.
@@ -81,21 +81,14 @@ class PopulationMisfit:
 
         """
         full_vectors = self.full_vectors(points)
-        total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
         levels = np.ones((len(points), len(self.layout.run_names)))
         with np.errstate(over="ignore", invalid="ignore"):
-            for run in self.separable.runs:
-                parts = [
-                    self._explained_data(b, full_vectors)
-                    for b, block in enumerate(self.separable.blocks)
-                    if block.run == run
-                ]
-                data = np.concatenate([block.data for block in self.separable.blocks if block.run == run])
-                dry, other = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
-                cost, levels[:, run] = _with_best_level(
-                    data - dry - other, dry, self.tau if self.layout.levels else None
-                )
-                total += cost
+            dry, other = self._forces.explained_data(full_vectors)
+            residual = self.separable.data - dry - other
+            cost, levels[:, self.separable.runs] = self._by_run.with_best_levels(
+                residual, dry, self.tau if self.layout.levels else None
+            )
+        total = cost + sum(b.rest for b in self.separable.blocks)
         if self.layout.priors:
             total += prior_misfit(self.layout, full_vectors)
         return total * self.unit, levels
@@ -110,69 +103,6 @@ class PopulationMisfit:
         out[:, self.searched] = points
         return out
 
-    def _constant_groups(self) -> list[int]:
-        """Groups whose columns are the same for every individual."""
-        return [
-            g for g, group in enumerate(self.separable.groups) if not group.nonlinear_slots and not group.phase_slots
-        ]
-
-    def _explained_data(self, b: int, full_vectors: Array) -> tuple[Array, Array]:
-        """Modelled data of one block, (Q, m) each: the part that follows the friction level, and the rest."""
-        separable, block = self.separable, self.separable.blocks[b]
-        sums: dict[tuple[bool, bool], Array] = {}  # pictured, loaded: force or shift (P, n)
-        dry, other = np.zeros((len(full_vectors), len(block.data))), np.zeros((len(full_vectors), len(block.data)))
-        for g, group in enumerate(separable.groups):
-            sizes, loaded = self._linear_values(g, block.run, full_vectors)
-            follows_level = loaded & bool(self.layout.levels)
-            if g in self._constant[b]:
-                dry += sizes * follows_level @ self._constant[b][g]
-                other += sizes * ~follows_level @ self._constant[b][g]
-                continue
-            rows = separable.unit_rows(g, b, full_vectors)
-            for which in (follows_level, ~follows_level):
-                if which.any():
-                    key = group.is_measurement, bool(follows_level[which][0])
-                    total = sizes[:, 0, None] * rows[:, 0] if which.all() and len(which) == 1 else None
-                    if total is None:
-                        total = np.einsum("pk,pkn->pn", sizes[:, which], rows[:, which])
-                    sums[key] = sums[key] + total if key in sums else total
-        for (is_measurement, levelled_sum), total in sums.items():
-            mapped = (block.picture if is_measurement else block.forward)(total)
-            if levelled_sum:
-                dry += mapped
-            else:
-                other += mapped
-        return dry, other
-
-    def _linear_values(self, g: int, run: int, full_vectors: Array) -> tuple[Array, Any]:
-        """Values (Q, k) of the linear parameters of a group in one run, and which of them follow the level."""
-        effects = self.separable.groups[g].model.effects
-        pairs = [(e, q) for e in effects for q in e.linear]
-        values = self._values(run, full_vectors) if self.layout.constraints else None
-        out = np.zeros((len(full_vectors), len(pairs)))
-        for j, (e, q) in enumerate(pairs):
-            i = self.separable.position(e.name, q.name, run)
-            if i is not None:
-                out[:, j] = full_vectors[:, i]
-            elif values is not None:
-                out[:, j] = values[e.name][q.name]
-            else:
-                out[:, j] = self.layout.fixed.get((e.name, q.name), 0.0)
-        return out, np.array([q.loaded for _, q in pairs], dtype=bool)
-
-    def _values(self, run: int, full_vectors: Array) -> dict[str, dict[str, Any]]:
-        """Every parameter in one run, (Q,) each, constraints applied."""
-        model = self.layout.model
-        values: dict[str, dict[str, Any]] = {e.name: {q.name: 0.0 for q in e.parameters} for e in model.effects}
-        for (effect, name), value in self.layout.fixed.items():
-            values[effect][name] = value
-        for i in self.layout.active(run):
-            slot = self.layout.slots[i]
-            if slot.effect != LEVEL:
-                values[slot.effect][slot.parameter] = full_vectors[:, i]
-        apply_constraints(model, self.layout.constraints, values)
-        return values
-
 
 class ReducedPopulationMisfit:
     """Misfit over the non-linear parameters. Called with points (Q, d), it returns misfits (Q,).
@@ -186,6 +116,7 @@ class ReducedPopulationMisfit:
     ) -> None:
         self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
         separable = self.separable
+        self._by_run = _RunSums(separable.run_of_datum)
         self.searched = separable.free
         self._varying_groups = [g for g, group in enumerate(separable.groups) if group.nonlinear_slots]
         constant = [
@@ -213,7 +144,7 @@ class ReducedPopulationMisfit:
 
     def __call__(self, points: Array) -> Array:
         """Compute the misfits (Q,) of points (Q, d)."""
-        return _in_chunks(points, lambda some: self.evaluate(some)[0])
+        return _in_chunks(points, lambda some: self.evaluate(some)[0], self.separable.size)
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Compute misfits (Q,) and friction levels (Q, R) of points (Q, d)."""
@@ -223,13 +154,10 @@ class ReducedPopulationMisfit:
             gram_times_c = (gram @ c[:, :, None])[:, :, 0]
             cost = self._square - 2 * np.einsum("pk,pk->p", c, right) + np.einsum("pk,pk->p", c, gram_times_c)
             return np.maximum(cost, 0.0) * self.unit, levels
-        total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
-        for run in self.separable.runs:
-            dry, other = self._explained_data(run, c, varying_rows)
-            data = np.concatenate([b.data for b in self.separable.blocks if b.run == run])
-            cost, levels[:, run] = _with_best_level(data - dry - other, dry, self.tau)
-            total += cost
-        return total * self.unit, levels
+        dry, other = self._explained_data(c, varying_rows)
+        residual = self.separable.data - dry - other
+        cost, levels[:, self.separable.runs] = self._by_run.with_best_levels(residual, dry, self.tau)
+        return (cost + sum(b.rest for b in self.separable.blocks)) * self.unit, levels
 
     def coefficients(self, points: Array) -> Array:
         """Compute the coefficients (Q, K) of points (Q, d)."""
@@ -277,14 +205,12 @@ class ReducedPopulationMisfit:
         gram[:, self._constant_groups[:, None], at] += flat[:, :, :-1].transpose(0, 2, 1)
         gram[:, at[:, None], at] += rows @ rows.transpose(0, 2, 1)
 
-    def _explained_data(self, run: int, c: Array, varying_rows: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
-        """Modelled data of one run, (Q, m) each: the part that follows the level, and the rest."""
+    def _explained_data(self, c: Array, varying_rows: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
+        """Modelled data of all runs, (Q, N) each: the part that follows the level of the run, and the rest."""
         separable = self.separable
         loaded = np.array([k.loaded for k in separable.coefficients], dtype=bool)
         parts = []
-        for b, block in enumerate(separable.blocks):
-            if block.run != run:
-                continue
+        for b in range(len(separable.blocks)):
             sides = [
                 c[:, self._constant_groups]
                 * w[self._constant_groups]
@@ -299,13 +225,41 @@ class ReducedPopulationMisfit:
         return dry, other
 
 
-def _with_best_level(residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array]:
-    """Squared residuals (Q,) of one run at its best level 1 + d, and the level; d has standard deviation tau."""
-    if tau is None:
-        return np.einsum("pm,pm->p", residual, residual), np.ones(len(residual))
-    d = np.sum(dry * residual, axis=1) / (np.sum(dry**2, axis=1) + tau**-2)
-    left = residual - d[:, None] * dry
-    return np.einsum("pm,pm->p", left, left) + (d / tau) ** 2, 1 + d
+class _RunSums:
+    """Sums over the data of every run.
+
+    Parameters
+    ----------
+    run_of_datum : array of int, shape (N,)
+        The run of every datum.
+
+    """
+
+    def __init__(self, run_of_datum: Indices) -> None:
+        self._first = np.flatnonzero(np.diff(run_of_datum, prepend=-1))  # of every stretch of one run
+        _, self._run = np.unique(run_of_datum[self._first], return_inverse=True)
+        self._lengths = np.diff([*self._first, len(run_of_datum)])
+        self._sorted = np.array_equal(self._run, np.arange(len(self._run)))
+
+    def of(self, values: Array) -> Array:
+        """Sum values (Q, N) over every run, (Q, R)."""
+        stretches: Array = np.add.reduceat(values, self._first, axis=1)
+        return stretches if self._sorted else stretches @ (self._run[:, None] == np.arange(self._run.max() + 1))
+
+    def spread(self, values: Array) -> Array:
+        """Repeat values (Q, R) of every run over its data, (Q, N)."""
+        return np.repeat(values[:, self._run], self._lengths, axis=1)
+
+    def with_best_levels(self, residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array | float]:
+        """Sum squared residuals (Q,) with every run at its best level, and return the levels (Q, R).
+
+        A level is 1 + d; d has standard deviation tau. The residuals (Q, N) are those at level one.
+        """
+        if tau is None:
+            return np.einsum("pm,pm->p", residual, residual), 1.0
+        d = self.of(dry * residual) / (self.of(dry * dry) + tau**-2)
+        left = residual - self.spread(d) * dry
+        return np.einsum("pm,pm->p", left, left) + np.sum((d / tau) ** 2, axis=1), 1 + d
 
 
 def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
@@ -349,6 +303,8 @@ def _pivot_on_bounds(unit: Array, right: Array, low: Array, high: Array) -> Arra
     return np.clip(c, low, high)
 
 
-def _in_chunks(points: Array, cost: Any) -> Array:
-    parts = np.array_split(points, max(1, -(-len(points) // MAX_AT_ONCE)))
+def _in_chunks(points: Array, cost: Callable[[Array], Array], size: int) -> Array:
+    """Costs of points, as many at once as keep arrays of `size` values each short."""
+    at_once = min(MAX_AT_ONCE, max(1, MAX_VALUES_AT_ONCE // size))
+    parts = np.array_split(points, max(1, -(-len(points) // at_once)))
     return np.concatenate([cost(part) for part in parts])

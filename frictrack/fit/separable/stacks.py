@@ -6,8 +6,9 @@ run. A path that is shorter than the longest is extended at its last state; the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -80,7 +81,7 @@ class BlockStack:
         if count == 1:
             return path
         if (count, n) not in self._tiled:
-            self._tiled[count, n] = tiled_path(path, count, len(self.members))
+            self._tiled[count, n] = tiled_path(path, count)
         return self._tiled[count, n]
 
     def repeat_values(self, values: Array, samples: int, is_depth: bool) -> Any:
@@ -90,35 +91,37 @@ class BlockStack:
         """
         if values.size == 1 or (values == values[0, 0]).all():
             return float(values[0, 0])
-        repeated = np.repeat(values.ravel(), samples // len(self.members))
+        each = np.diff([*self.path.starts, samples]) if len(self.members) > 1 else samples
+        repeated = np.repeat(values, each, axis=1).ravel()
         return repeated[:, None] if is_depth else repeated
 
 
-def tiled_path(path: Path, count: int, members: int = 1) -> Path:
-    """Return a path of `members` stretches of equal length, `count` times end to end."""
+def tiled_path(path: Path, count: int) -> Path:
+    """Return a path of one or several stretches `count` times end to end."""
     n = len(path.t)
     repeated: dict[str, Any] = {
-        name: np.tile(value, count)
-        for name, value in vars(path).items()
-        if isinstance(value, np.ndarray) and value.shape == (n,)
+        one.name: np.tile(value, count)
+        for one in fields(path)
+        if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
     }
-    return replace(path, starts=tuple(range(0, n * count, n // members)), **repeated)
+    return replace(path, starts=tuple(n * i + start for i in range(count) for start in path.starts), **repeated)
 
 
-def joined_path(paths: Sequence[Path], n: int) -> Path:
-    """Lay paths of at most n samples end to end, each extended to n samples at its last state.
+def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
+    """Lay paths end to end, each extended to n samples at its last state; by default as they are.
 
     The paths must agree in all that `are_stackable` compares. Load and mass are those of the reference.
     """
+    lengths = [n or len(p.t) for p in paths]
     series: dict[str, Any] = {
-        name: np.concatenate([_extended(getattr(p, name), n) for p in paths])
+        name: np.concatenate([_extended(getattr(p, name), m) for p, m in zip(paths, lengths, strict=True)])
         for name in PATH_SERIES
         if getattr(paths[0], name) is not None
     }
-    series["t"] = np.concatenate([_extended_times(p.t, n) for p in paths])
-    first = np.repeat([float(np.ravel(p.x[:1] if p.begins is None else p.begins)[0]) for p in paths], n)
-    travelled = np.repeat([float(np.ravel(p.travelled)[0]) for p in paths], n)
-    starts = tuple(range(0, n * len(paths), n))
+    series["t"] = np.concatenate([_extended_times(p.t, m) for p, m in zip(paths, lengths, strict=True)])
+    first = np.repeat([float(np.ravel(p.x[:1] if p.begins is None else p.begins)[0]) for p in paths], lengths)
+    travelled = np.repeat([float(np.ravel(p.travelled)[0]) for p in paths], lengths)
+    starts = tuple(np.cumsum([0, *lengths[:-1]]).tolist())
     return replace(
         paths[0],
         **series,
@@ -134,10 +137,15 @@ def joined_path(paths: Sequence[Path], n: int) -> Path:
 
 def are_stackable(one: Path, other: Path) -> bool:
     """Return whether two paths agree in all that is one number for a whole path, and have no drive as a function."""
-    same = all(getattr(one, name) == getattr(other, name) for name in PATH_CONSTANTS)
+    same = all(_are_same(getattr(one, name), getattr(other, name)) for name in PATH_CONSTANTS)
     shown = all((getattr(one, name) is None) == (getattr(other, name) is None) for name in PATH_SERIES)
     plain = not (one.states or other.states or one.drive_at or other.drive_at)
-    return same and shown and plain and bool(np.isclose(_interval(one), _interval(other), rtol=1e-9, atol=0.0))
+    return same and shown and plain and _are_same(_interval(one), _interval(other))
+
+
+def _are_same(one: float | None, other: float | None) -> bool:
+    """Whether two numbers are the same to rounding; films of one camera have pixel pitches that are."""
+    return one == other or (one is not None and other is not None and math.isclose(one, other, rel_tol=1e-9))
 
 
 def _interval(path: Path) -> float:
