@@ -79,3 +79,28 @@ def test_noise_of_one_series_does_not_reach_the_next():
     errors = [rng.normal(size=(len(w.size), 2)) for w in parts]
     apart = np.concatenate([w.whitened(e) for w, e in zip(parts, errors, strict=True)])
     np.testing.assert_allclose(Whitening.joined(parts).whitened(np.concatenate(errors)), apart, rtol=1e-12, atol=1e-12)
+
+
+def test_products_with_the_responses_to_the_levels_are_those_of_their_matrix(linearised):
+    layout, p = with_effect(linearised, "patch")
+    separable = SeparableModel(layout, linearised.blocks, linearised.stacks)
+    state = ProjectedProblem(separable, separable.data).at(p)
+    assert np.count_nonzero(state.levels.rows.any(axis=1)) > 1
+    np.testing.assert_allclose(state.levels.products(state.rows), state.levels.rows @ state.rows.T, rtol=1e-12)
+    np.testing.assert_allclose(state.levels.squares, np.sum(state.levels.rows**2, axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["patch", "texture"])
+def test_normal_equations_are_those_of_differences_of_the_residual(linearised, name):
+    """Kaufman's normal matrix is J'J up to a second-order term; its gradient is exact: half the fall of the misfit."""
+    layout, p = with_effect(linearised, name)
+    separable = SeparableModel(layout, linearised.blocks, linearised.stacks)
+    problem = ProjectedProblem(separable, separable.data)
+    state = problem.at(p)
+    free = sorted({i for g in separable.groups for i in g.nonlinear_slots}) + problem.levels
+    _, gradient = problem._normal_equations(state, free)
+    for position, i in enumerate(free):
+        h = 1e-5 * max(abs(p[i]), 1e-3)
+        low, high = (problem.at(p + sign * h * np.eye(len(p))[i]).misfit for sign in (-1, 1))
+        slope = -0.5 * (high - low) / (2 * h)
+        assert gradient[position] == pytest.approx(slope, rel=1e-3, abs=1e-4 * np.abs(gradient).max())

@@ -85,6 +85,15 @@ class Solution:
         return replace(few, u=rotated.expanded(few.u))
 
     @property
+    def fitted_numbers(self) -> float:
+        """How many numbers the data determine: the trace of the smoothing matrix, starts not counted.
+
+        A friction level counts as the share of it that the scatter of the levels leaves to the data (Hastie,
+        Tibshirani & Friedman 2009, The Elements of Statistical Learning, section 7.6).
+        """
+        return float(np.trace(self._basis_of(self.few_rows).shrink(self.tau or 0.03)))
+
+    @property
     def rotated_jacobian(self) -> RotatedJacobian:
         """The whitened Jacobian as a rotation of few rows."""
         return rotated_jacobian(self.responses, len(self.p))

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from frictrack.fit.free_run import FreeRun
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
@@ -60,9 +58,8 @@ class FittedRuns:
     @property
     def degrees(self) -> int:
         """Degrees of freedom: frames less fitted numbers (levels count as what their scatter leaves)."""
-        used = float(np.trace(self.solution.basis.shrink(self.solution.tau or 0.03)))
         starts = sum(len(start) for start in self.solution.starts)
-        return int(self.solution.problem.n_frames - starts - round(used))
+        return int(self.solution.problem.n_frames - starts - round(self.solution.fitted_numbers))
 
 
 class Objective(ABC):

@@ -14,7 +14,7 @@ Kaufman, L. (1975). A variable projection method for solving separable nonlinear
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
 
@@ -36,10 +36,14 @@ MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit m
 class LevelSlopes:
     """The response of a model to the friction levels of R runs.
 
+    A datum belongs to one run, hence responds to one level only.
+
     Attributes
     ----------
-    rows : array of shape (R, M)
-        RowChange of the modelled data per unit of every level.
+    per_datum : array of shape (M,)
+        Change of every modelled datum per unit of the level of its run.
+    run : array of int, shape (M,)
+        The run of every datum.
     precision : array of shape (R, R)
         Precision of the penalty on the levels.
     gradient : array of shape (R,)
@@ -47,9 +51,30 @@ class LevelSlopes:
 
     """
 
-    rows: Array
+    per_datum: Array
+    run: Array
     precision: Array
     gradient: Array
+
+    @cached_property
+    def rows(self) -> Array:
+        """Change of the modelled data per unit of every level, (R, M)."""
+        out = np.zeros((len(self.gradient), len(self.run)))
+        if len(out):
+            out[self.run, np.arange(len(self.run))] = self.per_datum
+        return out
+
+    def products(self, others: Array) -> Array:
+        """Multiply the responses to the levels with other data (K, M); gives (R, K)."""
+        out = np.zeros((len(self.gradient), len(others)))
+        for column, other in enumerate(others):
+            out[:, column] = np.bincount(self.run, self.per_datum * other, len(self.gradient))
+        return out
+
+    @property
+    def squares(self) -> Array:
+        """Sum of squares of the response to every level, (R,)."""
+        return self.products(self.per_datum[None])[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +144,10 @@ class ProjectedProblem:
         """The response of a model without friction levels; None if there are levels."""
         if self.levels:
             return None
-        return LevelSlopes(np.zeros((0, self.separable.size)), self._level_precision, np.zeros(0))
+        return self._level_slopes_of(np.zeros(self.separable.size), np.zeros(0))
+
+    def _level_slopes_of(self, per_datum: Array, gradient: Array) -> LevelSlopes:
+        return LevelSlopes(per_datum, self.separable.run_of_datum, self._level_precision, gradient)
 
     def _prior_equations(self, tau: float) -> tuple[Array, Array]:
         """Rows (m, P) and targets (m,) of the penalties, in standard deviations, without priors of coefficients."""
@@ -138,9 +166,7 @@ class ProjectedProblem:
         k = len(self.separable.coefficients)
         zero = np.zeros((k, self.separable.size))
         no_coefficient = np.zeros(k, dtype=bool)
-        level_slopes = self._no_levels or LevelSlopes(
-            np.zeros((len(self.levels), self.separable.size)), self._level_precision, np.zeros(len(self.levels))
-        )
+        level_slopes = self._level_slopes_of(np.zeros(self.separable.size), np.zeros(len(self.levels)))
         versions = (0,) * len(self.separable.groups)
         return SeparableSolution(
             nonlinear_values,
@@ -251,15 +277,11 @@ class ProjectedProblem:
 
     def _level_slopes(self, nonlinear_values: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
         """Response to the levels; `left` is the residual and the deviation from the penalties' targets."""
-        separable, slope = self.separable, np.zeros((len(self.levels), self.separable.size))
         residual, departure = left
-        if self.levels:
-            dry = c[self._loaded] @ rows[self._loaded]
-            run = separable.run_of_datum
-            slope[run, np.arange(separable.size)] = dry / nonlinear_values[self.levels][run]
-        return LevelSlopes(
-            slope, self._level_precision, slope @ residual - self._prior_rows[:, self.levels].T @ departure
-        )
+        level = nonlinear_values[self.levels][self.separable.run_of_datum]
+        response = self._level_slopes_of(c[self._loaded] @ rows[self._loaded] / level, np.zeros(len(self.levels)))
+        gradient = response.products(residual[None])[:, 0] - self._prior_rows[:, self.levels].T @ departure
+        return replace(response, gradient=gradient)
 
     def refine(
         self,
@@ -317,16 +339,19 @@ class ProjectedProblem:
 
     def _normal_equations(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:
         """Normal matrix (d, d) and gradient (d,) of the free non-linear parameters, coefficients projected out."""
-        slope = np.zeros((len(free), self.separable.size))
-        if self.levels:
-            slope[[i in self.levels for i in free]] = state.levels.rows
-        for row, i in zip(slope, free, strict=True):
-            for change in state.row_derivatives.get(i, []):
-                row[change.cut] += np.where(change.at >= 0, state.coefficients[change.at], 0.0) @ change.rows
+        n_own = len(free) - len(self.levels)
+        slope, levels = self._slopes(state, free[:n_own]), state.levels
+        normal, gradient = np.zeros((len(free), len(free))), np.zeros(len(free))
+        normal[:n_own, :n_own], gradient[:n_own] = slope @ slope.T, slope @ state.residual
         rows = state.rows if state.unconstrained.all() else state.rows[state.unconstrained]
-        normal, gradient = slope @ slope.T, slope @ state.residual
+        products = rows @ slope.T
+        if self.levels:
+            mixed = levels.products(np.concatenate([slope, state.residual[None], rows]))
+            normal[n_own:, :n_own], gradient[n_own:] = mixed[:, :n_own], mixed[:, n_own]
+            normal[:n_own, n_own:], normal[n_own:, n_own:] = mixed[:, :n_own].T, np.diag(levels.squares)
+            products = np.hstack([products, mixed[:, n_own + 1 :].T])
         if len(rows):
-            gram, products = rows @ rows.T, rows @ slope.T
+            gram = rows @ rows.T
             size = np.sqrt(gram.diagonal())
             unit = gram / (size * size[:, None])
             unit.flat[:: len(size) + 1] += RIDGE
@@ -337,6 +362,14 @@ class ProjectedProblem:
             normal += prior_rows.T @ prior_rows
             gradient = gradient - prior_rows.T @ (self._prior_rows @ state.nonlinear_values - self._prior_target)
         return normal, gradient
+
+    def _slopes(self, state: SeparableSolution, free: list[int]) -> Array:
+        """Change of the modelled data (d, M) per unit of the non-linear parameters of groups."""
+        slope = np.zeros((len(free), self.separable.size))
+        for row, i in zip(slope, free, strict=True):
+            for change in state.row_derivatives.get(i, []):
+                row[change.cut] += np.where(change.at >= 0, state.coefficients[change.at], 0.0) @ change.rows
+        return slope
 
     def _step(
         self, state: SeparableSolution, normal_equations: tuple[Array, Array], free: list[int], damping: float

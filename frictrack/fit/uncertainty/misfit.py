@@ -20,13 +20,14 @@ White, H. (1982). Maximum likelihood estimation of misspecified models. Economet
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from frictrack.fit.least_squares import (
+    ModelProjection,
     PieceResponse,
     Solution,
     displacement_response,
@@ -94,13 +95,10 @@ def misfit_of(solution: Solution) -> Misfit | None:
     law = model_projection(solution)
     inverse_hessian, _ = white_noise_covariance(solution)
     candidates = []
-    for axis, force_basis, covariances in _force_bases(solution):
-        trace = np.zeros((len(law.r), force_basis[0].shape[1]))
-        for rows, response, force in zip(law.rows, solution.responses, force_basis, strict=True):
-            trace[rows] = displacement_response(response, force)
-        unexplained = trace - law.u @ (law.u.T @ trace)
-        evidence, covariance = _maximise_evidence(unexplained, law.r, covariances)
-        gradient = inverse_hessian @ (solution.jac.T @ trace[: len(solution.residual)])
+    for axis, forces, covariances in _force_bases(solution):
+        traces = _trace_products(law, forces)
+        evidence, covariance = _maximise_evidence(traces, covariances)
+        gradient = inverse_hessian @ traces.gradient
         candidates.append(Misfit(axis, evidence, gradient @ covariance @ gradient.T))
     best = max(candidates, key=lambda m: m.evidence)
     return (
@@ -108,6 +106,40 @@ def misfit_of(solution: Solution) -> Misfit | None:
         if best.evidence > MIN_EVIDENCE
         else None
     )
+
+
+@dataclass(frozen=True)
+class TraceProducts:
+    """Inner products of the traces T (N, K) of unit forces in the data, summed piece by piece.
+
+    Attributes
+    ----------
+    gram : array of shape (K, K)
+        Of the part of the traces that the model cannot follow, with itself.
+    data : array of shape (K,)
+        With the residual.
+    gradient : array of shape (P, K)
+        With the Jacobian.
+
+    """
+
+    gram: Array
+    data: Array
+    gradient: Array
+
+
+def _trace_products(law: ModelProjection, forces: Sequence[PieceForces]) -> TraceProducts:
+    """Multiply the traces of unit forces with the data, the model and one another."""
+    size = max(f.columns.stop for f in forces)
+    gram, data = np.zeros((size, size)), np.zeros(size)
+    on_model, gradient = np.zeros((law.u.shape[1], size)), np.zeros((len(law.solution.p), size))
+    for rows, response, force in zip(law.rows, law.solution.responses, forces, strict=True):
+        columns, trace = force.columns, displacement_response(response, force.values)
+        gram[columns, columns] += trace.T @ trace
+        data[columns] += law.r[rows] @ trace
+        on_model[:, columns] += law.u[rows].T @ trace
+        gradient[response.active, columns] += response.jac.T @ trace
+    return TraceProducts(gram - on_model.T @ on_model, data, gradient)
 
 
 def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
@@ -148,16 +180,15 @@ def dispersion(solution: Solution) -> float:
     return max(chi2_per_frame * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
 
 
-def _maximise_evidence(unexplained: Array, r: Array, covariances: list[Array]) -> tuple[float, Array]:
+def _maximise_evidence(traces: TraceProducts, covariances: list[Array]) -> tuple[float, Array]:
     """Twice the rise of the log restricted likelihood at the best length and size, and the covariance (K, K) there."""
-    gram, data = unexplained.T @ unexplained, unexplained.T @ r
-    best = (0.0, np.zeros_like(gram))
+    best = (0.0, np.zeros_like(traces.gram))
     for covariance_shape in covariances:
         root = np.linalg.cholesky(covariance_shape + JITTER * np.eye(len(covariance_shape)))
-        values, vectors = np.linalg.eigh(root.T @ gram @ root)
+        values, vectors = np.linalg.eigh(root.T @ traces.gram @ root)
         values = np.maximum(values, 0.0)
         unit = float(values.max()) or 1.0
-        square = (vectors.T @ (root.T @ data)) ** 2
+        square = (vectors.T @ (root.T @ traces.data)) ** 2
         sizes = PROCESS_SIZES[:, None] / unit
         gain = np.sum(square * sizes / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
         k = int(np.argmax(gain))
@@ -166,19 +197,29 @@ def _maximise_evidence(unexplained: Array, r: Array, covariances: list[Array]) -
     return best
 
 
-def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
-    """Yield axis, forces through knots (m_i, K) along every piece, N, and their covariances for every length."""
+@dataclass(frozen=True)
+class PieceForces:
+    """Unit forces along one piece, N: the values (m, k) at its nodes, and which of all K forces they are."""
+
+    columns: slice
+    values: Array
+
+
+def _force_bases(solution: Solution) -> Iterator[tuple[str, list[PieceForces], list[Array]]]:
+    """Yield axis, unit forces through knots along every piece, and their covariances (K, K) for every length."""
     motions = [_motion_at_nodes(solution, r) for r in solution.responses]
-    chi2_per_frame = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
-    per_run_basis = [np.zeros((len(t), chi2_per_frame * len(motions))) for t, *_ in motions]
-    for i, (t, *_) in enumerate(motions):
-        per_run_basis[i][:, i * chi2_per_frame : (i + 1) * chi2_per_frame] = linear_interpolation_matrix(
-            t, np.linspace(t[0], t[-1], chi2_per_frame)
+    n_knots = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
+    independent = [
+        PieceForces(
+            slice(i * n_knots, (i + 1) * n_knots),
+            linear_interpolation_matrix(t, np.linspace(t[0], t[-1], n_knots)),
         )
-    unit_knots = np.linspace(0.0, 1.0, chi2_per_frame)
+        for i, (t, *_) in enumerate(motions)
+    ]
+    unit_knots = np.linspace(0.0, 1.0, n_knots)
     yield (
         "t",
-        per_run_basis,
+        independent,
         [
             np.asarray(np.kron(np.eye(len(motions)), matern_covariance(unit_knots, length)))
             for length in CORRELATION_LENGTHS
@@ -196,7 +237,10 @@ def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Ar
         ):
             yield (
                 axis,
-                [linear_interpolation_matrix(v, knots) * f[:, None] for v, f in zip(values, factor, strict=True)],
+                [
+                    PieceForces(slice(0, len(knots)), linear_interpolation_matrix(v, knots) * f[:, None])
+                    for v, f in zip(values, factor, strict=True)
+                ],
                 covariances,
             )
 
