@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -39,6 +42,23 @@ def test_contact_sheet(tmp_path):
     orange = np.all(np.abs(picture.astype(int) - (0x1C, 0x9F, 0xFF)) < 30, axis=2)
     assert orange.sum() > 500  # the rectangles
     assert target_line(result).startswith("target = [")
+
+
+def test_the_sheet_shows_the_target_where_it_is(tmp_path):
+    recording, track_of_block = a_film(SLIDE), a_track(SLIDE)
+    picture = cv2.imread(str(contact_sheet(recording, track_of_block, tmp_path / "sheet.png")))
+    rows, columns = near(picture, (0x1C, 0x9F, 0xFF), 60)
+    left, width = 45, (1280 - 45 - 13 - 58) / 2  # of the first panel, px
+    scale = width / SHAPE[1]
+    first = columns[(columns < left + width) & (rows < np.min(rows) + 20)]
+    assert np.min(first) == pytest.approx(left + scale * (SLIDE[0] - 24 + 0.5), abs=3)
+    assert np.max(first) == pytest.approx(left + scale * (SLIDE[0] + 24 + 0.5), abs=3)
+
+
+def test_a_sheet_is_drawn_without_matplotlib():
+    code = "import sys, frictrack.tracking.show; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 def test_contact_sheet_with_a_reference(tmp_path):

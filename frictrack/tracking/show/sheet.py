@@ -6,20 +6,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from numpy.typing import NDArray
 
 from frictrack.files import atomic_write
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
-from frictrack.tick_rows import collection_paused, ticks_in_rows
+from frictrack.tracking.show.canvas import Canvas, Panel, Rectangle
 from frictrack.tracking.show.overlay import box, corners, drawn_areas
 
-LINE_FONT_SCALE = 1700.0  # points times characters: such a line fits the width
-FAST_COMPRESSION = 2  # of zlib: the file grows by a tenth, and the sheet takes a third less time
 N_FRAMES = 5  # and one panel for the target itself
+WIDTH_PX, MIN_HEIGHT_PX, MAX_HEIGHT_PX = 1280, 400, 1280
+# Around the panels, px: headline above, tick labels at the left, the line for the study file below.
+TOP_PX, LEFT_PX, RIGHT_PX, BOTTOM_PX = 72, 45, 13, 80
+COLUMN_GAP_PX, ROW_GAP_PX = 58, 48
+TITLE_PX, LABEL_PX, LINE_PX, NAME_PX = 16, 13, 20, 12  # sizes of the texts
+CHARACTER_WIDTH = 0.602  # of the fixed-width font over its size
 TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
 OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
@@ -73,47 +74,52 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
         The file.
 
     """
-    with atomic_write(Path(path)) as part, collection_paused():
-        figure = _sheet(recording, track, others)
-        with ticks_in_rows(figure):
-            FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"compress_level": FAST_COMPRESSION})
+    sheet = _sheet(recording, track, others)
+    with atomic_write(Path(path)) as part:
+        part.write_bytes(sheet.png())
     return Path(path)
 
 
-def _sheet(recording: Recording, track: Track, others: Sequence[Track]) -> Figure:
+def _sheet(recording: Recording, track: Track, others: Sequence[Track]) -> Canvas:
     """Draw the contact sheet."""
     found = np.flatnonzero(track.found)
     shown = np.unique(found[np.linspace(0, len(found) - 1, N_FRAMES).astype(int)])
     wanted = np.unique([*shown, track.template])
     pictures = dict(zip(wanted.tolist(), recording.pick(wanted.tolist()), strict=True))
     columns = 2 if recording.shape[1] > 2 * recording.shape[0] else 3
-    figure = _figure(recording, columns)
-    panels = np.ravel(figure.subplots(6 // columns, columns))
-    _set_spacing(figure, 6 // columns)
-    for panel, i in zip(panels, shown, strict=False):
-        _draw_frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
+    canvas = Canvas(WIDTH_PX, _height(recording, columns))
+    places = _places(canvas, columns)
+    for place, i in zip(places, shown, strict=False):
+        panel = _frame_panel(canvas, place, pictures[int(i)], recording.bit_depth)
+        _draw_frame(panel, track, int(i))
         for colour, other in zip(OTHER_COLOURS, others, strict=False):
             _draw_other(panel, other, int(i), colour)
-    for panel in panels[len(shown) : -1]:
-        panel.set_axis_off()
-    _draw_target(panels[-1], pictures[track.template], track, recording.bit_depth)
-    figure.suptitle(_headline(recording, track), fontsize=14)
+    _draw_target(canvas, places[-1], (pictures[track.template], recording.bit_depth), track)
+    for k, line in enumerate(_headline(recording, track).split("\n")):
+        canvas.text((WIDTH_PX / 2, 18 + 20 * k), line, TITLE_PX)
     line = target_line(track).replace("\n", "      ")
-    figure.supxlabel(line, fontsize=min(18.0, LINE_FONT_SCALE / len(line)), family="monospace")
-    return figure
+    size = min(float(LINE_PX), 0.98 * WIDTH_PX / (CHARACTER_WIDTH * len(line)))
+    canvas.code((WIDTH_PX / 2, canvas.height - 18), line, size)
+    return canvas
 
 
-def _figure(recording: Recording, columns: int) -> Figure:
+def _height(recording: Recording, columns: int) -> int:
+    """Height of the sheet that lets the pictures fill its width, px."""
+    rows, (height, width) = 6 // columns, recording.shape
+    wanted = rows * WIDTH_PX / columns * height / width + ROW_GAP_PX * rows + 104
+    return round(float(np.clip(wanted, MIN_HEIGHT_PX, MAX_HEIGHT_PX)))
+
+
+def _places(canvas: Canvas, columns: int) -> list[Rectangle]:
+    """Places of the six panels, row by row."""
     rows = 6 // columns
-    height = rows * 16 / columns * recording.shape[0] / recording.shape[1] + 0.6 * rows + 1.3
-    return Figure(figsize=(16, float(np.clip(height, 5, 16))), dpi=80)
-
-
-def _set_spacing(figure: Figure, rows: int) -> None:
-    """Set the spacing for titles and labels in inches; an automatic layout takes as long as all other drawing."""
-    height, gap = figure.get_figheight(), 0.6
-    panel = (height - 1.9 - gap * (rows - 1)) / rows
-    figure.subplots_adjust(0.035, 1.0 / height, 0.99, 1 - 0.9 / height, wspace=0.1, hspace=gap / panel)
+    width = (canvas.width - LEFT_PX - RIGHT_PX - COLUMN_GAP_PX * (columns - 1)) / columns
+    height = (canvas.height - TOP_PX - BOTTOM_PX - ROW_GAP_PX * (rows - 1)) / rows
+    return [
+        (LEFT_PX + j * (width + COLUMN_GAP_PX), TOP_PX + i * (height + ROW_GAP_PX), width, height)
+        for i in range(rows)
+        for j in range(columns)
+    ]
 
 
 def _rectangle(track: Track) -> tuple[int, int, int, int]:
@@ -128,47 +134,52 @@ def _headline(recording: Recording, track: Track) -> str:
     return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames\n{why}".strip()
 
 
-def _draw_frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
-    _show_picture(panel, picture, bit_depth)
-    panel.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.5)
-    panel.add_patch(Polygon(corners(track, i), fill=False, ec=TARGET_COLOUR, lw=2.5))
-    _draw_excluded(panel, track, i)
-    panel.set_title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", fontsize=14)
+def _frame_panel(canvas: Canvas, place: Rectangle, picture: Frame, bit_depth: int) -> Panel:
+    """A panel that shows a whole frame."""
+    height, width = picture.shape
+    panel = Panel(canvas, place, (0, 0, width, height))
+    panel.show(_grey(picture, bit_depth))
+    panel.label_edges(LABEL_PX)
+    return panel
 
 
-def _draw_excluded(panel: Axes, track: Track, i: int) -> None:
-    """Hatch the areas that are excluded in frame i."""
+def _draw_frame(panel: Panel, track: Track, i: int) -> None:
+    """Draw the path, the target in frame i and what is excluded there."""
+    found = np.flatnonzero(track.found)
+    path = np.stack([track.x_px, track.y_px], axis=1)
+    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
+        panel.line(path[part], PATH_COLOUR, closed=False)
+    panel.line(corners(track, i), TARGET_COLOUR, width=2)
     for polygon in drawn_areas(track, i):
-        panel.add_patch(Polygon(polygon, fill=False, ec=EXCLUDED_COLOUR, lw=1.5, hatch="//"))
+        panel.hatch(np.asarray(polygon), EXCLUDED_COLOUR)
+    panel.title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", TITLE_PX)
 
 
-def _draw_other(panel: Axes, track: Track, i: int, colour: str) -> None:
+def _draw_other(panel: Panel, track: Track, i: int, colour: str) -> None:
     """Draw rectangle and name of a further track, where it was found."""
     if track.target is None or i >= len(track) or not track.found[i]:
         return
-    panel.add_patch(Polygon(corners(track, i), fill=False, ec=colour, lw=2))
-    x, y = corners(track, i)[0]
-    panel.text(x, y - 2, track.name, color=colour, fontsize=11, va="bottom")
+    around = corners(track, i)
+    panel.line(around, colour)
+    panel.name(around[0] - (0, 2), track.name, colour, NAME_PX)
 
 
-def _draw_target(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
-    """Draw the target with some of its surroundings."""
+def _draw_target(canvas: Canvas, place: Rectangle, film: tuple[Frame, int], track: Track) -> None:
+    """Draw the target with some of its surroundings; `film` is the frame that shows it, and its bit depth."""
     x, y, w, h = _rectangle(track)
-    _show_picture(panel, picture, bit_depth)
-    panel.add_patch(Polygon(track.outline or box(track), fill=False, ec=TARGET_COLOUR, lw=2.5))
+    margin = round(0.3 * max(w, h))
+    panel = Panel(canvas, place, (x - margin, y - margin, w + 2 * margin, h + 2 * margin))
+    panel.show(_grey(*film))
+    panel.line(np.asarray(track.outline or box(track), dtype=float), TARGET_COLOUR, width=2)
     for polygon in (*track.exclude, *track.obstacles):
-        panel.add_patch(Polygon(polygon, fill=False, ec=EXCLUDED_COLOUR, lw=1.5, hatch="//"))
-    margin = 0.3 * max(w, h)
-    panel.set_xlim(x - margin, x + w + margin)
-    panel.set_ylim(y + h + margin, y - margin)
+        panel.hatch(np.asarray(polygon, dtype=float), EXCLUDED_COLOUR)
+    panel.label_edges(LABEL_PX)
     sigma = float(np.nanmedian(track.sigma_px))
-    panel.set_title(f"target, sigma {sigma:.4f} px, frame {track.template}", fontsize=14)
+    panel.title(f"target, sigma {sigma:.4f} px, frame {track.template}", TITLE_PX)
 
 
-def _show_picture(panel: Axes, picture: Frame, bit_depth: int) -> None:
+def _grey(picture: Frame, bit_depth: int) -> NDArray[np.uint8]:
+    """Grey values from 0 to 255."""
     low, high = np.percentile(picture, [0.5, 99.5])
     high = max(high, low + 2 ** (bit_depth - 6))  # a flat picture stays flat
-    panel.imshow(picture, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
-    panel.set_xlim(-0.5, picture.shape[1] - 0.5)
-    panel.set_ylim(picture.shape[0] - 0.5, -0.5)
-    panel.tick_params(labelsize=12)
+    return np.clip((picture.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
