@@ -9,7 +9,14 @@ from types import MappingProxyType
 import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
-from frictrack.diagnose.hypothesis_tests import ALPHA, ScannedCandidate, SearchTests, list_candidates, run_tests
+from frictrack.diagnose.hypothesis_tests import (
+    ALPHA,
+    ScannedCandidate,
+    SearchTests,
+    lack_of_fit,
+    list_candidates,
+    run_tests,
+)
 from frictrack.diagnose.model_selection import (
     MAX_CHI2_NEAR,
     MIN_CHI2_SEPARATED,
@@ -35,6 +42,8 @@ from frictrack.fit.stepwise import (
 from frictrack.fit.uncertainty import dispersion
 
 MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
+N_DRAWS_LATER_ROUND = 199  # of a later round, where they show clearly that nothing is left
+MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below ALPHA / 2, but for one case in a million
 MAX_CANDIDATES_SIMULATED = 6
 MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
@@ -116,7 +125,7 @@ class Round:
 
 
 def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
-    """Test a model for every effect that it may lack.
+    """Test a model for every effect that it may lack, with all draws.
 
     Parameters
     ----------
@@ -144,6 +153,42 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
     found = simulate_promising(draws.law, solution, _deepen_significant(draws.law, trials, tests.p), tests.p)
     return Round(solution, draws, tests, found, excluded)
+
+
+def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
+    """Test a model with the effects found; few draws do where these show clearly that nothing is left.
+
+    Of such a round only the decision matters that nothing is significant. A sequential Monte Carlo test reaches it with
+    the draws that exceed the data early. Everything else takes all draws.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    own
+        Effects beside the library's.
+    rng
+        Random generator.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    Round
+        Without refined candidates if nothing is left.
+
+    References
+    ----------
+    Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
+
+    """
+    draws = draw_null_ensemble(solution, rng, N_DRAWS_LATER_ROUND)
+    if lack_of_fit(draws) >= MIN_P_CLEAR:
+        library, excluded = list_candidates(solution, own)
+        tests = run_tests(solution, draws, library)
+        if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
+            return Round(solution, draws, tests, [], excluded)
+    return run_round(solution, own, rng, notify)
 
 
 def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:

@@ -17,7 +17,7 @@ from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.residual_kinds import residual_kind
-from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, run_round
+from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, run_later_round, run_round
 from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
@@ -144,7 +144,7 @@ def _search(
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_round(kind.before_round(law), own, rng, notify_round)
+        last = run_later_round(kind.before_round(law), own, rng, notify_round)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return FinishedSearch(start, first, last, found, generators)
 
