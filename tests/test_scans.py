@@ -15,7 +15,14 @@ from frictrack import effects, models
 from frictrack.diagnose import detection_limits
 from frictrack.diagnose.null_distribution import draw_null_ensemble
 from frictrack.fit import fit
-from frictrack.fit.linearised import candidate_grids, linearise, measured_series, products, scan_candidate
+from frictrack.fit.linearised import (
+    candidate_grids,
+    linearise,
+    measured_series,
+    products,
+    scan_candidate,
+    scan_candidates,
+)
 from frictrack.fit.linearised.wave_nodes import WaveNodes
 
 LAW = ["coulomb", "viscous"]
@@ -85,6 +92,19 @@ def _series_written_out(ensemble):
     return out
 
 
+def test_grids_scanned_together_gain_what_each_gains_alone(ensemble):
+    names = ["drag", "spring", "patch", "vibration", "load_modulation", "clock_rate", "stribeck"]
+    grids = [grid for name in names for grid in candidate_grids(ensemble.law, effects.get(name))]
+    for grid, found in zip(grids, scan_candidates(ensemble.law, grids, ensemble.series), strict=True):
+        alone = scan_candidate(ensemble.law, grid, ensemble.series)
+        assert found.grid is grid
+        np.testing.assert_allclose(found.gains, alone.gains, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(found.max_gains, alone.max_gains, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(found.gram, alone.gram, rtol=1e-6, atol=1e-9 * np.abs(alone.gram).max())
+        left, data, g = ensemble.residual_projector, ensemble.series.coordinates[:, 0], int(np.argmax(alone.gains))
+        np.testing.assert_allclose(found.coefficients(g, left, data), alone.coefficients(g, left, data), rtol=1e-4)
+
+
 @pytest.mark.parametrize("decades", [0.0, 100.0])
 def test_gains_do_not_depend_on_the_size_of_the_columns(ensemble, decades):
     patch = effects.get("patch")
@@ -130,7 +150,7 @@ def test_an_envelope_with_a_step_is_no_sum_of_plain_waves():
 def test_lost_frames_gain_what_their_columns_written_out_gain(ensemble, monkeypatch):
     grid = candidate_grids(ensemble.law, effects.get("dropped_frame"))[0]
     fast = scan_candidate(ensemble.law, grid, ensemble.series)
-    monkeypatch.setattr(products, "_window_of_differences", lambda columns, left: None)
+    monkeypatch.setattr(products, "_window_of_differences", lambda columns, reference, left: None)
     slow = scan_candidate(ensemble.law, grid, ensemble.series)
     np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-4)
 

@@ -12,12 +12,11 @@ from frictrack import effects
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidate
+from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidates
 from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.stepwise import EVENT_PENALTY, effect_for_scan, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.threads import map_in_threads
 
 ALPHA = 0.01  # significance level: half for lack of fit, half for candidates
 COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
@@ -156,8 +155,7 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
     SearchTests
 
     """
-    candidates = map_in_threads(lambda e: _scan(solution, draws, e), library)
-    scanned = [s for s in candidates if s is not None]
+    scanned = _scan(solution, draws, library)
     max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.residuals.shape[1])
     p = {s.effect.name: _p_value(max_excess[1:], s.excess[0]) for s in scanned}
     return SearchTests(
@@ -168,15 +166,20 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
     )
 
 
-def _scan(solution: Solution, draws: NullEnsemble, effect: Effect) -> ScannedCandidate | None:
-    """Scan one candidate; None if it has no settings to scan. Events of single runs each pay a penalty."""
-    grids = candidate_grids(draws.law, effect_for_scan(solution, effect))
-    if not grids:
-        return None
-    scans = [scan_candidate(draws.law, family, draws.series) for family in grids]
+def _scan(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> list[ScannedCandidate]:
+    """Scan all candidates that have settings to scan."""
+    grids = [candidate_grids(draws.law, effect_for_scan(solution, effect)) for effect in library]
+    scans = iter(scan_candidates(draws.law, [grid for own in grids for grid in own], draws.series))
+    penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
+    return [
+        _scanned(effect, [next(scans) for _ in own], penalty) for effect, own in zip(library, grids, strict=True) if own
+    ]
+
+
+def _scanned(effect: Effect, scans: list[CandidateScan], penalty: float) -> ScannedCandidate:
+    """One candidate from its scans. Events of single runs each pay the penalty."""
     tops = np.stack([s.max_gains for s in scans])
-    if len(grids) > 1:  # events of single runs: each must pay its price
-        penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
+    if len(scans) > 1:
         statistic = np.maximum(np.sum(np.maximum(tops - penalty, 0.0), axis=0), tops.max(axis=0) - penalty)
     else:
         statistic = tops[0]

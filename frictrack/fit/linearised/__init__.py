@@ -3,7 +3,7 @@
 from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE
 from frictrack.fit.linearised.grid import candidate_grids, has_per_run_coefficients
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
-from frictrack.fit.linearised.scan import CandidateScan, scan_candidate
+from frictrack.fit.linearised.scan import CandidateScan, scan_candidate, scan_candidates
 from frictrack.fit.linearised.series import Float32Array, ScannedSeries, measured_series
 
 __all__ = [
@@ -19,4 +19,5 @@ __all__ = [
     "linearise",
     "measured_series",
     "scan_candidate",
+    "scan_candidates",
 ]

@@ -13,7 +13,8 @@ Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, section 2.1.4 (Woodb
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +25,14 @@ from frictrack.records import Array
 Products = Array | Float32Array
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
+MAX_NEGLECTED_SHARE = 1e-4  # of a gain, as in sums of plain waves: by a shared column, or another scatter of the levels
 MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
-MAX_PRODUCTS_AT_ONCE = 300_000  # whitened at once, so that they fit into the cache
 
 
 def whitener(schur: Array, full: Array) -> Array:
     """Compute W (..., K, K) with W'W the inverse of projected Gram matrices. Absorbed columns gain nothing.
 
-    `full` (..., K) are the squares of the columns before the projection.
+    `full` (..., K) are the squares of the columns before the projection. W is lower triangular.
     """
     size = np.sqrt(full)
     size[full < MIN_COLUMN_SQUARE] = np.inf
@@ -40,113 +41,184 @@ def whitener(schur: Array, full: Array) -> Array:
         return np.asarray(1 / np.sqrt(np.maximum(unit_gram, 0.0) + MIN_UNEXPLAINED_SHARE) / size[..., None, :])
     diagonal = np.arange(unit_gram.shape[-1])
     unit_gram[..., diagonal, diagonal] += MIN_UNEXPLAINED_SHARE
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit_gram)) / size[..., None, :])
+    return np.asarray(inverse_cholesky(unit_gram) / size[..., None, :])
 
 
-@dataclass(frozen=True, eq=False)
-class BlockSums:
-    """Products of the columns of one block of runs, summed over its pieces.
-
-    Attributes
-    ----------
-    gram : array of shape (G, k, k)
-        Gram matrices of the columns outside the bases of the pieces.
-    data : array of shape (G, k)
-        Products of these remainders with the measured series.
-    scale : array of shape (G, k)
-        Size of the columns in `products`, so that no square leaves the range of a float32.
-    products : array of shape (G, k, D), float32
-        Products of the columns over `scale` with the residuals of the series; of the remainders only, where the grid is
-        profiled.
-    rows : array of shape (L_b,)
-        Coordinates of the block among all L.
-    coordinates : array of shape (G, k, L_b)
-        Coordinates of the columns in the bases of the pieces.
-
-    """
-
-    gram: Array
-    data: Array
-    scale: Array
-    products: Float32Array
-    rows: NDArray[np.int_]
-    coordinates: Array
-
-    @property
-    def full(self) -> Array:
-        """Squares of the columns, starts projected out, (G, k)."""
-        return np.asarray(np.einsum("gkk->gk", self.gram) + np.einsum("gkl,gkl->gk", *[self.coordinates] * 2))
-
-    def left_gram(self, left: Array) -> Array:
-        """Gram matrices (G, k, k) of what the model leaves of the columns; `left` (L_b, L_b) of their coordinates."""
-        return np.asarray(self.gram + self.coordinates @ left @ self.coordinates.transpose(0, 2, 1))
-
-    def from_coordinates(self, projected: Products) -> Products:
-        """Products (G, k, D) of the coordinates over `scale` with the projected ones (L_b, D) of the series."""
-        scaled = (self.coordinates / self.scale[:, :, None]).reshape(-1, len(self.rows))
-        return np.matmul(scaled, projected, dtype=projected.dtype, casting="same_kind").reshape(*self.scale.shape, -1)
-
-
-@dataclass(eq=False)
-class GainSum:
-    """Gains (G, D) of a grid at one scatter of the levels, summed block by block."""
-
-    absorbed: Absorbed
-    count: int
-    series: int
-    dtype: type = np.float32
-    _squares: Array = field(init=False, repr=False)
-    _shared: Array = field(init=False, repr=False)
-    _left: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        p = self.absorbed.shared.shape[1]
-        self._squares = np.zeros((self.count, self.series), dtype=self.dtype)
-        self._shared = np.zeros((self.count, p, self.series), dtype=self.dtype)
-        self._left = np.zeros((self.count, p, p)) + np.eye(p)
-
-    def add(self, blocks: Sequence[int], sums: Sequence[BlockSums], products: Products) -> None:
-        """Add some blocks with their products (G, B, k, D) over the columns' scale."""
-        roots = [whitener(s.left_gram(self.absorbed.left[b]), s.full) for b, s in zip(blocks, sums, strict=True)]
-        shared = [root @ (s.coordinates @ self.absorbed.shared[s.rows]) for root, s in zip(roots, sums, strict=True)]
-        scaled = [root * s.scale[:, None, :] for root, s in zip(roots, sums, strict=True)]
-        root: Products = np.stack(scaled, axis=1).astype(self.dtype)
-        columns = np.concatenate(shared, axis=1)
-        self._left -= columns.transpose(0, 2, 1) @ columns
-        across: Products = columns.transpose(0, 2, 1).astype(self.dtype)
-        step = max(1, MAX_PRODUCTS_AT_ONCE // max(int(np.prod(products.shape[1:])), 1))
-        for first in range(0, self.count, step):
-            part = slice(first, first + step)
-            whitened = _lower_product(root[part], products[part]).reshape(len(root[part]), -1, self.series)
-            self._squares[part] += np.einsum("gkd,gkd->gd", whitened, whitened)
-            if across.shape[1]:
-                self._shared[part] += across[part] @ whitened
-
-    def total(self) -> Array:
-        """Gains (G, D)."""
-        if not self._shared.shape[1]:
-            return self._squares
-        diagonal = np.arange(self._left.shape[1])
-        self._left[:, diagonal, diagonal] += MIN_UNEXPLAINED_SHARE
-        root: Products = np.linalg.inv(np.linalg.cholesky(self._left)).astype(self.dtype)
-        whitened = root @ self._shared
-        return np.asarray(self._squares + np.einsum("gkd,gkd->gd", whitened, whitened))
-
-
-def _lower_product(root: Products, products: Products) -> Products:
-    """Multiply lower triangular matrices (..., k, k) with products (..., k, D), of which k is small."""
-    out = np.empty(products.shape, dtype=products.dtype)
-    for i in range(root.shape[-1]):
-        np.multiply(root[..., i, :1], products[..., 0, :], out=out[..., i, :])
-        for j in range(1, i + 1):
-            out[..., i, :] += root[..., i, j : j + 1] * products[..., j, :]
+def inverse_cholesky(gram: Array) -> Array:
+    """Compute the inverses of the Cholesky factors of matrices (..., K, K); those of two columns in closed form."""
+    if gram.shape[-1] != 2:  # of any number of matrices, also none
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(gram)))
+    out = np.zeros(gram.shape)
+    first = 1 / np.sqrt(gram[..., 0, 0])
+    across = gram[..., 1, 0] * first
+    second = 1 / np.sqrt(gram[..., 1, 1] - across**2)
+    out[..., 0, 0], out[..., 1, 1] = first, second
+    out[..., 1, 0] = -across * first * second
     return out
 
 
-def within_bounds(products: Products, low: Array, high: Array) -> Products:
-    """Return products, zero where a single bounded coefficient asks for the wrong sign: such data gain nothing."""
+class SeriesProducts(Protocol):
+    """Products of the columns at some grid points with the series."""
+
+    @property
+    def points(self) -> slice:
+        """The grid points, c of them."""
+
+    def mixed(self, mix: Array, series: slice) -> Float32Array:
+        """Compute products (c, q, d) of combinations `mix` (c, q, k) of the k columns with some of the series."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnSums:
+    """Products of columns of one block of runs at some grid points, g of them.
+
+    Attributes
+    ----------
+    points : slice
+        The grid points.
+    gram : array of shape (g, k, k)
+        Gram matrices of the columns outside the bases of the pieces.
+    data : array of shape (g, k)
+        Products of these remainders with the measured series.
+    coordinates : array of shape (g, k, L_b)
+        Coordinates of the columns in the bases of the pieces of the block.
+    products : list of SeriesProducts
+        Products with the series; together they cover the points.
+
+    """
+
+    points: slice
+    gram: Array
+    data: Array
+    coordinates: Array
+    products: list[SeriesProducts]
+
+    @property
+    def full(self) -> Array:
+        """Squares of the columns, starts projected out, (g, k)."""
+        return np.asarray(np.einsum("gkk->gk", self.gram) + np.einsum("gkl,gkl->gk", *[self.coordinates] * 2))
+
+    def schur(self, left: Array) -> Array:
+        """Gram matrices (g, k, k) of what the model leaves of the columns; `left` (L_b, L_b) of their coordinates."""
+        return np.asarray(self.gram + self.coordinates @ left @ self.coordinates.transpose(0, 2, 1))
+
+    def of_data(self, projected: Array) -> Array:
+        """Products (g, k) with the measured series; `projected` (L_b,) is what the model leaves of its coordinates."""
+        return np.asarray(self.data + self.coordinates @ projected)
+
+
+class GridGains:
+    """Gains of a grid for all series, each at its own scatter of the levels, summed block by block.
+
+    Parameters
+    ----------
+    absorbed : dict
+        What the model absorbs at every scatter that is the own estimate of some series, by number of the scatter.
+    groups : sequence of slice
+        The series whose own estimate each scatter is; the measured series is the first one of all.
+    count : int
+        Number G of grid points.
+    limits : tuple of float
+        Bounds of whitened products: (0, inf) where a single coefficient must be positive.
+
+    """
+
+    def __init__(
+        self, absorbed: dict[int, Absorbed], groups: Sequence[slice], count: int, limits: tuple[float, float]
+    ) -> None:
+        self._absorbed, self._limits = absorbed, limits
+        self._groups = {t: groups[t] for t in absorbed}
+        self._own = next(t for t, columns in self._groups.items() if columns.start == 0)
+        series = max(columns.stop for columns in self._groups.values())
+        self._squares = np.zeros((count, series), dtype=np.float32)
+        self._coupled = {t: _Coupled(count, absorbed[t].shared.shape[1], c) for t, c in self._groups.items()}
+        self._of_data = np.zeros(count)
+        self._coupled_data = _Coupled(count, absorbed[self._own].shared.shape[1], slice(0, 1), np.float64)
+
+    def add(self, block: int, rows: NDArray[np.int_], sums: ColumnSums, data: Array) -> None:
+        """Add some columns of one block, with its `rows` among all coordinates; `data` (g, k) are those measured."""
+        mixes = {t: _mixes(sums, a.left[block], a.shared[rows]) for t, a in self._absorbed.items()}
+        root, shared = mixes[self._own]
+        measured = (root @ data[:, :, None]).clip(*self._limits)
+        self._of_data[sums.points] += np.sum(measured[:, :, 0] ** 2, axis=1)
+        self._coupled_data.add(sums.points, shared, shared @ measured)
+        coupled = np.any([np.sum(s**2, axis=(1, 2)) > MAX_NEGLECTED_SHARE for _, s in mixes.values()], axis=0)
+        spread = np.max([np.abs(other - root).max(axis=(1, 2)) for other, _ in mixes.values()], axis=0)
+        varied = coupled | (2 * spread > MAX_NEGLECTED_SHARE * np.abs(root).max(axis=(1, 2)))
+        for part in sums.products:
+            own = slice(part.points.start - sums.points.start, part.points.stop - sums.points.start)
+            if not varied[own].any():
+                self._add_squares(part, root[own], slice(0, self._squares.shape[1]))
+                continue
+            for t, columns in self._groups.items():
+                mine, others = (mix[own] for mix in mixes[t])
+                self._add_squares(part, mine, columns, (t, others) if coupled[own].any() else None)
+
+    def _add_squares(
+        self, part: SeriesProducts, root: Array, columns: slice, coupled: tuple[int, Array] | None = None
+    ) -> None:
+        """Add whitened products of some series, and those with the shared columns (c, p, k) of one scatter."""
+        k = root.shape[1]
+        mix = root if coupled is None else np.concatenate([root, coupled[1] @ root], axis=1)
+        mixed = self._bounded(part.mixed(mix, columns))
+        self._squares[part.points, columns] += np.einsum("gkd,gkd->gd", mixed[:, :k], mixed[:, :k])
+        if coupled is not None:
+            self._coupled[coupled[0]].add(part.points, coupled[1], mixed[:, k:])
+
+    def _bounded(self, products: Float32Array) -> Float32Array:
+        return products if self._limits == (-np.inf, np.inf) else products.clip(*self._limits)
+
+    def totals(self) -> tuple[Array, Array]:
+        """Gains of the measured series (G,), and the largest of every series (D,)."""
+        for coupled in self._coupled.values():
+            points, gains = coupled.gains()
+            self._squares[points, coupled.series] += gains
+        points, gains = self._coupled_data.gains()
+        self._of_data[points] += gains[:, 0]
+        return self._of_data, self._squares.max(axis=0).astype(np.float64)
+
+
+def _mixes(sums: ColumnSums, left: Array, shared: Array) -> tuple[Array, Array]:
+    """What whitens columns of one block (g, k, k), and the whitened columns that it shares with others (g, p, k)."""
+    root = whitener(sums.schur(left), sums.full)
+    return root, (root @ (sums.coordinates @ shared)).transpose(0, 2, 1)
+
+
+class _Coupled:
+    """Whitened products (G, p, D) with the p columns that the blocks share, and what these leave of each other."""
+
+    def __init__(self, count: int, p: int, series: slice, dtype: type = np.float32) -> None:
+        self.series = series
+        self._products: Products = np.zeros((count, p, series.stop - series.start), dtype=dtype)
+        self._left = np.zeros((count, p, p)) + np.eye(p)
+        self._found = np.zeros(count, dtype=bool)
+
+    def add(self, points: slice, shared: Array, products: Products) -> None:
+        """Add products (g, p, D) of one block, with its shared columns (g, p, k)."""
+        self._left[points] -= shared @ shared.transpose(0, 2, 1)
+        self._products[points] += products
+        self._found[points] = self._products.shape[1] > 0
+
+    def gains(self) -> tuple[NDArray[np.int_], Products]:
+        """Points (m,) at which blocks are coupled, and what that adds to the gains (m, D)."""
+        points = np.flatnonzero(self._found)
+        left = self._left[points]
+        diagonal = np.arange(left.shape[1])
+        left[:, diagonal, diagonal] += MIN_UNEXPLAINED_SHARE
+        root = np.asarray(inverse_cholesky(left), dtype=self._products.dtype)
+        whitened: Products = np.matmul(root, self._products[points])
+        return points, np.einsum("gkd,gkd->gd", whitened, whitened)
+
+
+def sign_limits(low: Array, high: Array) -> tuple[float, float]:
+    """Limits of the product of a single bounded coefficient: data that ask for the wrong sign gain nothing.
+
+    Examples
+    --------
+    >>> sign_limits(np.array([0.0]), np.array([5.0]))
+    (0.0, inf)
+
+    """
     if len(low) > 1:
-        return products
-    if low[0] >= 0:
-        products = np.maximum(products, 0.0)
-    return np.minimum(products, 0.0) if high[0] <= 0 else products
+        return -np.inf, np.inf
+    return (0.0 if low[0] >= 0 else -np.inf), (0.0 if high[0] <= 0 else np.inf)

@@ -13,20 +13,21 @@ Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.fit.linearised.gains import BlockSums, GainSum, Products, whitener, within_bounds
+from frictrack.fit.linearised.gains import GridGains, sign_limits, whitener
 from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedModel
-from frictrack.fit.linearised.products import block_sums, is_profiled
-from frictrack.fit.linearised.series import Float32Array, ScannedSeries
+from frictrack.fit.linearised.products import block_sums
+from frictrack.fit.linearised.series import ScannedSeries, coordinate_rows
+from frictrack.fit.linearised.small_grids import SmallGrids, is_small, small_grids
+from frictrack.fit.linearised.wave_nodes import constant_waves
 from frictrack.records import Array
-
-MAX_PRODUCTS_HELD = 2_500_000  # of columns with series; runs beyond are treated one after the other
+from frictrack.threads import map_in_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,102 +105,110 @@ class CandidateScan:
 
 
 def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
-    """Scan a candidate grid beside a fitted model.
+    """Scan one candidate grid beside a fitted model; see `scan_candidates`."""
+    return scan_candidates(law, [grid], series)[0]
 
-    A small grid is evaluated at every scatter of the levels, because the candidate may explain what looked like
-    scatter.
+
+def scan_candidates(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> list[CandidateScan]:
+    """Scan candidate grids beside a fitted model.
 
     Parameters
     ----------
     law : LinearisedModel
         The fitted model.
-    grid : CandidateGrid
-        The candidate.
+    grids : sequence of CandidateGrid
+        The candidates.
     series : ScannedSeries
         The data.
 
     Returns
     -------
-    CandidateScan
-        Gains and products of all grid points.
+    list of CandidateScan
+        Gains and products of all grid points, grid by grid.
 
     """
-    gains = _SeriesGains(law, grid, series)
-    held: list[tuple[Array, Array, Array, NDArray[np.int_]]] = []
-    for blocks, products in _batches(grid, series.residuals.shape[1]):
-        sums = [block_sums(law, grid, grid.blocks[b], series, products[:, place]) for place, b in enumerate(blocks)]
-        gains.add(blocks, sums, products)
-        held.extend((s.gram, s.data, s.coordinates, s.rows) for s in sums)
-    gram, data, coordinates, rows = zip(*held, strict=True)
-    of_data, max_gains = gains.total()
+    small = [i for i, grid in enumerate(grids) if is_small(grid)]
+    scans = dict(zip(small, _scan_small(law, [grids[i] for i in small], series), strict=True))
+    equal = _equal_waves(law, grids)
+    large = [i for i in range(len(grids)) if i not in scans and i not in equal]
+    made = map_in_threads(lambda i: _scan_large(law, grids[i], series), large)
+    scans |= dict(zip(large, made, strict=True))
+    scans |= {i: _rescaled(scans[of], grids[i], sizes) for i, (of, sizes) in equal.items()}
+    return [scans[i] for i in range(len(grids))]
+
+
+def _equal_waves(law: LinearisedModel, grids: Sequence[CandidateGrid]) -> dict[int, tuple[int, list[float]]]:
+    """Grids whose columns are those of an earlier one, each block times a number: which one, and the numbers.
+
+    Waves of a constant load are those of a force, and gain the same.
+    """
+    first: dict[Hashable, tuple[int, list[float]]] = {}
+    out = {}
+    for i, grid in enumerate(grids):
+        waves = None if is_small(grid) else constant_waves(law, grid)
+        if waves is None:
+            continue
+        key, sizes = waves
+        of, before = first.setdefault(key, (i, sizes))
+        if of != i:
+            out[i] = of, [a / b for a, b in zip(sizes, before, strict=True)]
+    return out
+
+
+def _rescaled(scan: CandidateScan, grid: CandidateGrid, sizes: Sequence[float]) -> CandidateScan:
+    """The scan of a grid whose columns are those of another, block by block times a size."""
+    size = np.array(sizes)[:, None]
+    coordinates = [own * factor for own, factor in zip(scan.coordinates, sizes, strict=True)]
+    gram, data = scan.gram * size[:, :, None] ** 2, scan.data_products * size
+    return replace(scan, grid=grid, gram=gram, coordinates=coordinates, data_products=data)
+
+
+def _scan_small(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> list[CandidateScan]:
+    """Scan all small grids at once, each point at the scatter of the levels that suits it best."""
+    if not grids:
+        return []
+    sums = small_grids(law, grids, series)
+    return [
+        _small_scan(law, grid, (sums, rows), gains)
+        for grid, rows, gains in zip(grids, sums.rows, sums.gains(series), strict=True)
+    ]
+
+
+def _small_scan(
+    law: LinearisedModel, grid: CandidateGrid, found: tuple[SmallGrids, NDArray[np.int_]], gains: tuple[Array, Array]
+) -> CandidateScan:
+    """The scan of one small grid; `found` are the sums of all and the rows (G, K) of this one."""
+    sums, rows = found
+    of_data, every = gains
+    blocks = rows.reshape(len(rows), -1, grid.k)  # (G, B, k)
+    places = [coordinate_rows(law, [grid.members[m] for m in block]) for block in grid.blocks]
+    max_gains = every.max(axis=0)
     max_gains[0] = of_data.max()
     return CandidateScan(
-        grid, np.stack(gram, axis=1), list(coordinates), list(rows), np.stack(data, axis=1), of_data, max_gains
+        grid, sums.gram[blocks[..., :, None], blocks[..., None, :]],
+        [sums.coordinates[blocks[:, b, :, None], place] for b, place in enumerate(places)], places,
+        sums.data[blocks], of_data, max_gains,
+    )  # fmt: skip
+
+
+def _scan_large(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
+    """Scan a large grid, every series at its own scatter of the levels."""
+    blocks = [[grid.members[m] for m in block] for block in grid.blocks]
+    absorbed = {t: series.absorbed(law, blocks, t) for t in series.used}
+    total = GridGains(absorbed, series.groups, len(grid.values), sign_limits(grid.low, grid.high))
+    own = next(t for t in series.used if series.groups[t].start == 0)
+    measured = series.residual_projectors[own] @ series.coordinates[:, 0]
+    held = []
+    for b, block in enumerate(grid.blocks):
+        rows = coordinate_rows(law, blocks[b])
+        parts = []
+        for sums in block_sums(law, grid, block, series):
+            total.add(b, rows, sums, sums.of_data(measured[rows]))
+            parts.append((sums.gram, sums.data, sums.coordinates))
+        held.append((*(np.concatenate(part) for part in zip(*parts, strict=True)), rows))
+    gram, data, coordinates, places = zip(*held, strict=True)
+    of_data, max_gains = total.totals()
+    max_gains[0] = of_data.max()
+    return CandidateScan(
+        grid, np.stack(gram, axis=1), list(coordinates), list(places), np.stack(data, axis=1), of_data, max_gains
     )
-
-
-def _batches(grid: CandidateGrid, series: int) -> Iterator[tuple[range, Float32Array]]:
-    """Yield blocks of runs to be treated together, and room for their products (G, B, k, D)."""
-    count = len(grid.blocks)
-    size = int(np.clip(MAX_PRODUCTS_HELD // (len(grid.values) * grid.k * series), 1, count))
-    room = np.empty((len(grid.values), size, grid.k, series), dtype=np.float32)
-    for first in range(0, count, size):
-        blocks = range(first, min(first + size, count))
-        yield blocks, room[:, : len(blocks)]
-
-
-class _SeriesGains:
-    """Gains of a grid for all series: each at its own scatter of the levels, or at the best for a small grid."""
-
-    def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
-        self._grid, self._series = grid, series
-        self._profiled = is_profiled(grid, series)
-        blocks = [[grid.members[m] for m in block] for block in grid.blocks]
-        own = next(t for t in series.used if series.groups[t].start == 0)
-        scatters, count = range(len(series.taus)) if self._profiled else series.used, len(grid.values)
-        absorbed = {t: series.absorbed(law, blocks, t) for t in {*scatters, own}}
-        self._of_series = {t: GainSum(absorbed[t], count, len(self._columns(t))) for t in scatters}
-        of_data = scatters if self._profiled else [own]
-        self._of_data = {t: GainSum(absorbed[t], count, 1, np.float64) for t in of_data}
-
-    def _columns(self, t: int) -> range:
-        """Series that are considered at one scatter."""
-        every = range(self._series.residuals.shape[1])
-        return every if self._profiled else every[self._series.groups[t]]
-
-    def add(self, blocks: Sequence[int], sums: Sequence[BlockSums], products: Float32Array) -> None:
-        """Add the products (G, B, k, D) of some blocks."""
-        every: Products = products if self._profiled else self._within_bounds(products)
-        for t, total in self._of_series.items():
-            mine = self._columns(t)
-            if self._profiled:
-                every = self._at_scatter(sums, products, t)
-            total.add(blocks, sums, every[..., mine.start : mine.stop])
-        for t, total in self._of_data.items():
-            projected = self._series.residual_projectors[t] @ self._series.coordinates[:, :1]
-            of_data = [(s.data / s.scale)[:, :, None] + s.from_coordinates(projected[s.rows]) for s in sums]
-            total.add(blocks, sums, self._within_bounds(np.stack(of_data, axis=1)))
-
-    def _at_scatter(self, sums: Sequence[BlockSums], products: Products, t: int) -> Products:
-        """Products with what the model leaves at scatter `t`; of a column that it absorbs less than 1e-7 is left."""
-        across: Array = np.stack([s.from_coordinates(self._series.projected_at(t, s.rows)) for s in sums], axis=1)
-        return self._within_bounds(np.asarray(products + across, dtype=np.float32))
-
-    def _within_bounds(self, products: Products) -> Products:
-        return within_bounds(products, self._grid.low, self._grid.high)
-
-    def total(self) -> tuple[Array, Array]:
-        """Gains of the data (G,), and the largest of every series (D,)."""
-        if self._profiled:
-            profile = self._series.profile
-            data = profile[:, 0].min() - _least([profile[t, 0] - s.total()[:, 0] for t, s in self._of_data.items()])
-            every = profile.min(axis=0) - _least([profile[t] - s.total() for t, s in self._of_series.items()])
-            return data, np.asarray(every.max(axis=0), dtype=np.float64)
-        largest = np.empty(self._series.residuals.shape[1])
-        for t, total in self._of_series.items():
-            largest[self._series.groups[t]] = total.total().max(axis=0)
-        return next(iter(self._of_data.values())).total()[:, 0], largest
-
-
-def _least(values: list[Array]) -> Array:
-    return np.asarray(np.min(values, axis=0))

@@ -95,10 +95,6 @@ class ScannedSeries:
             self._coupled[t] = _shared_columns(np.eye(len(levels)) - self.residual_projectors[t] - levels @ levels.T)
         return Absorbed([_left_by(levels[coordinate_rows(law, block)]) for block in blocks], self._coupled[t])
 
-    def projected_at(self, t: int, rows: NDArray[np.int_]) -> Array:
-        """Compute what the model leaves of some rows of the coordinates at scatter `t`, (rows, D)."""
-        return np.asarray(self.residual_projectors[t][rows] @ self.coordinates)
-
     @cached_property
     def projected(self) -> Float32Array:
         """What the model leaves of the coordinates, for every series at its own scatter, (L, D)."""

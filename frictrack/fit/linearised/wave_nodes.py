@@ -13,15 +13,16 @@ Adcock, B. & Huybrechs, D. (2019). Frames and numerical approximation. SIAM Revi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.fit.linearised.grid import CandidateGrid
-from frictrack.fit.linearised.model import LinearisedPiece
+from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece
 from frictrack.fit.linearised.series import Float32Array
 from frictrack.records import Array
 
@@ -31,6 +32,7 @@ N_SAMPLES = 90  # along a run, at which the sums are fitted
 N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
 MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
 MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
+MAX_ENVELOPE_CHANGE = 1e-9  # of waves of one size
 MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
 MAX_NODE_RATIO = 1.2  # plain waves per frequency of the grid
 MAX_NODES = 400  # whose Gram matrix is held
@@ -84,18 +86,24 @@ class WaveNodes:
 
     def sums(self, envelope: Array, q: Array) -> _WaveSums | None:
         """Fit waves of some envelope (m,) by sums of the plain ones; None if it varies too fast."""
-        order = np.argsort(self.u, kind="stable")
-        at = order[np.unique(np.linspace(0, len(order) - 1, N_SAMPLES).round().astype(int))]
-        s, own = self.u[at] - self.middle, envelope[at]
-        k = np.arange(-N_NEIGHBOURS, N_NEIGHBOURS + 1)
-        plain = np.exp(2j * np.pi * self.spacing * np.outer(s, k))
-        power = np.arange(N_POWERS)
+        at, s, plain, inverse = self._samples
+        own, power = envelope[at], np.arange(N_POWERS)
         turned = own[:, None] * (2j * np.pi * s[:, None]) ** power / [factorial(p) for p in power]
-        series = np.linalg.pinv(plain, rcond=MIN_SINGULAR_VALUE) @ turned  # (2 N + 1, N_POWERS)
+        series = inverse @ turned  # (2 N + 1, N_POWERS)
         farthest = (np.array([[-0.5], [0.0], [0.5]]) * self.spacing) ** power
         exact = own * np.exp(2j * np.pi * np.array([[-0.5], [0.0], [0.5]]) * self.spacing * s)
         error = np.abs(farthest @ series.T @ plain.T - exact).max()
         return _WaveSums(self, series, q) if error <= MAX_WAVE_ERROR * np.abs(envelope).max() else None
+
+    @cached_property
+    def _samples(self) -> tuple[NDArray[np.int_], Array, ComplexArray, ComplexArray]:
+        """Samples at which sums are fitted: their places, distances to the middle, plain waves, and their inverse."""
+        order = np.argsort(self.u, kind="stable")
+        at = order[np.unique(np.linspace(0, len(order) - 1, N_SAMPLES).round().astype(int))]
+        s = self.u[at] - self.middle
+        plain = np.exp(2j * np.pi * self.spacing * np.outer(s, np.arange(-N_NEIGHBOURS, N_NEIGHBOURS + 1)))
+        inverse: ComplexArray = np.asarray(np.linalg.pinv(plain, rcond=MIN_SINGULAR_VALUE), dtype=np.complex128)
+        return at, s, plain, inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +139,14 @@ def _real(weights: ComplexArray, first: NDArray[np.int_], count: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NodeProducts:
-    """Plain waves along one piece and their products, as in `BlockSums`; `size` is that of the columns."""
+    """Plain waves along one piece and their products, as in `ColumnSums`; with the series over `size` (2 M,)."""
 
     nodes: WaveNodes
     gram: Array
     coordinates: Array
     data: Array
     products: Float32Array
-    size: float
+    size: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,3 +187,18 @@ def wave_stretches(grid: CandidateGrid, piece: LinearisedPiece) -> list[WaveStre
             points = slice(first + at, first + min(at + size, len(q)))
             out.append(WaveStretch(points, u, envelope, q[at : at + size], np.array_equal(u, path.t)))
     return out
+
+
+def constant_waves(law: LinearisedModel, grid: CandidateGrid) -> tuple[Hashable, list[float]] | None:
+    """Return what the waves of a grid are but for their size, and that size in every block of runs.
+
+    None if the grid is computed point by point, or if waves of one block vary in size.
+    """
+    every = [wave_stretches(grid, law.pieces[i]) for i in grid.members]
+    sizes = [[float(s.envelope[0]) for s in stretches] for stretches in every]
+    of_blocks = [np.array([size for m in block for size in sizes[m]]) for block in grid.blocks]
+    flat = all(np.ptp(s.envelope) <= MAX_ENVELOPE_CHANGE * abs(s.envelope[0]) for own in every for s in own)
+    if not all(every) or not flat or any(np.ptp(own) > MAX_ENVELOPE_CHANGE * abs(own[0]) for own in of_blocks):
+        return None
+    waves = tuple((s.points.start, s.points.stop, s.q.tobytes(), s.u.tobytes()) for own in every for s in own)
+    return (grid.effect.acts_on, grid.members, grid.block, waves), [float(own[0]) for own in of_blocks]
