@@ -41,6 +41,8 @@ class BumpDictionary:
         Traces of the bumps in place in every piece, (n_i, k).
     place_bumps
         Those bumps.
+    model
+        Residual and the P' directions of the model.
 
     """
 
@@ -49,16 +51,48 @@ class BumpDictionary:
     time_bumps: list[list[Bump]]
     place_columns: list[Array]
     place_bumps: list[Bump]
+    model: ModelProjection
 
     @cached_property
-    def time_squares(self) -> list[Array]:
-        """Squared norms of the traces in time, (k_i,) per piece."""
-        return [np.einsum("nk,nk->k", c, c) for c in self.time_columns]
+    def time_on_model(self) -> list[Array]:
+        """Components (P', k_i) of the traces in time on the model, per piece."""
+        return self._on_directions_in_time(self.model.u)
 
     @cached_property
-    def place_squares(self) -> Array:
-        """Squared norms of the traces in place over all pieces, (k,)."""
-        return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.place_columns], axis=0))
+    def place_on_model(self) -> Array:
+        """Components (P', k) of the traces in place on the model, over all pieces."""
+        return self._on_directions_in_place(self.model.u)
+
+    def time_norms(self, law: ModelProjection) -> list[Array]:
+        """Norms (k_i,) of the traces in time beside the model with further columns, `law`, per piece.
+
+        They are 0 where the model absorbs nearly all of a trace. Only its further directions are multiplied.
+        """
+        further = self._on_directions_in_time(law.u[:, self.model.u.shape[1] :])
+        return [_norm(*of, more) for of, more in zip(self._time_squares, further, strict=True)]
+
+    def place_norms(self, law: ModelProjection) -> Array:
+        """The same norms (k,) of the traces in place."""
+        return _norm(*self._place_squares, self._on_directions_in_place(law.u[:, self.model.u.shape[1] :]))
+
+    @cached_property
+    def _time_squares(self) -> list[tuple[Array, Array]]:
+        """Squares (k_i,) of the traces in time, and what the model leaves of them, per piece."""
+        whole = [_squares(c) for c in self.time_columns]
+        return [(full, full - np.sum(on**2, axis=0)) for full, on in zip(whole, self.time_on_model, strict=True)]
+
+    @cached_property
+    def _place_squares(self) -> tuple[Array, Array]:
+        """The same of the traces in place, (k,)."""
+        whole = np.sum([_squares(c) for c in self.place_columns], axis=0)
+        return whole, whole - np.sum(self.place_on_model**2, axis=0)
+
+    def _on_directions_in_time(self, u: Array) -> list[Array]:
+        return [u[rows].T @ c for rows, c in zip(self.model.rows, self.time_columns, strict=True)]
+
+    def _on_directions_in_place(self, u: Array) -> Array:
+        return np.asarray(np.sum([u[rows].T @ c for rows, c in zip(self.model.rows, self.place_columns, strict=True)],
+                                 axis=0))  # fmt: skip
 
 
 def build_dictionary(law: ModelProjection) -> BumpDictionary:
@@ -79,7 +113,7 @@ def build_dictionary(law: ModelProjection) -> BumpDictionary:
     maps = [ForceTraces.of(law.solution, r) for r in law.responses]
     time_columns = [trace_bumps(q, bumps).T for q, bumps in zip(maps, time_bumps, strict=True)]
     place_columns = [trace_bumps(q, place_bumps).T for q in maps]
-    return BumpDictionary(maps, time_columns, time_bumps, place_columns, place_bumps)
+    return BumpDictionary(maps, time_columns, time_bumps, place_columns, place_bumps, law)
 
 
 def trace_bumps(traces: ForceTraces, bumps: Sequence[Bump]) -> Array:
@@ -145,53 +179,29 @@ def width_limits(responses: Sequence[PieceResponse], bump: Bump) -> tuple[float,
     return MIN_WIDTH_FRAMES * float(np.median(np.diff(t))), 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0])
 
 
-def column_norms(law: ModelProjection, dictionary: BumpDictionary) -> tuple[list[Array], Array]:
-    """Norms of all traces after projection off the model.
-
-    Parameters
-    ----------
-    law
-        Residual and directions of the model.
-    dictionary
-        The bumps.
-
-    Returns
-    -------
-    time_norms : list of ndarray
-        Norms (k_i,) of the bumps in time of every piece; 0 where the model absorbs nearly all of a trace.
-    place_norms : ndarray, shape (k,)
-        The same of the bumps in place.
-
-    """
-    time_norms = [
-        _norm(full, law.u[rows].T @ c)
-        for rows, c, full in zip(law.rows, dictionary.time_columns, dictionary.time_squares, strict=True)
-    ]
-    on_place = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, dictionary.place_columns, strict=True)], axis=0)
-    return time_norms, _norm(dictionary.place_squares, on_place)
+def _squares(columns: Array) -> Array:
+    """Squared norms (k,) of columns (n, k)."""
+    return np.asarray(np.einsum("kn,kn->k", columns.T, columns.T))
 
 
-def _norm(squares: Array, on_law: Array) -> Array:
-    """Norms (k,) of columns with these squares after removing their components (P', k) on the model."""
-    left = squares - np.sum(on_law**2, axis=0)
-    return np.where(left > MIN_VISIBLE_SHARE * squares, np.sqrt(np.maximum(left, 0)), 0.0)
+def _norm(whole: Array, left: Array, on_law: Array) -> Array:
+    """Norms (k,) of columns with these squares, of which is `left` before removing components (P, k)."""
+    left = left - np.sum(on_law**2, axis=0)
+    return np.where(left > MIN_VISIBLE_SHARE * whole, np.sqrt(np.maximum(left, 0)), 0.0)
 
 
-def search_significance(
-    law: ModelProjection, dictionary: BumpDictionary
-) -> tuple[GlobalSignificance, list[GlobalSignificance]]:
-    """Global significance of the whole search, and of the search in each piece alone."""
-    time_norms, place_norms = column_norms(law, dictionary)
+def search_significance(dictionary: BumpDictionary) -> tuple[GlobalSignificance, list[GlobalSignificance]]:
+    """Global significance of the whole search beside the model, and of the search in each piece alone."""
+    law = dictionary.model
     frames = float(np.mean([len(r.r) for r in law.responses]))
     dof = max(frames / CORRELATION_COST, 3.0)
-    own = []
-    for i, rows in enumerate(law.rows):
-        on = law.u[rows].T @ dictionary.time_columns[i]
-        parts = [(dictionary.time_columns[i], 1.0), (on, -1.0)]
-        own.append(_combine_significance(parts, time_norms[i], dictionary.time_bumps[i], dof))
-    on = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, dictionary.place_columns, strict=True)], axis=0)
-    parts = [*((c, 1.0) for c in dictionary.place_columns), (on, -1.0)]
-    every = [*own, _combine_significance(parts, place_norms, dictionary.place_bumps, dof)]
+    columns = zip(dictionary.time_columns, dictionary.time_on_model, strict=True)
+    own = [
+        _combine_significance([(c, 1.0), (on, -1.0)], norms, bumps, dof)
+        for (c, on), norms, bumps in zip(columns, dictionary.time_norms(law), dictionary.time_bumps, strict=True)
+    ]
+    parts = [*((c, 1.0) for c in dictionary.place_columns), (dictionary.place_on_model, -1.0)]
+    every = [*own, _combine_significance(parts, dictionary.place_norms(law), dictionary.place_bumps, dof)]
     return GlobalSignificance(sum(c.length for c in every), sum(c.families for c in every), dof), own
 
 

@@ -137,19 +137,19 @@ def deconvolve_force(
     wave = strongest_spatial_wave(found.law, waves.in_place)
     if wave is not None and wave.p < ALPHA and wave.gain > max(explained, 0.0 if line is None else line.gain):
         residual = found.law.with_columns(wave.columns)
-        means, variances = _model_averaged_force(residual)
+        means, variances = _model_averaged_force(residual, found.dictionary.maps)
         means = [m + f for m, f in zip(means, wave.force, strict=True)]
         extra_variances = wave.variance
     elif line is not None and known_frequency is None and line.p < ALPHA and line.gain > explained:
         found = replace(found, bumps=[], residual=found.law.with_columns(line.columns))
-        means, variances = _model_averaged_force(found.residual)
+        means, variances = _model_averaged_force(found.residual, found.dictionary.maps)
         forces = [line.force(r.piece.run, r.piece.t) for r in found.residual.responses]
         spread = [np.full_like(f, np.mean(f**2) / max(line.gain / (2 * len(forces)), 1.0)) for f in forces]
         means = [m + f for m, f in zip(means, forces, strict=True)]
         variances = [v + s for v, s in zip(variances, spread, strict=True)]
         extra_variances = [np.zeros_like(f) for f in forces]
     else:
-        means, variances = _model_averaged_force(found.residual)
+        means, variances = _model_averaged_force(found.residual, found.dictionary.maps)
         forces, extra_variances = bump_forces(found)
         means = [m + f for m, f in zip(means, forces, strict=True)]
     pieces = zip(found.residual.responses, means, variances, extra_variances, strict=True)
@@ -162,10 +162,10 @@ def _vibration(solution: Solution) -> float | None:
     return next((q["frequency"] for name, q in values.items() if name.startswith("vibration")), None)
 
 
-def _model_averaged_force(law: ModelProjection) -> tuple[list[Array], list[Array]]:
+def _model_averaged_force(law: ModelProjection, maps: Sequence[ForceTraces]) -> tuple[list[Array], list[Array]]:
     """Means and variances of the force, averaged over amplitudes and correlation lengths by their likelihood."""
     knots = [_knots(r) for r in law.responses]
-    products = [_normal_products(law, i, k) for i, k in enumerate(knots)]
+    products = [_normal_products(law, rows, m, k) for rows, m, k in zip(law.rows, maps, knots, strict=True)]
     step = max(float(k[1] - k[0]) for k in knots)
     longest = max(float(k[-1] - k[0]) for k in knots)
     tried = []
@@ -190,9 +190,8 @@ def _knots(response: PieceResponse) -> Array:
     return np.linspace(t[0], t[-1], count)
 
 
-def _normal_products(law: ModelProjection, i: int, knots: Array) -> tuple[Array, Array, Array]:
+def _normal_products(law: ModelProjection, rows: slice, traces: ForceTraces, knots: Array) -> tuple[Array, ...]:
     """Gram matrix (K, K) of a force through knots, and its products with model (K, P') and residual (K,)."""
-    traces, rows = ForceTraces.of(law.solution, law.responses[i]), law.rows[i]
     own = traces(linear_interpolation_matrix(traces.t, knots).T)
     return own @ own.T, own @ law.u[rows], own @ law.r[rows]
 

@@ -145,7 +145,8 @@ class WaveScan:
     solution: Solution
 
     @cached_property
-    def _traces(self) -> list[ForceTraces]:
+    def traces(self) -> list[ForceTraces]:
+        """The maps of all pieces from forces to traces."""
         return [ForceTraces.of(self.solution, r) for r in self.solution.responses]
 
     @cached_property
@@ -154,13 +155,13 @@ class WaveScan:
         span = self.solution.problem.layout.span
         f = frequencies(span)[::FREQUENCY_STRIDE]
         f = f[f >= MIN_PERIODS / span.duration]
-        return WaveTraces(f, [q.of_waves(q.t, f) for q in self._traces] if len(f) else [])
+        return WaveTraces(f, [q.of_waves(q.t, f) for q in self.traces] if len(f) else [])
 
     @cached_property
     def in_place(self) -> WaveTraces:
         """Dry friction forces that are sinusoidal over the place."""
         f = np.sort(1 / spatial_periods(self.solution.problem.layout.span))
-        return WaveTraces(f, [q.of_waves(q.x, f, q.dry_factor) for q in self._traces])
+        return WaveTraces(f, [q.of_waves(q.x, f, q.dry_factor) for q in self.traces])
 
 
 def pair_products(traces: Array | Float32Array) -> Array:

@@ -82,6 +82,7 @@ def curve_length(parts: Sequence[tuple[Array, float]], kept: Array) -> float:
         return 0.0
     inner = np.zeros(len(nonzero) - 1)
     for part, sign in parts:
-        unit = part[:, nonzero] / kept[nonzero]
-        inner += sign * np.einsum("nk,nk->k", unit[:, 1:], unit[:, :-1])
+        rows = part.T[nonzero]
+        inner += sign * np.einsum("kn,kn->k", rows[1:], rows[:-1])
+    inner /= kept[nonzero[1:]] * kept[nonzero[:-1]]
     return float(np.sum(np.arccos(np.clip(inner, -1.0, 1.0))))

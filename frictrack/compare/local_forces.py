@@ -21,7 +21,6 @@ import numpy as np
 from frictrack.compare.bump_dictionary import (
     BumpDictionary,
     build_dictionary,
-    column_norms,
     families,
     quotients,
     search_significance,
@@ -116,7 +115,7 @@ def start_search(law: ModelProjection) -> LocalForces:
     """Prepare a search for local forces."""
     at = [motion_at_nodes(law.solution, r) for r in law.responses]
     dictionary = build_dictionary(law)
-    return LocalForces([], law, law, at, dictionary, *search_significance(law, dictionary))
+    return LocalForces([], law, law, at, dictionary, *search_significance(dictionary))
 
 
 def find_local_forces(solution: Solution) -> LocalForces:
@@ -199,7 +198,7 @@ def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
 
 def _strongest_moment(found: LocalForces, done: set[int | None]) -> Bump:
     """The most significant bump in time over the pieces not yet done; the shortest of about equal ones."""
-    time_norms, _ = column_norms(found.residual, found.dictionary)
+    time_norms = found.dictionary.time_norms(found.residual)
     best = [Bump(0, 0.0, 1.0)]
     for i, rows in enumerate(found.residual.rows):
         if i not in done:
@@ -212,7 +211,7 @@ def _strongest_moment(found: LocalForces, done: set[int | None]) -> Bump:
 def _strongest_places(found: LocalForces) -> list[Bump]:
     """The most significant place for every width."""
     residual, dictionary = found.residual, found.dictionary
-    _, common = column_norms(residual, dictionary)
+    common = dictionary.place_norms(residual)
     dots = np.sum(
         [c.T @ residual.r[rows] for rows, c in zip(residual.rows, dictionary.place_columns, strict=True)], axis=0
     )

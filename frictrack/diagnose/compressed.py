@@ -189,7 +189,7 @@ def _compress_piece(
     count = max(min(len(piece.t) // 3, max_components), MIN_COMPONENTS_PER_PIECE)
     knots = _knots(piece.t[0], piece.t[-1], count)
     nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, SPLINE_DEGREE).toarray()
-    _, edges = response.linear.respond(-nodes / piece.mass, np.zeros((2, count)))
+    edges = response.linear.edge_states(-nodes / piece.mass, np.zeros((2, count)))
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     moved -= response.q @ (response.q.T @ moved)
     scale = np.linalg.norm(moved, axis=0)

@@ -68,6 +68,11 @@ class _CurveProducts:
     gram: Array
     data: Array
 
+    def model_alone(self) -> _CurveProducts:
+        """The products of the shared columns of the model, without a curve."""
+        k = len(self.knots)
+        return _CurveProducts(np.empty(0), self.gram[:, k:, k:], self.data[:, k:])
+
 
 @dataclass(frozen=True)
 class _WaveProducts:
@@ -156,7 +161,7 @@ def assess_repeatability(
         return Repeatability(
             words="One run cannot show whether the misfit repeats: film another one, best at another speed."
         )
-    projected = _project_own_columns(law, runs, _draw_sign_flips(law, rng, draws))
+    projected = _project_own_columns(law, waves.traces, _draw_sign_flips(law, rng, draws))
     found, curves, excess = [], {}, _excess_chi2(projected)
     evidence, separate_evidence = _axis_evidence(forces or ResidualForces(solution))
     for axis in N_KNOTS:
@@ -184,9 +189,9 @@ def _axis_evidence(forces: ResidualForces) -> tuple[dict[str, float], float]:
     return evidence, max(gain_of_separate_curves(forces.compressed), 0.0)
 
 
-def _project_own_columns(law: ModelProjection, runs: Sequence[int], series: Array) -> _Runs:
+def _project_own_columns(law: ModelProjection, maps: list[ForceTraces], series: Array) -> _Runs:
     """Project out of every run what belongs to it alone."""
-    layout = law.solution.problem.layout
+    layout, runs = law.solution.problem.layout, sorted({r.piece.run for r in law.responses})
     own_columns, shared, residuals = [], [], []
     for rows, response in zip(law.rows, law.responses, strict=True):
         slots = [layout.slots[i] for i in response.active]
@@ -198,7 +203,6 @@ def _project_own_columns(law: ModelProjection, runs: Sequence[int], series: Arra
         residuals.append(series[rows] - q @ (q.T @ series[rows]))
     norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
     shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
-    maps = [ForceTraces.of(law.solution, r) for r in law.responses]
     return _Runs(law, maps, [runs.index(r.piece.run) for r in law.responses], own_columns, shared, residuals)
 
 
@@ -210,7 +214,7 @@ def _excess_chi2(projected: _Runs) -> Array:
     for run, series, own in zip(projected.run, projected.series, projected.own, strict=True):
         misfit[run] += np.einsum("nd,nd->d", series, series)
         frames[run] += len(series) - own.shape[1]
-    misfit -= _gains(products, _model_prior(products), 0)
+    misfit -= _falls(products, _model_prior(products))
     return np.asarray(np.maximum(misfit - frames, np.sqrt(2 * frames)))
 
 
@@ -265,13 +269,14 @@ def _best_smooth_curve(tried: Sequence[_CurveProducts]) -> tuple[Array, dict[str
     curve: dict[str, Array] = {}
     for products in tried:
         k = len(products.knots)
+        bare = _falls(products.model_alone(), _model_prior(products)[k:, k:])
         scale = float(np.trace(products.gram.sum(axis=0)[:k, :k]) / k)
         for reach in CORRELATION_LENGTHS_KNOTS:
             precision = np.linalg.inv(matern_covariance(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
             for size in PRIOR_SIZES:
                 prior = _model_prior(products)
                 prior[:k, :k] += precision * (scale / size**2)
-                gains = _gains(products, prior, k)
+                gains = _falls(products, prior) - bare
                 if best is None or gains[:, 0].sum() > best[:, 0].sum():
                     curve = _curve(products, prior)
                 best = gains if best is None else _larger_gains(best, gains)
@@ -343,21 +348,11 @@ def _predicted_gain(
     return np.asarray(fall - 2 * np.einsum("di,dis,sd->d", c, own_products.cross[best], shifted))
 
 
-def _gains(products: _CurveProducts, prior: Array, knots: int) -> Array:
-    """Fall of every run's chi-squared with curve and model of the other runs, over that with their model alone, (R, D).
-
-    Without knots, over the model of all runs.
-    """
-    gram, data = products.gram.sum(axis=0) + prior, products.data.sum(axis=0)
-    out = np.zeros((len(products.gram), data.shape[1]))
-    law = slice(knots, None)
-    for run, (g, b) in enumerate(zip(products.gram, products.data, strict=True)):
-        c = np.linalg.solve(gram - g, data - b)
-        out[run] = _chi2_fall(g, b, c)
-        if knots and c.shape[0] > knots:
-            bare = np.linalg.solve((gram - g)[law, law], (data - b)[law])
-            out[run] -= _chi2_fall(g[law, law], b[law], bare)
-    return out
+def _falls(products: _CurveProducts, prior: Array) -> Array:
+    """Fall of every run's chi-squared with curve and model of the other runs, (R, D)."""
+    gram, data = products.gram, products.data
+    c = np.linalg.solve(gram.sum(axis=0) + prior - gram, data.sum(axis=0) - data)
+    return np.asarray(np.einsum("rkd,rkd->rd", c, 2 * data - gram @ c))
 
 
 def _chi2_fall(gram: Array, data: Array, c: Array) -> Array:
