@@ -14,6 +14,8 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.null_distribution import N_DRAWS
+from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
 from frictrack.fit import fit
 from frictrack.results import to_builtins
 
@@ -47,6 +49,18 @@ def nothing_missing():
 def texture_missing():
     fitted = fit(LAW, runs_with("texture"))
     return fitted, diagnose(fitted)
+
+
+def test_a_later_round_stops_early_only_where_nothing_is_left(texture_missing):
+    def run(solution):
+        return run_later_round(solution, [], np.random.default_rng(1), lambda what: None)
+
+    done = run(fit(LAW, runs_with()).solution)
+    assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_LATER_ROUND
+    assert not done.leaves_misfit and done.passing == [] and min(done.tests.p.values()) >= MIN_P_CLEAR
+    going_on = run(texture_missing[0].solution)
+    assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS
+    assert going_on.leaves_misfit and going_on.passing[0].effect.name == "texture"
 
 
 def test_a_law_that_is_the_whole_truth_is_complete(nothing_missing):

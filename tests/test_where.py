@@ -13,10 +13,11 @@ from frictrack.compare import failing_spans
 from frictrack.compare.bump_dictionary import _bumps_in_time
 from frictrack.compare.deconvolve import deconvolve_force
 from frictrack.compare.global_significance import GlobalSignificance, curve_length
-from frictrack.compare.local_forces import find_local_forces
+from frictrack.compare.local_forces import bump_columns, find_local_forces, start_search
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
 from frictrack.fit import fit
+from frictrack.fit.least_squares import model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.fit.stepwise import add_effect
 from frictrack.plots import style
@@ -99,6 +100,21 @@ def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched
     assert {s["run"] for s in spans} == {r.name for r in runs if np.sum(on_patch(r)) > 5}
     assert all(s["p"] < 0.01 for s in spans)
     assert 0.8 < sum(s["share_of_error"] for s in spans) <= 1.2
+
+
+def test_norms_beside_a_growing_model_are_those_of_the_projected_traces(patched):
+    search = start_search(model_projection(patched[1]))
+    bumps, law = search.dictionary, search.law
+    for grown in (law, law.with_columns(bump_columns(search, bumps.place_bumps[30:32])[:, :, 0])):
+        pieces = zip(law.rows, bumps.time_columns, bumps.time_norms(grown), strict=True)
+        everywhere = slice(0, law.rows[-1].stop), np.concatenate(bumps.place_columns), bumps.place_norms(grown)
+        for rows, columns, norms in [*pieces, everywhere]:
+            traces = np.zeros((len(grown.u), columns.shape[1]))  # with the penalty rows of the model
+            traces[rows] = columns
+            left = np.linalg.norm(traces - grown.u @ (grown.u.T @ traces), axis=0)
+            shown = norms > 0
+            np.testing.assert_allclose(norms[shown], left[shown], rtol=1e-6)
+            assert shown.sum() > 0.9 * len(norms)
 
 
 def test_one_common_place_is_found_and_not_a_moment_of_each_run(patched):
