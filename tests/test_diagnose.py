@@ -57,10 +57,13 @@ def test_a_later_round_stops_early_only_where_nothing_is_left(texture_missing):
 
     done = run(fit(LAW, runs_with()).solution)
     assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_LATER_ROUND
-    assert not done.leaves_misfit and done.passing == [] and min(done.tests.p.values()) >= MIN_P_CLEAR
+    assert not done.leaves_misfit
+    assert done.passing == []
+    assert min(done.tests.p.values()) >= MIN_P_CLEAR
     going_on = run(texture_missing[0].solution)
     assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS
-    assert going_on.leaves_misfit and going_on.passing[0].effect.name == "texture"
+    assert going_on.leaves_misfit
+    assert going_on.passing[0].effect.name == "texture"
 
 
 def test_a_law_that_is_the_whole_truth_is_complete(nothing_missing):
