@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ import pytest
 import tifffile
 from film import block_film
 
+from frictrack import workers
+from frictrack.cli import main
+from frictrack.flow import Session, open_study
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import segments, track, track_in_parallel
@@ -89,3 +93,41 @@ def test_a_target_that_is_hidden_between_two_segments_is_found_again(
     assert alone.found[seen].mean() > 0.98
     error = alone.x_px[seen] - X[seen]
     assert np.nanmax(np.abs(error - np.nanmedian(error))) < 0.02
+
+
+def study_of_film(folder: Path, frames: Array) -> Path:
+    folder.mkdir()
+    written(folder, frames)
+    keys = ("[study]", 'mass = "0.35 kg"', "[camera]", "fps = 4000", 'scale = "0.5 mm/px"', "[[run]]", 'name = "a"')
+    text = "\n".join((*keys, 'video = "film.tif"', f"target = {target()}"))
+    (folder / "study.toml").write_text(text + "\n")
+    return folder / "study.toml"
+
+
+def test_all_tracks_of_a_long_film_are_shared_between_processes(
+    tmp_path: Path, frames: Array, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(segments, "SEGMENT_FRAMES", SEGMENT)
+    pool, opened = OtherProcesses(), []
+
+    @contextmanager
+    def processes(count: int) -> Iterator[OtherProcesses]:
+        opened.append(count)
+        yield pool
+
+    monkeypatch.setattr(workers, "local_workers", processes)
+    one, several = study_of_film(tmp_path / "one", frames), study_of_film(tmp_path / "several", frames)
+    _run("track", str(one))
+    assert not opened
+    _run("track", str(several), "--workers", "2")
+    assert opened == [2]
+    assert pool.tasks >= 3 * (N // SEGMENT)  # learnt, tracked, tracked backward
+    (alone,), (parallel,) = Session(open_study(one)).runs, Session(open_study(several)).runs
+    assert same(alone.get("track"), parallel.get("track"))
+    assert same(alone.get("tracks")["backward"], parallel.get("tracks")["backward"])
+
+
+def _run(*command: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert not ended.value.code

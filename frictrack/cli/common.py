@@ -15,6 +15,7 @@ from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
 
 if TYPE_CHECKING:
     from frictrack.flow import Session
+    from frictrack.workers import WorkerPool
 
 app = typer.Typer(
     help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
@@ -27,6 +28,9 @@ Study = Annotated[Path, typer.Argument(metavar="STUDY", help="study file (.toml)
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout and nothing else")]
 Seed = Annotated[int, typer.Option(help="seed of all random numbers")]
 Workers = Annotated[int | None, typer.Option(min=1, help="number of processes (default: all processors)")]
+FilmWorkers = Annotated[
+    int, typer.Option("--workers", metavar="N", min=1, help="processes that share a long uncompressed film")
+]
 Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
@@ -49,22 +53,34 @@ def options(
 
 
 @contextmanager
-def open_session(study: Path) -> Iterator[Session]:
+def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
     """Open a study for work; progress is shown on stderr."""
-    with open_with_progress(study) as (session, _):
+    with open_with_progress(study, workers) as (session, _):
         yield session
 
 
 @contextmanager
-def open_with_progress(study: Path) -> Iterator[tuple[Session, ProgressDisplay]]:
+def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session, ProgressDisplay]]:
     """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
-    with progress_bars() as progress:
+    with progress_bars() as progress, _film_workers(workers) as pool:
         progress(0, 1, f"reading {study}")
         from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
 
         opened = open_study(study)
         progress(0, 0, f"study {opened.name}, {len(opened.runs)} runs")
-        yield Session(opened, progress, author="cli"), progress
+        yield Session(opened, progress, author="cli", pool=pool), progress
+
+
+@contextmanager
+def _film_workers(workers: int) -> Iterator[WorkerPool | None]:
+    """Open processes for the segments of long films; none for one. They start with the first segment."""
+    if workers == 1:
+        yield None
+        return
+    from frictrack.workers import local_workers  # noqa: PLC0415 - only needed for several processes
+
+    with local_workers(workers) as pool:
+        yield pool
 
 
 def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callable[[Mapping[str, Any]], None] | None:

@@ -11,6 +11,7 @@ import typer
 
 from frictrack.cli.common import (
     Effect,
+    FilmWorkers,
     Json,
     Search,
     Seed,
@@ -30,11 +31,12 @@ Announce = Callable[[Mapping[str, Any]], None]
 
 
 @app.command()
-def run(
+def run(  # noqa: PLR0913, PLR0917 - one argument per option
     paths: Annotated[list[Path], typer.Argument(metavar="STUDY | RECORDING...", help="a study file, or recordings")],
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"; only with recordings')] = None,
     fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,
+    workers: FilmWorkers = 1,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -44,7 +46,7 @@ def run(
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
     """
     path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
-    with open_with_progress(path) as (session, progress):
+    with open_with_progress(path, workers) as (session, progress):
         result, shown = _streamed(
             lambda announce: session.run(seed, on_verdict=announce), print_verdict(progress, as_json, "run_verdict")
         )
@@ -104,6 +106,7 @@ def track(
     overlay: Annotated[
         bool, typer.Option("--overlay", help="also write each film with the tracked positions drawn into it")
     ] = False,
+    workers: FilmWorkers = 1,
     as_json: Json = False,
 ) -> None:
     """Track the slider in every film.
@@ -111,7 +114,7 @@ def track(
     Reads the films. Writes the tracks into the run's .h5 file, and a contact sheet per film that shows whether the
     tracking went well.
     """
-    with open_session(study) as session:
+    with open_session(study, workers) as session:
         result = session.measure("track", overlay=overlay)
     print_result(result, as_json, "track", session.study.output)
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from frictrack.recording import Recording
     from frictrack.study import RunTable, Study
     from frictrack.tracking import TargetModel
+    from frictrack.workers import WorkerPool
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of the tracks that frictrack adds
 REASON_COVERED = "the target passes over it"
@@ -84,7 +85,7 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         Areas,
         is_polygon,
         learn_target,
-        track,
+        track_in_parallel,
         track_same_target,
     )
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
@@ -96,13 +97,19 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         rectangle, frame = resolve_target(opened, run.target, run.template or 0)
         where = run.target if is_polygon(run.target) else rectangle
         areas = Areas(where, run.exclude, run.obstacles)
+        how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
         known = _target_of_first_film(pipeline)
-        shared = known and track_same_target(opened, areas, known, template=frame, progress=pipeline.progress)
+        shared = known and track_same_target(opened, areas, known, **how)
         if shared:
             found, pipeline.lesson = shared
             return found
-        pipeline.lesson = learn_target(opened, areas, template=frame, progress=pipeline.progress)
-        return track(opened, areas, template=frame, known=pipeline.lesson, progress=pipeline.progress)
+        pipeline.lesson = learn_target(opened, areas, **how)
+        return track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+
+
+def _pool(pipeline: RunPipeline) -> WorkerPool | None:
+    """Processes that take over segments of a long film; none for a compressed one, which has to be decoded in order."""
+    return pipeline.pool if pipeline.recording.direct else None
 
 
 def _target_of_first_film(pipeline: RunPipeline) -> TargetModel | None:
@@ -157,7 +164,7 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
 
 def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """Track the fixed reference that the study file names, or the one that is found; empty if there is none."""
-    from frictrack.tracking import find_reference, track  # noqa: PLC0415
+    from frictrack.tracking import find_reference, track, track_in_parallel  # noqa: PLC0415
     from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
     given = pipeline.run.reference
@@ -170,10 +177,12 @@ def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) ->
     rectangle = find_reference(opened, target)
     if rectangle is None:
         return {}
-    found = _track_or_none(lambda: track(opened, rectangle, name=REFERENCE, progress=pipeline.progress))
+    found = _track_or_none(
+        lambda: track_in_parallel(opened, rectangle, pool=_pool(pipeline), progress=pipeline.progress)
+    )
     if found is None or moves_with(target, found):
         return {}
-    return {REFERENCE: replace(found, notes=())}
+    return {REFERENCE: replace(found, name=REFERENCE, notes=())}
 
 
 def _without_covered_frames(reference: Track, target: Track) -> Track:
@@ -198,7 +207,7 @@ def _without_covered_frames(reference: Track, target: Track) -> Track:
 
 def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """Track the target from the last frame that shows it completely to the first one, with the learnt template."""
-    from frictrack.tracking import Areas, track  # noqa: PLC0415
+    from frictrack.tracking import Areas, track_in_parallel  # noqa: PLC0415
 
     assert forward.target is not None
     size = np.array(forward.target[2:])
@@ -212,10 +221,11 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
     def follow() -> Track:
         known: TargetModel = pipeline.lesson or _learn_again(opened, forward)
         areas = Areas(rectangle, obstacles=forward.obstacles)
-        return track(opened, areas, template=last, known=known, name=BACKWARD, progress=pipeline.progress)
+        how: dict[str, Any] = {"template": last, "progress": pipeline.progress, "pool": _pool(pipeline)}
+        return track_in_parallel(opened, areas, known=known, **how)
 
     backward = _track_or_none(follow)
-    return {} if backward is None else {BACKWARD: replace(backward, picture=None, notes=())}
+    return {} if backward is None else {BACKWARD: replace(backward, name=BACKWARD, picture=None, notes=())}
 
 
 def _learn_again(opened: Recording, track: Track) -> TargetModel:

@@ -28,6 +28,7 @@ from frictrack.version import __version__
 if TYPE_CHECKING:
     from frictrack.recording import Recording
     from frictrack.tracking import TargetModel
+    from frictrack.workers import WorkerPool
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
@@ -97,6 +98,7 @@ class RunPipeline:
         self.path = study.output / f"{run.name}.h5"
         self.stages = stages
         self._progress = progress
+        self.pool: WorkerPool | None = None  # processes that take over segments of a long film
         self.lesson: TargetModel | None = None  # the learnt template, from the track stage to the tracks stage
         self._film: Recording | None = None
         self._results: dict[str, Any] = {}

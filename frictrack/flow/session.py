@@ -29,6 +29,7 @@ from frictrack.version import __version__
 
 if TYPE_CHECKING:
     from frictrack.flow.plausibility_checks import Findings
+    from frictrack.workers import WorkerPool
 
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
@@ -74,6 +75,8 @@ class Session:
         any.
     notes
         Sentences for the report, for example on runs that were left out.
+    pool
+        Processes that take over segments of long uncompressed films; the positions are the same.
 
     Examples
     --------
@@ -94,15 +97,16 @@ class Session:
         author: str = "python",
         expected_revision: int | None = None,
         notes: tuple[str, ...] = (),
+        pool: WorkerPool | None = None,
     ) -> None:
-        self.progress = progress
+        self.progress, self._pool = progress, pool
         self.notes = notes
         self.commands = CommandHistory(study.output, author, expected_revision)
         self._load(study)
 
     def _load(self, study: Study) -> None:
         self.study = study
-        self.runs = run_pipelines(study, self.progress)
+        self.runs = run_pipelines(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self._findings: Findings | None = None
         self.path = study.output / "study.h5"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, no_progress
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
 from frictrack.study import RunTable, Study
+
+if TYPE_CHECKING:
+    from frictrack.workers import WorkerPool
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -102,7 +105,7 @@ def run_pipeline(
     return RunPipeline(study, run, FILM if run.video else TABLE, progress, stored_only=stored_only)
 
 
-def run_pipelines(study: Study, progress: Progress = no_progress) -> list[RunPipeline]:
+def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPool | None = None) -> list[RunPipeline]:
     """Return the pipelines of all runs; those of films share that of the first film, and the target learnt from it.
 
     Parameters
@@ -111,9 +114,13 @@ def run_pipelines(study: Study, progress: Progress = no_progress) -> list[RunPip
         The study.
     progress
         Called while a stage is being computed.
+    pool
+        Processes that take over segments of long films.
 
     """
     found = [run_pipeline(study, run, progress) for run in study.runs]
+    for pipeline in found:
+        pipeline.pool = pool
     films = [pipeline for pipeline in found if pipeline.run.video]
     for pipeline in films[1:]:
         pipeline.anchor = films[0]

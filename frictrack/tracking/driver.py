@@ -98,7 +98,7 @@ def track_in_parallel(
     recording: Recording,
     target: Target | Areas = None,
     *,
-    pool: WorkerPool,
+    pool: WorkerPool | None,
     template: int = 0,
     known: TargetModel | None = None,
     progress: Progress | None = None,
@@ -112,8 +112,9 @@ def track_in_parallel(
         frame on and is tracked in this process.
     target, template, known, progress
         As in `track`.
-    pool : WorkerPool
-        Processes of this machine (`frictrack.workers.local_workers`) or of a Dask cluster (`cluster_workers`).
+    pool : WorkerPool or None
+        Processes of this machine (`frictrack.workers.local_workers`) or of a Dask cluster (`cluster_workers`); None for
+        this process alone.
 
     Returns
     -------
@@ -143,7 +144,13 @@ def track_in_parallel(
 
 
 def track_same_target(
-    recording: Recording, target: Areas, known: TargetModel, *, template: int = 0, progress: Progress | None = None
+    recording: Recording,
+    target: Areas,
+    known: TargetModel,
+    *,
+    template: int = 0,
+    progress: Progress | None = None,
+    pool: WorkerPool | None = None,
 ) -> tuple[Track, TargetModel] | None:
     """Track a target with the model learnt from another film, if it looks the same here.
 
@@ -155,6 +162,8 @@ def track_same_target(
         As in `track`.
     known : TargetModel
         Model of the target, learnt from another film.
+    pool : WorkerPool, optional
+        Processes that take over segments of a long uncompressed film.
 
     Returns
     -------
@@ -171,12 +180,13 @@ def track_same_target(
         placed = place_known_target(film, rectangle, template, known)
         if placed is None:
             return None
-        raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, Work(progress))
+        work = Work(progress, pool)
+        raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, work)
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
             return None
         followed = _Followed(placed, template, raw_track, adapted, np.arange(0))
-        return _measure_track(recording, film, Areas(), followed, "target", Work(progress)), adapted
+        return _measure_track(recording, film, Areas(), followed, "target", work), adapted
 
 
 @dataclass(frozen=True)
@@ -236,6 +246,7 @@ def learn_target(
     *,
     template: int = 0,
     progress: Progress | None = None,
+    pool: WorkerPool | None = None,
 ) -> TargetModel:
     """Learn the model of a target from a film: template, pixel noise and fixed pattern.
 
@@ -245,6 +256,8 @@ def learn_target(
         Film of the target.
     target, template, progress
         As in `track`.
+    pool : WorkerPool, optional
+        Processes that take over segments of a long uncompressed film.
 
     Returns
     -------
@@ -259,7 +272,7 @@ def learn_target(
     """
     with random_access(recording) as film:
         drawn = target if isinstance(target, Areas) else Areas(target)
-        return _learn_and_track(film, drawn, template, Work(progress)).target_model
+        return _learn_and_track(film, drawn, template, Work(progress, pool)).target_model
 
 
 def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work) -> _Followed:

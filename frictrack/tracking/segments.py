@@ -56,7 +56,8 @@ class Work:
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], step: str) -> Iterator[Any]:
         """Call a function without side effects with each tuple of arguments; yield the results in the same order."""
-        waiting = [None if self.pool is None else self.pool.submit(function, *task) for task in tasks]
+        pool = self.pool if len(tasks) > 1 else None  # one task is done here while the processes would only start
+        waiting = [None if pool is None else pool.submit(function, *task) for task in tasks]
         for k, (future, task) in enumerate(zip(waiting, tasks, strict=True)):
             self.report(k, len(tasks), step)
             yield function(*task) if future is None else future.result()
