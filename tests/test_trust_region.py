@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from runs import study
+from scipy.optimize import lsq_linear
 
 from frictrack import fit
 from frictrack.fit.least_squares.trust_region import DampedStep, TrustRegion, damped_step, is_converged
@@ -37,6 +38,22 @@ class TestDampedStep:
         high = whole.values.max() / 2
         step = damped_step(ROWS, RIGHT, (np.full(2, -1.0), np.full(2, high)), TrustRegion())
         assert step.values.max() <= high * (1 + 1e-9)
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_is_the_least_squares_solution_within_bounds(self, seed):
+        rng = np.random.default_rng(seed)
+        rows, right = rng.normal(size=(8, 5)), rng.normal(size=8)
+        bounds = -rng.uniform(0, 0.3, 5), rng.uniform(0, 0.3, 5)
+        expected = lsq_linear(rows, right, bounds)
+        step = damped_step(rows, right, bounds, TrustRegion(1e-12))
+        assert step.values == pytest.approx(expected.x, abs=1e-6)
+        assert step.predicted_fall == pytest.approx(right @ right - 2 * expected.cost, rel=1e-6)
+
+    def test_an_unknown_at_its_bound_does_not_shorten_the_others(self):
+        rows, right = np.array([[1.0, 1.0], [0.0, 0.01]]), np.array([1.0, -0.5])  # nearly collinear: free, 51 and -50
+        bounds = np.array([-np.inf, -1e-12]), np.full(2, np.inf)
+        step = damped_step(rows, right, bounds, TrustRegion(radius=2.0))
+        assert step.values == pytest.approx([1.0, 0.0], abs=1e-6)
 
 
 class TestTrustRegion:

@@ -189,7 +189,10 @@ class _Refinement:
             projection = _step(trial, TrustRegion(MIN_DAMPING), bounds)
             if trial.objective - projection.predicted_fall >= state.objective:
                 break
-            trial = self.after_step(trial, projection.values)
+            projected = self.after_step(trial, projection.values)
+            if projected.objective >= trial.objective:
+                break
+            trial = projected
         return trial
 
 

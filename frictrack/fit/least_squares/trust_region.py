@@ -14,7 +14,7 @@ Conn, A. R., Gould, N. I. M. & Toint, P. L. (2000). Trust-Region Methods. SIAM.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -82,6 +82,10 @@ class TrustRegion:
         lengths = np.linalg.norm(on_basis / (eigenvalues + dampings[:, None]), axis=1)
         return float(dampings[np.argmax(lengths <= self.radius)]) if lengths[-1] <= self.radius else MAX_DAMPING
 
+    def beside(self, fixed: Array) -> TrustRegion:
+        """Return the region of the other unknowns beside steps (m,) of fixed length, in units of the columns."""
+        return replace(self, radius=float(np.sqrt(max(self.radius**2 - float(fixed @ fixed), 0.0))))
+
     def after_divergence(self, step: DampedStep) -> TrustRegion:
         """Return the region after a step whose motion could not be integrated."""
         return TrustRegion(self.damping, MAX_SHRINKAGE * step.length)
@@ -119,14 +123,36 @@ def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: 
     """
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
-    u, size, vt = np.linalg.svd(rows / norm, full_matrices=False)
-    on_basis = size * (u.T @ right)
-    damping = region.sufficient_damping(size**2, on_basis)
-    z = (on_basis / (size**2 + damping)) @ vt
-    low, high = bounds[0] * norm, bounds[1] * norm
-    if np.any(z < low) or np.any(z > high):
-        damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(len(z))])
-        z = lsq_linear(damped, np.concatenate([right, np.zeros(len(z))]), bounds=(low, high), method="bvls").x
+    z = _bounded_step(rows / norm, right, (bounds[0] * norm, bounds[1] * norm), region)
     step = z / norm
     fall = float(right @ right - np.sum((right - rows @ step) ** 2))
     return DampedStep(step, float(np.linalg.norm(z)), fall)
+
+
+def _bounded_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> Array:
+    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on.
+
+    The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
+    """
+    (low, high), z, free = bounds, np.zeros(rows.shape[1]), np.ones(rows.shape[1], dtype=bool)
+    damping = region.damping
+    while np.any(free):
+        left = right - rows[:, ~free] @ z[~free]
+        z[free], damping = _free_step(rows[:, free], left, region.beside(z[~free]))
+        outside = (z < low) | (z > high)
+        if not np.any(outside):
+            break
+        z, free = np.clip(z, low, high), free & ~outside
+    gradient = rows.T @ (right - rows @ z) - damping * z
+    if np.any(~free & np.where(z <= low, gradient > 0, gradient < 0)):  # one of them should move again
+        damped = np.vstack([rows, np.sqrt(damping) * np.eye(len(z))])
+        z = lsq_linear(damped, np.concatenate([right, np.zeros(len(z))]), bounds=bounds, method="bvls").x
+    return z
+
+
+def _free_step(rows: Array, right: Array, region: TrustRegion) -> tuple[Array, float]:
+    """Damped step without bounds, and its damping."""
+    u, size, vt = np.linalg.svd(rows, full_matrices=False)
+    on_basis = size * (u.T @ right)
+    damping = region.sufficient_damping(size**2, on_basis)
+    return (on_basis / (size**2 + damping)) @ vt, damping
