@@ -42,13 +42,17 @@ NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failu
 
 @dataclass(frozen=True, eq=False)
 class FinishedSearch:
-    """Result of a search: start, first and last round, effects found, and random generators for the later steps."""
+    """Result of a search: start, first and last round, effects found, and random generators for the later steps.
+
+    `cut` says what was left out because the budget of evaluations was spent; None if nothing was.
+    """
 
     start: Solution
     first: Round
     last: Round
     found: list[RefinedCandidate]
     generators: list[np.random.Generator]
+    cut: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

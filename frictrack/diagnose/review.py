@@ -61,6 +61,8 @@ def review_found(
         full, name = remaining[-1].law, old.effect.name
         if len(remaining) < 2 and _count_unknowns(full, name) <= MAX_UNKNOWNS_SIMPLE:
             break
+        if full.problem.budget.stops():
+            break
         notify(f"testing {name} again")
         try:
             reduced = _without(full, [name], first)
@@ -206,6 +208,8 @@ def _alternatives(
     data: Array = series.coordinates[:, 0]
     trials = []
     for effect in filter(which, list_candidates(rest, own)[0]):
+        if rest.problem.budget.stops():
+            break
         e = old.effect if effect.kind == old.effect.kind else effect
         scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
         if _may_reach(e, scans, min_evidence):

@@ -70,6 +70,8 @@ class RefinedCandidate:
         Why it cannot be the cause; empty if it can.
     linear_trial
         The linearised model and the candidate's fit along the measured motion.
+    is_unrefined
+        Whether the budget of the search was spent before it was simulated to the end; it may explain more.
 
     """
 
@@ -80,6 +82,7 @@ class RefinedCandidate:
     indistinguishable_from: tuple[str, ...] = ()
     objection: str = ""
     linear_trial: tuple[LinearisedModel, CandidateTrial] | None = None
+    is_unrefined: bool = False
 
     @property
     def law(self) -> Solution:
@@ -117,6 +120,11 @@ class Round:
     def leaves_misfit(self) -> bool:
         """Whether the misfit is significant."""
         return self.tests.p_lack_of_fit < ALPHA / 2
+
+    @property
+    def unrefined(self) -> list[str]:
+        """Names of promising candidates that were not simulated to the end, because the budget was spent."""
+        return [t.effect.name for t in self.tried if t.is_unrefined]
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -254,14 +262,25 @@ def simulate_promising(
         candidate = RefinedCandidate(t.effect, None, promised[name], p[name], linear_trial=(law, t))
         candidate = replace(candidate, objection=physical_objection(t.layout, t.p, t.effect))
         if not candidate.objection and _is_worth_simulating(out, candidate, min_evidence):
-            try:
-                fitted = simulated[name] if name in simulated else simulate_trial(law, t)
-                candidate = replace(candidate, solution=fitted, delta_bic=own - information_criterion(fitted))
-                candidate = replace(candidate, objection=objection(fitted, t.effect))
-            except FrictrackError:  # along the motion it is a law, but not one that can be followed
-                pass
+            candidate = _simulated(candidate, own, simulated.get(name))
         out.append(candidate)
     return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
+
+
+def _simulated(candidate: RefinedCandidate, own: float, known: Solution | None) -> RefinedCandidate:
+    """The candidate with its simulated fit, if it is known or evaluations are left; `own` is the BIC of the model."""
+    assert candidate.linear_trial is not None
+    law, trial = candidate.linear_trial
+    budget = law.solution.problem.budget
+    if known is None and budget.stops():
+        return replace(candidate, is_unrefined=True)
+    try:
+        fitted = known or simulate_trial(law, trial)
+    except FrictrackError:  # along the motion it is a law, but not one that can be followed
+        return candidate
+    candidate = replace(candidate, is_unrefined=known is None and budget.is_spent)
+    candidate = replace(candidate, solution=fitted, delta_bic=own - information_criterion(fitted))
+    return replace(candidate, objection=objection(fitted, trial.effect))
 
 
 def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, min_evidence: float) -> bool:
@@ -285,7 +304,8 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
 
     An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. A rival need not be
-    significant by itself: the true cause may be less significant than its imitation.
+    significant by itself: the true cause may be less significant than its imitation. An effect that was promising but
+    not refined, because the budget was spent, counts as a rival: how much it explains is not known.
 
     Parameters
     ----------
@@ -303,7 +323,8 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
-    near = [t for t in near if best.delta_bic - t.delta_bic < 2 * MIN_CHI2_SEPARATED * unit]
+    margin = 2 * MIN_CHI2_SEPARATED * unit
+    near = [t for t in near if t.is_unrefined or best.delta_bic - t.delta_bic < margin]
     return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))
 
 
@@ -314,9 +335,12 @@ def _explains_as_much(
 
     `unit` is the dispersion in which chi-squared is counted: above one while misfit remains.
     """
+    if other.is_unrefined:
+        return True
     if other.solution is not None:
         near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
-        return near and (unit > 1 or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
+        unknown = unit > 1 or other.law.problem.budget.is_spent
+        return near and (unknown or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
     if true is None or other.linear_trial is None or not best.law.problem.simulates:
         return False
     (law, trial), rival = true, other.linear_trial[1]

@@ -18,6 +18,7 @@ from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, run_later_round, run_round
+from frictrack.diagnose.search_budget import describe_cut, search_budget
 from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
@@ -101,7 +102,7 @@ def _conclude(
     if joined is not None:
         joined, remark = subsample_frames(joined)
         found = _search(fit, joined, signals, (np.random.default_rng(seed), notify))
-        conclusion = Conclusion(fit, found, tuple(filter(None, [remark])))
+        conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])))
         if not found.last.leaves_misfit:
             notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
             if conclusion.verdict.verdict != "unexplained":
@@ -111,7 +112,7 @@ def _conclude(
     start, remarks = residual_kind(start.problem).prepare(start)
     found = _search(fit, start, signals, (np.random.default_rng(seed), notify))
     notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
-    return Conclusion(fit, found, tuple(filter(None, remarks)))
+    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 
 
 def _search(
@@ -122,11 +123,12 @@ def _search(
 ) -> FinishedSearch:
     """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, progress)."""
     (own, auxiliary), (rng, notify) = signals, means
-    generators = rng.spawn(2)
+    generators, budget = rng.spawn(2), search_budget(start.problem, MAX_EFFECTS)
+    start = replace(start, problem=start.problem.with_budget(budget))
     kind = residual_kind(start.problem)
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
     first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what))
-    found: list[RefinedCandidate] = []
+    unrefined, found = first.unrefined, list[RefinedCandidate]()
     for done in range(1, MAX_ROUNDS + 1):
 
         def notify_round(what: str, done: int = done) -> None:
@@ -145,8 +147,11 @@ def _search(
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
         last = run_later_round(kind.before_round(law), own, rng, notify_round)
+        unrefined += last.unrefined
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
-    return FinishedSearch(start, first, last, found, generators)
+    cut = describe_cut(budget, unrefined, found)
+    budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
+    return FinishedSearch(start, first, last, found, generators, cut)
 
 
 def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:

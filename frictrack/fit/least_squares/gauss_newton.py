@@ -315,7 +315,7 @@ def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, mi
     state, step = refinement.next_step(state, region)
     for _ in range(max_steps):
         threshold = min_fall * max(1.0, state.objective / max(refinement.problem.n_frames, 1))
-        if step.predicted_fall < threshold:
+        if step.predicted_fall < threshold or refinement.problem.budget.stops():
             break
         try:
             trial = refinement.after_trial(state, step.values)
@@ -336,6 +336,7 @@ def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, mi
 
 
 def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], tau: float) -> Solution:
+    problem.budget.spend()
     responses = problem.evaluate(p, starts)
     penalty = penalty_residual(problem.layout, p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(penalty @ penalty)

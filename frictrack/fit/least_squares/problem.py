@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares.joined_law import JoinedLaw, LawStructure, difference_step
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import JoinedPieces, Piece, group_by_size, split_motions
@@ -134,6 +136,8 @@ class LeastSquaresProblem:
         Map of the parameter vector.
     pieces : sequence of Piece
         The pieces of all runs.
+    budget : EvaluationBudget, optional
+        Budget of the fits of this problem and of those built from it; default unlimited.
 
     Raises
     ------
@@ -144,8 +148,11 @@ class LeastSquaresProblem:
 
     simulates = True
 
-    def __init__(self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece]) -> None:
+    def __init__(
+        self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece], budget: EvaluationBudget | None = None
+    ) -> None:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
+        self.budget = budget or EvaluationBudget()
         paths = [piece.path for piece in self.pieces]
         if missing := [message for effect in model.effects if (message := effect.lacks(paths))]:
             raise FrictrackError("; ".join(missing))
@@ -155,7 +162,13 @@ class LeastSquaresProblem:
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces."""
-        return LeastSquaresProblem(layout.model, layout, pieces)
+        return LeastSquaresProblem(layout.model, layout, pieces, self.budget)
+
+    def with_budget(self, budget: EvaluationBudget) -> LeastSquaresProblem:
+        """Return the same problem with another budget of evaluations."""
+        limited = copy(self)
+        limited.budget = budget
+        return limited
 
     @property
     def n_frames(self) -> int:

@@ -82,7 +82,7 @@ class TrustRegion:
         lengths = np.linalg.norm(on_basis / (eigenvalues + dampings[:, None]), axis=1)
         return float(dampings[np.argmax(lengths <= self.radius)]) if lengths[-1] <= self.radius else MAX_DAMPING
 
-    def beside(self, fixed: Array) -> TrustRegion:
+    def reduced_by(self, fixed: Array) -> TrustRegion:
         """Return the region of the other unknowns beside steps (m,) of fixed length, in units of the columns."""
         return replace(self, radius=float(np.sqrt(max(self.radius**2 - float(fixed @ fixed), 0.0))))
 
@@ -138,7 +138,7 @@ def _bounded_step(rows: Array, right: Array, bounds: tuple[Array, Array], region
     damping = region.damping
     while np.any(free):
         left = right - rows[:, ~free] @ z[~free]
-        z[free], damping = _free_step(rows[:, free], left, region.beside(z[~free]))
+        z[free], damping = _free_step(rows[:, free], left, region.reduced_by(z[~free]))
         outside = (z < low) | (z > high)
         if not np.any(outside):
             break

@@ -98,7 +98,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces."""
-        return MeasuredFrictionProblem(layout.model, layout, pieces)
+        return MeasuredFrictionProblem(layout.model, layout, pieces, self.budget)
 
     def first_starts(self) -> list[Array]:
         """Return empty starts: no piece has an unknown start."""
