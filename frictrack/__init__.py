@@ -1,11 +1,15 @@
 """Identify friction laws from films of a sliding mass, and find the physical effect that a law lacks.
 
     import frictrack as ft
+    runs = [ft.Run.from_arrays(t, x, mass=0.35, name=name) for name, (t, x) in measured.items()]
+    fit = ft.fit("tustin", runs)
+    print(ft.diagnose(fit))
+
+or from a film:
+
     track = ft.track(ft.open_recording("strike_01.avi", fps=4000))
-    disp = ft.calibrate(track, scale="0.5 mm/px")
-    run = ft.Run(disp, ft.differentiate(ft.low_pass(disp)), mass=0.35)
-    fit = ft.fit("tustin", [run])
-    print(ft.diagnose(fit).verdict)
+    displacement = ft.calibrate(track, scale="0.5 mm/px")
+    run = ft.Run(displacement, ft.differentiate(ft.low_pass(displacement)), mass=0.35)
 
 Names are imported when they are first used, so that `frictrack --help` starts quickly.
 """
@@ -15,7 +19,24 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from frictrack import effects, models, search, simulate
+    from frictrack.budget import budget
+    from frictrack.calibration import calibrate, plane_map
+    from frictrack.compare import compare, history
+    from frictrack.diagnose import diagnose
+    from frictrack.effects import effect
+    from frictrack.errors import FrictrackError
+    from frictrack.events import happenings
+    from frictrack.fit import bootstrap, fit, profile
+    from frictrack.friction import free_section, friction
+    from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, trade
+    from frictrack.recording import open_recording
+    from frictrack.records import Run
+    from frictrack.tracking import aligned, contact_sheet, learn_target, track
+    from frictrack.version import __version__
 
 _MODULE_OF = {
     "open_recording": "recording",
@@ -47,7 +68,38 @@ _MODULE_OF = {
 }
 _MODULES = ("models", "effects", "search", "simulate")
 
-__all__ = [*_MODULE_OF, *_MODULES]  # noqa: PLE0604 - they are strings
+__all__ = [
+    "FrictrackError",
+    "KnownAcceleration",
+    "Run",
+    "__version__",
+    "aligned",
+    "bootstrap",
+    "budget",
+    "calibrate",
+    "compare",
+    "contact_sheet",
+    "covariance",
+    "diagnose",
+    "differentiate",
+    "effect",
+    "effects",
+    "fit",
+    "free_section",
+    "friction",
+    "happenings",
+    "history",
+    "learn_target",
+    "low_pass",
+    "models",
+    "open_recording",
+    "plane_map",
+    "profile",
+    "search",
+    "simulate",
+    "track",
+    "trade",
+]
 
 
 class _Package(ModuleType):
@@ -65,6 +117,9 @@ class _Package(ModuleType):
         if name in _MODULES:
             return import_module(f"frictrack.{name}")
         raise AttributeError(f"module 'frictrack' has no attribute {name!r}")
+
+    def __dir__(self) -> list[str]:
+        return sorted(__all__)
 
 
 sys.modules[__name__].__class__ = _Package

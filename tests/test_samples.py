@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from frictrack.arrays import displacement_of_table, jitter_notes, with_even_clock
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.flow.table_stage import jitter_notes, make_displacement_from_table, with_even_clock
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
 from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
 from frictrack.samples.uneven_samples import common_unevenness, unevenness
-from frictrack.study import RunTable, TableData
+from frictrack.study import TableData
 from frictrack.tracking.checks.timing import correct_ticks, slips
 from tests.test_timing import a_track
 
@@ -253,7 +253,7 @@ def test_jitter_of_the_stamps_and_jitter_of_the_samples():
 
 
 @pytest.mark.parametrize("share", [0.01, 0.04, 0.2])
-def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_speed(share, tmp_path):
+def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_speed(share):
     rng = np.random.default_rng(5)
     t = np.arange(900) / FPS
     late = share / FPS * rng.standard_normal(900)
@@ -261,22 +261,18 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     found, still = unevenness(t, x)
     assert found == pytest.approx(share / FPS, rel=0.15)
     assert 0.0 < still < 4e-6 + 0.5 * share / FPS
-    (tmp_path / "a.csv").write_text("t_s,x_m")
-    run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
-    seen = make_displacement_from_table(TableData(t, x), run)
+    seen = displacement_of_table(TableData(t, x))
     assert seen.notes[0].startswith("the noise grows with the speed, ")
     assert "as if samples jittered by " in seen.notes[0]
     assert seen.notes[0].endswith("deviations grow with it")
     assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
 
 
-def test_jitter_adds_to_the_noise_at_rest_that_a_table_states(tmp_path):
+def test_jitter_adds_to_the_noise_at_rest_that_a_table_states():
     rng, t = np.random.default_rng(3), np.arange(900) / FPS
     late = t + 0.07 / FPS * rng.standard_normal(900)
     x = 4 * late - 8.8 * late**2 + 1e-5 * rng.standard_normal(900)
-    (tmp_path / "a.csv").write_text("t_s,x_m,sigma_m")
-    run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
-    seen = make_displacement_from_table(TableData(t, x, sigma=np.full(900, 1e-5)), run)
+    seen = displacement_of_table(TableData(t, x, sigma=np.full(900, 1e-5)))
     speed = np.abs(4 - 17.6 * t)
     np.testing.assert_allclose(seen.sigma_x, np.hypot(1e-5, 0.07 / FPS * speed), rtol=0.15)
 

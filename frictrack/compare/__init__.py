@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from frictrack.compare.bump_dictionary import course_ends
 from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
@@ -14,6 +14,9 @@ from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.threads import one_thread
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "Comparison",
@@ -31,7 +34,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Errors of models, and the spans where the current one fails.
 
@@ -46,6 +49,19 @@ class Comparison:
 
     models: list[dict[str, Any]]
     fails_at: list[dict[str, Any]]
+
+    def __repr__(self) -> str:
+        last = self.models[-1]
+        shares = f"; it fails in {len(self.fails_at)} spans" if self.fails_at else "; it fails nowhere"
+        count = "1 model" if len(self.models) == 1 else f"{len(self.models)} models"
+        return f"<Comparison of {count}, the last one {'+'.join(last['model'])}{shares}>"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the errors of all models as a pandas DataFrame, one row per model in the order tried."""
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        rows = [{"model": "+".join(entry["model"]), **entry["errors"]} for entry in self.models]
+        return pd.DataFrame(rows, index=pd.Index([entry["name"] for entry in self.models], name="name"))
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack compare` and `frictrack history`."""

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from frictrack.diagnose.auxiliary_signals import Evidence
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.records import Array
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Candidate:
     """One effect tried on top of the model, refined, with its evidence.
 
@@ -56,6 +59,12 @@ class Candidate:
     words: dict[str, str] = field(default_factory=dict)
     implausible: str = ""  # why it imitates the misfit and is no cause
     unit: str = "um"  # of the held-out errors: um of displacement, or N where friction was measured
+
+    def __repr__(self) -> str:
+        alike = (
+            f", indistinguishable from {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else ""
+        )
+        return f"<Candidate {self.effect}: p = {self.p:.3g}, delta BIC {self.delta_bic:.4g}{alike}>"
 
     @property
     def helps(self) -> bool:
@@ -117,7 +126,7 @@ class Importance:
         return {"effect": self.effect, **shares, f"heldout_rms_after_{self.unit}": held, "stop": self.stop}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Result of a diagnosis.
 
@@ -181,6 +190,21 @@ class Diagnosis:
         default_factory=Repeatability
     )  # whether the failure is common to the runs, and along which axis
     complete: bool = True  # False: the verdict, and nothing of what follows from it
+
+    def __repr__(self) -> str:
+        model, lacks = "+".join(self.model), f": {', '.join(self.missing)}" if self.missing else ""
+        first = f"; first candidate {self.best!r}" if self.best and not self.missing else ""
+        return f"<Diagnosis of {model}: {self.verdict}{lacks}; reduced chi-squared {self.reduced_chi2:.4g}{first}>"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the candidates as a pandas DataFrame, best first: p, delta BIC and held-out errors (m or N)."""
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        names = ("acts_on", "p", "delta_bic", "heldout_before", "heldout_after")
+        rows = {c.effect: {name: getattr(c, name) for name in names} for c in self.candidates}
+        numbers = {name: float for name in names if name != "acts_on"}
+        frame = pd.DataFrame.from_dict(rows, orient="index", columns=list(names))
+        return frame.astype(numbers).rename_axis("effect")
 
     @property
     def best(self) -> Candidate | None:

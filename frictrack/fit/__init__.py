@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -73,6 +73,29 @@ __all__ = [
 ]
 
 
+class FitSettings(TypedDict, total=False):
+    """Settings of `fit` by name, for type checkers."""
+
+    domain: str | None
+    search: str
+    seed: int
+    reference_mass: float | None
+    over: str
+    callback: Callback | None
+
+
+@overload
+def fit(
+    model: Model | str | Sequence[str], runs: Sequence[Run], *, per: None = None, **settings: Unpack[FitSettings]
+) -> Fit: ...
+
+
+@overload
+def fit(
+    model: Model | str | Sequence[str], runs: Sequence[Run], *, per: str, **settings: Unpack[FitSettings]
+) -> GroupFits: ...
+
+
 @one_thread()
 def fit(  # noqa: PLR0913 - one door with named settings, all but two of them optional
     model: Model | str | Sequence[str],
@@ -85,7 +108,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     per: str | None = None,
     over: str = "all",
     callback: Callback | None = None,
-) -> Any:
+) -> Fit | GroupFits:
     """Fit a model to runs, all together.
 
     Parameters

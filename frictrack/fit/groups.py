@@ -16,11 +16,15 @@ from frictrack.models import Model
 from frictrack.records import Curve, ModelledMotion, Run
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GroupFits:
     """The same model fitted to every group of runs separately; `fits` by the name of the group."""
 
     fits: dict[str, Fit]
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name} ({len(f.runs)} runs)" for name, f in self.fits.items())
+        return f"<GroupFits: {'+'.join(self.model.names)}, fitted to each of {names}>"
 
     @property
     def model(self) -> Model:

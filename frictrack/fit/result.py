@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +19,13 @@ from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.models import Model
 from frictrack.records import Array, Curve, ModelledMotion
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True, eq=False)
+MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit(FittedRuns):
     """A model fitted to runs: parameters, errors and curves, each computed when it is first asked for.
 
@@ -32,6 +37,28 @@ class Fit(FittedRuns):
     """
 
     uncertainty: UncertaintyAnalysis = field(default=UncertaintyAnalysis())
+
+    def __repr__(self) -> str:
+        equation = (
+            self.equation if len(self.equation) <= MAX_REPR_EQUATION else f"{self.equation[:MAX_REPR_EQUATION]}..."
+        )
+        runs = "1 run" if len(self.runs) == 1 else f"{len(self.runs)} runs"
+        return f"<Fit of {runs}: {equation}; reduced chi-squared {self.reduced_chi2:.4g}>"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the parameters as a pandas DataFrame: value, std and unit by address.
+
+        A parameter that the runs do not determine has NaN and a reason. While the model leaves more than noise, ``std``
+        includes the effect of the missing force.
+        """
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        rows = {
+            address: {"value": e.value, "std": e.reported_std, "unit": e.unit, "reason": e.reason or ""}
+            for address, e in self.parameters.items()
+        }
+        frame = pd.DataFrame.from_dict(rows, orient="index").astype({"value": float, "std": float})
+        return frame.rename_axis("parameter")
 
     @property
     def compared(self) -> Solution:

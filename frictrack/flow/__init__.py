@@ -8,7 +8,6 @@
 
     pipeline, stages            bring the stages of one run up to date
     film_stages, track_quality, target_rotation                 from a film to its displacement
-    table_stage                 from a table of positions to its displacement
     sensor_stage, auxiliary_signals                             what other instruments recorded
     tried_models, study_edits, command_history, replay          models tried, changes of the study, undo
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file

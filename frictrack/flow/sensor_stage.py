@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.arrays import with_even_clock
 from frictrack.errors import FrictrackError
 from frictrack.flow.summaries import ImpactEnergy, SensorSummary
-from frictrack.flow.table_stage import read_run_table, with_even_clock
 from frictrack.friction import release_time
 from frictrack.motion import KnownAcceleration, differentiate, low_pass
 from frictrack.records import Array, Displacement, Motion, Run
@@ -27,7 +27,7 @@ from frictrack.sensors import (
     release_energy,
     second_differences,
 )
-from frictrack.study import RunTable, TableData, read_sensor_table
+from frictrack.study import RunTable, TableData, read_run_table, read_sensor_table
 
 if TYPE_CHECKING:
     from frictrack.flow.pipeline import RunPipeline

@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 from frictrack import models
+from frictrack.arrays import displacement_of_table
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
 from frictrack.flow.film_stages import make_displacement, make_further_tracks, make_recording, make_track
 from frictrack.flow.pipeline import RunPipeline, make_run
 from frictrack.flow.sensor_stage import fused_acceleration, read_sensors
-from frictrack.flow.table_stage import make_displacement_from_table, read_run_table
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, trade
 from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import Sensors
+from frictrack.study import read_run_table
 
 __all__ = [
     "make_cutoff",
@@ -41,7 +42,8 @@ def make_video_displacement(pipeline: RunPipeline, tracks: dict[str, Track], tra
 
 def make_table_displacement(pipeline: RunPipeline) -> Displacement:
     """Compute the displacement of a table of positions."""
-    return make_displacement_from_table(read_run_table(pipeline.run), pipeline.run)
+    run = pipeline.run
+    return displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
 
 
 def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:

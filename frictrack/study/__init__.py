@@ -18,7 +18,7 @@ from frictrack.lazy import lazy_names
 if TYPE_CHECKING:
     from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
-    from frictrack.study.reading_tables import TableData, read_sensor_table, read_table
+    from frictrack.study.reading_tables import TableData, read_frame, read_run_table, read_sensor_table, read_table
     from frictrack.study.schema import EffectTable, RunTable, suggest
     from frictrack.study.writing import TABLES, find_recordings, write_study
 
@@ -28,6 +28,8 @@ _MODULE_OF = {
     "load": "loading",
     "parse": "loading",
     "read_key": "editing",
+    "read_frame": "reading_tables",
+    "read_run_table": "reading_tables",
     "read_sensor_table": "reading_tables",
     "read_table": "reading_tables",
     "read_toml": "loading",

@@ -14,7 +14,8 @@ import numpy as np
 
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import GRAVITY, Array
-from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, suggest
+from frictrack.remote import local_path
+from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
@@ -84,7 +85,36 @@ def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData
         With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
 
     """
-    return TableData(**_read(path, columns, ("t", "x"), COLUMNS))
+    return TableData(**_read(_frame(path), path.name, columns, ("t", "x")))
+
+
+def read_run_table(run: RunTable) -> TableData:
+    """Read the table of a run; see `read_table`.
+
+    Parameters
+    ----------
+    run
+        The ``[[run]]``, with a table.
+
+    """
+    assert run.table is not None
+    return read_table(local_path(run.table), run.columns)
+
+
+def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, name: str = "table") -> TableData:
+    """Take the columns of a run from a pandas DataFrame; see `read_table`.
+
+    Parameters
+    ----------
+    frame
+        One row per sample.
+    columns
+        Other headers by short name.
+    name
+        Name of the table in messages.
+
+    """
+    return TableData(**_read(frame.copy(deep=False), name, columns, ("t", "x")))
 
 
 def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
@@ -110,7 +140,8 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
         With all faults.
 
     """
-    values = _read(path, columns, ("t",), {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)})
+    known = {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)}
+    values = _read(_frame(path), path.name, columns, ("t",), known)
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
@@ -121,10 +152,13 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
 
 def _read(
-    path: Path, columns: Mapping[str, str], required: Sequence[str], known: Mapping[str, tuple[str, str]]
+    frame: pd.DataFrame,
+    table: str,
+    columns: Mapping[str, str],
+    required: Sequence[str],
+    known: Mapping[str, tuple[str, str]] = COLUMNS,
 ) -> dict[str, Array]:
     """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
-    frame = _frame(path)
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
     faults: list[str] = []
@@ -143,7 +177,7 @@ def _read(
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
-    raise_faults(faults, path.name)
+    raise_faults(faults, table)
     return values
 
 

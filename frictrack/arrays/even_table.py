@@ -1,4 +1,4 @@
-"""Compute the displacement of a table of positions: even clock, jitter, doubled and missing samples."""
+"""Compute the displacement of sampled positions: even clock, jitter, doubled and missing samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from frictrack.calibration import parse_scale
 from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask
-from frictrack.remote import local_path
 from frictrack.samples import (
     EvenClock,
     SampledPath,
@@ -32,7 +31,7 @@ from frictrack.samples import (
     screened,
     unevenness,
 )
-from frictrack.study import RunTable, TableData, read_table
+from frictrack.study import TableData
 
 if TYPE_CHECKING:
     from frictrack.recording import Stamps
@@ -70,32 +69,45 @@ class EvenTable:
     notes: tuple[str, ...] = ()
 
 
-def read_run_table(run: RunTable) -> TableData:
-    """Read the table of a run."""
-    assert run.table is not None
-    return read_table(local_path(run.table), run.columns)
+def displacement_of_table(
+    data: TableData, *, fps: float | None = None, scale: str | None = None, x_offset: float = 0.0
+) -> Displacement:
+    """Compute the displacement of a table of positions.
 
-
-def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement:
-    """Return the displacement of a run from its table; missing columns are NaN, and outliers are marked as invalid.
+    Missing columns are NaN, outliers are marked as invalid, and standard deviations that are not given are estimated.
 
     Parameters
     ----------
     data
-        The table, as read.
-    run
-        The ``[[run]]``.
+        Columns in SI units, with `x`.
+    fps
+        Frame rate to be compared with the time stamps, Hz.
+    scale
+        Size of a pixel, if the positions come from a film, such as ``"0.5 mm/px"``.
+    x_offset
+        Shift of the positions, m.
+
+    Returns
+    -------
+    Displacement
+        Its `notes` say what was corrected.
+
+    Examples
+    --------
+    >>> t = np.arange(100) / 1000
+    >>> displacement_of_table(TableData(t, 2.0 * t)).x[-1]
+    np.float64(0.198)
 
     """
-    table = with_even_clock(data, run.fps)
+    table = with_even_clock(data, fps)
     data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
-    pitch, relative = parse_scale(run.scale) if run.scale is not None else (None, 0.0)
+    pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
     displacement = screened(
         Displacement(
             t=data.t,
-            x=data.x + run.x_offset,
+            x=data.x + x_offset,
             y=nan if data.y is None else data.y,
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,

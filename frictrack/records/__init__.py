@@ -1,0 +1,43 @@
+"""Define the frozen records that pass from stage to stage; their fields are in SI units and are checked once.
+
+Most records are tables: one row per frame, with NumPy columns of the same length that are read-only. The metadata of a
+field names its unit, which the store writes beside the numbers. NaN means "not measured in this frame" in the columns
+that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
+"""
+
+from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar, stretches
+from frictrack.records.measured import (
+    MEASURED,
+    CutoffTradeOff,
+    Displacement,
+    Filtered,
+    Friction,
+    Motion,
+    Point,
+    RunEvents,
+    Track,
+)
+from frictrack.records.modelled import Curve, ModelledMotion
+from frictrack.records.run import GRAVITY, Run
+
+__all__ = [
+    "GRAVITY",
+    "MEASURED",
+    "Array",
+    "Curve",
+    "CutoffTradeOff",
+    "Displacement",
+    "Filtered",
+    "FrameTable",
+    "Friction",
+    "Mask",
+    "ModelledMotion",
+    "Motion",
+    "Point",
+    "Run",
+    "RunEvents",
+    "Track",
+    "column",
+    "scalar",
+    "stretches",
+]

@@ -1,0 +1,178 @@
+"""The base of all records with one row per frame: columns with units, checked when a record is built."""
+
+from __future__ import annotations
+
+from dataclasses import Field, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError, raise_faults
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def column(unit: str, *, nan: bool = False, kind: Any = np.float64, **options: Any) -> Any:
+    """Declare a column of a record.
+
+    Parameters
+    ----------
+    unit
+        Unit of the values.
+    nan
+        Allow NaN, which means "not measured in this frame".
+    kind
+        NumPy type of the values.
+    **options
+        For `dataclasses.field`, for example a default.
+
+    """
+    return field(metadata={"unit": unit, "nan": nan, "column": True, "kind": kind}, **options)
+
+
+def stretches(mask: Mask) -> list[slice]:
+    """Return the slices of consecutive True in a mask (n,).
+
+    Examples
+    --------
+    >>> stretches(np.array([True, True, False, True]))
+    [slice(0, 2, None), slice(3, 4, None)]
+
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def scalar(unit: str, **options: Any) -> Any:
+    """Declare a number of a record, with its unit.
+
+    Parameters
+    ----------
+    unit
+        Unit of the number.
+    **options
+        For `dataclasses.field`.
+
+    """
+    return field(metadata={"unit": unit}, **options)
+
+
+class FrameTable:
+    """Base of the records with one row per frame; checks the columns when a record is built.
+
+    All columns have the same length, are finite unless NaN is allowed, and become read-only; time rises.
+
+    Raises
+    ------
+    FrictrackError
+        If a column is wrong.
+
+    """
+
+    min_rows: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        faults: list[str] = []
+        n = len(np.atleast_1d(np.asarray(self.t)))  # type: ignore[attr-defined]
+        if n < self.min_rows:
+            faults.append(f"expected at least {self.min_rows} frames but got {n}")
+        for f in fields(self):  # type: ignore[arg-type]
+            if f.metadata.get("column"):
+                faults += self._check_column(f.name, f.metadata, n)
+        t = self.t  # type: ignore[attr-defined]
+        if not faults and np.any(np.diff(t) <= 0):
+            i = int(np.argmax(np.diff(t) <= 0))
+            faults.append(f"expected rising time but got t[{i + 1}] = {t[i + 1]:g} s after t[{i}] = {t[i]:g} s")
+        raise_faults(faults, type(self).__name__)
+
+    def _check_column(self, name: str, meta: Any, n: int) -> list[str]:
+        value = getattr(self, name)
+        if value is None:
+            return []
+        array = np.array(value, dtype=meta["kind"])
+        if array.shape != (n,):
+            return [f"expected {name} of shape ({n},) but got {array.shape}"]
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        if array.dtype.kind == "f" and not meta["nan"] and not np.all(np.isfinite(array)):
+            bad = int(np.argmin(np.isfinite(array)))
+            return [f"expected finite {name} but got {array[bad]} at row {bad}"]
+        return []
+
+    def __len__(self) -> int:
+        return len(self.t)  # type: ignore[attr-defined]
+
+    def __repr__(self) -> str:
+        name, t = getattr(self, "name", None) or getattr(self, "run", ""), self.t  # type: ignore[attr-defined]
+        named = f' "{name}"' if name else ""
+        ranges = [text for f in fields(self) if f.name != "t" and (text := self._range_text(f))]  # type: ignore[arg-type]
+        head = f"{type(self).__name__}{named}: {len(t)} frames, {t[0]:.6g} to {t[-1]:.6g} s"
+        return f"<{'; '.join([head, *ranges])}>"
+
+    def _range_text(self, f: Field[Any]) -> str:
+        """Smallest and largest value of a numeric column with its unit; empty for others and where nothing is known."""
+        values = getattr(self, f.name)
+        if not f.metadata.get("column") or values is None or values.dtype.kind != "f":
+            return ""
+        known = values[np.isfinite(values)]
+        if not len(known):
+            return ""
+        low, high = f"{known.min():.4g}", f"{known.max():.4g}"
+        return f"{f.name} {low if low == high else f'{low} to {high}'} {f.metadata['unit']}"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the columns as a pandas DataFrame, one row per frame; ``attrs["units"]`` holds their units.
+
+        Examples
+        --------
+        >>> from frictrack.records import Displacement
+        >>> nan = np.full(2, np.nan)
+        >>> seen = Displacement([0, 1], [0, 0.5], nan, nan, nan, nan, [True, True])
+        >>> seen.to_dataframe()["x"].tolist(), seen.to_dataframe().attrs["units"]["x"]
+        ([0.0, 0.5], 'm')
+
+        """
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        own = [f for f in fields(self) if f.metadata.get("column")]  # type: ignore[arg-type]
+        columns = {f.name: getattr(self, f.name) for f in own}
+        frame = pd.DataFrame({name: values for name, values in columns.items() if values is not None})
+        frame.attrs["units"] = {f.name: f.metadata["unit"] for f in own if columns[f.name] is not None}
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the columns as an xarray Dataset over the time ``t``, each with its unit; needs xarray.
+
+        Raises
+        ------
+        FrictrackError
+            If xarray is not installed.
+
+        """
+        try:
+            import xarray as xr  # noqa: PLC0415 - optional
+        except ImportError as e:
+            raise FrictrackError("to_xarray needs xarray; pip install xarray") from e
+        frame = self.to_dataframe()
+        dataset = xr.Dataset.from_dataframe(frame.set_index("t"))
+        for name, unit in frame.attrs["units"].items():
+            dataset[name].attrs["units"] = unit
+        return dataset
+
+    def rows(self, part: slice) -> Self:
+        """Return the record with some of its rows.
+
+        Parameters
+        ----------
+        part
+            The rows; at least two remain.
+
+        """
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
+        return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]

@@ -1,0 +1,219 @@
+"""Records of what was measured: track, displacement, smoothed displacement, motion, friction force, events."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar
+
+Point = tuple[float, float]
+MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN if lost
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(FrameTable):
+    """Positions of the target in the picture, px, one row per frame (pixel centres are integers, y points down).
+
+    A frame in which the target was not found holds NaN and a reason; in the other frames the reason is "".
+
+    Notes
+    -----
+    `sigma_px`, `sigma_y_px` and `sigma_angle` are standard deviations per frame; `score` is the match score, at most 1.
+    Use `found` for the frames in which the target was found and `lost` for the reasons of the others.
+
+    """
+
+    t: Array = column("s")
+    x_px: Array = column("px", nan=True)
+    y_px: Array = column("px", nan=True)
+    angle: Array = column("rad", nan=True)
+    sigma_px: Array = column("px", nan=True)
+    sigma_y_px: Array = column("px", nan=True)
+    score: Array = column("1", nan=True)
+    reason: NDArray[np.str_] = column("", kind=np.str_)
+    name: str = "target"
+    target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in frame `template`, px
+    template: int = 0  # number of the frame in which `target` stands
+    picture: Array | None = None  # the target averaged over the run, grey values
+    systematic: float = scalar("px", default=0.0)  # rms of the slowly varying error of the positions, besides the noise
+    notes: tuple[str, ...] = ()  # notes on the measurement
+    sigma_angle: Array | None = column("rad", nan=True, default=None)
+    outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
+    exclude: tuple[tuple[Point, ...], ...] = ()  # polygons in that frame that do not belong to the target
+    obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture, behind which the target passes
+
+    @property
+    def found(self) -> Mask:
+        """Frames (n,) in which the target was found."""
+        return np.isfinite(self.x_px)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Reasons why the target was lost, each with its number of frames.
+
+        Reasons that differ only in a number count as one.
+        """
+        poor = "match score"
+        return Counter(f"{poor} too low" if why.startswith(poor) else why for why in self.reason.tolist() if why)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Displacement(FrameTable):
+    """Unfiltered displacement along the course (x) and across it (y, upward), with its standard deviation.
+
+    Notes
+    -----
+    `x`, `y`, `sigma_x`, `sigma_y` are in m, `angle` in rad, NaN where not measured. Frames with `valid` False are
+    outliers. `pixel_pitch` is the size of a pixel on the course, None for tables.
+
+    """
+
+    t: Array = column("s")
+    x: Array = column("m", nan=True)
+    y: Array = column("m", nan=True)
+    angle: Array = column("rad", nan=True)
+    sigma_x: Array = column("m", nan=True)
+    sigma_y: Array = column("m", nan=True)
+    valid: Mask = column("", kind=np.bool_)
+    pixel_pitch: float | None = scalar("m", default=None)
+    relative_scale_error: float = scalar("1", default=0.0)
+    systematic: float = scalar("m", default=0.0)  # rms of the slowly varying error of the tracker, besides its noise
+    shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
+    notes: tuple[str, ...] = ()
+    resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
+    sigma_angle: Array | None = column("rad", nan=True, default=None)
+
+    @property
+    def known(self) -> Mask:
+        """Frames (n,) in which x was measured."""
+        return np.asarray(self.valid & np.isfinite(self.x))
+
+    @property
+    def span(self) -> slice:
+        """Rows from the first to the last frame in which x was measured; all rows if there are fewer than two."""
+        frames = np.flatnonzero(self.known)
+        return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) > 1 else slice(0, len(self))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Filtered(FrameTable):
+    """Low-passed displacement, with what `differentiate` needs to compute standard deviations.
+
+    Notes
+    -----
+    `x` and `y` are the smoothed displacement, m. `smoother` and `smoother_y` describe the smoother completely, so that
+    its derivatives and their standard deviations can be computed later.
+
+    """
+
+    t: Array = column("s")
+    x: Array = column("m")
+    y: Array = column("m", nan=True)
+    sigma_x: Array = column("m", nan=True)  # of the unfiltered input, inf where a frame was missing (it was filled)
+    sigma_y: Array = column("m", nan=True)
+    cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; `reason` describes what was done
+    cutoff_y: float = scalar("Hz", default=float("nan"))
+    asked: bool = False  # whether the user gave that cut-off
+    smoother: str = ""  # JSON: the smoother of x
+    smoother_y: str = ""
+    reason: str = ""  # components into which x was separated, and why
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events, such as an impact
+    lines: tuple[float, ...] = ()  # Hz, vibrations that were separated from the trend
+    shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
+    y_measured: Array | None = column("m", nan=True, default=None)
+    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, if later stages need it
+    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of a fused acceleration, inf without one
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Motion(FrameTable):
+    """Smoothed displacement, velocity and acceleration with their standard deviations, one row per frame.
+
+    Notes
+    -----
+    `x` (m), `v` (m/s) and `a` (m/s^2) are along the course, `a_y` (m/s^2) is across it. Rows closer than `guard` to
+    either end or to a jump are distorted by the smoother.
+
+    """
+
+    t: Array = column("s")
+    x: Array = column("m")
+    v: Array = column("m/s")
+    a: Array = column("m/s^2")
+    a_y: Array = column("m/s^2", nan=True)
+    sigma_x: Array = column("m")
+    sigma_v: Array = column("m/s")
+    sigma_a: Array = column("m/s^2")
+    sigma_a_y: Array = column("m/s^2", nan=True)
+    guard: int = 0  # frames at either end and around a jump that the smoother distorts
+    cutoff: float = scalar("Hz", default=float("nan"))
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
+    lines: tuple[float, ...] = ()  # Hz, vibrations
+    shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Friction(FrameTable):
+    """Friction force F = D - m a and the free section in which it is evaluated, one row per frame.
+
+    F > 0 resists motion toward +x. D is the drive force, m the mass, a the acceleration.
+    """
+
+    t: Array = column("s")
+    F: Array = column("N")
+    sigma_F: Array = column("N")
+    free: Mask = column("", kind=np.bool_)
+    reason: str = ""  # why the free section begins and ends there
+
+
+@dataclass(frozen=True, eq=False)
+class CutoffTradeOff:
+    """Error of the acceleration by the cut-off frequency of a plain low-pass; all columns (k,).
+
+    `residual` is the rms of what the low-pass removes and `floor` that of white noise alone, m. `noise` and `lost` are
+    the noise that passes and the signal that is removed, m/s^2.
+    """
+
+    frequency: Array = column("Hz")
+    residual: Array = column("m")
+    floor: Array = column("m")
+    noise: Array = column("m/s^2")
+    lost: Array = column("m/s^2")
+    hidden: Array = column("m/s^2")  # rms of the largest vibration of that frequency that would not be detected
+    chosen: float = scalar("Hz", default=float("nan"))  # cut-off of highest likelihood, or as given
+    least: float = scalar("Hz", default=float("nan"))  # cut-off with the smallest sum of noise and lost signal
+    structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events separated
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def total(self) -> Array:
+        """Noise and lost signal together (k,), m/s^2."""
+        return np.asarray(np.hypot(self.noise, self.lost))
+
+    def at(self, frequency: float) -> tuple[float, float]:
+        """Interpolate noise and lost signal at one cut-off, m/s^2.
+
+        Parameters
+        ----------
+        frequency
+            The cut-off, Hz.
+
+        """
+        place = np.log(frequency), np.log(self.frequency)
+        return float(np.interp(*place, self.noise)), float(np.interp(*place, self.lost))
+
+
+@dataclass(frozen=True)
+class RunEvents:
+    """Events of a run: (kind, from, to) in s, in order; rests (from, to) in s; and the noise during the rests, m.
+
+    Kinds: release, impact, stop, start, reversal.
+    """
+
+    events: tuple[tuple[str, float, float], ...] = ()
+    rests: tuple[tuple[float, float], ...] = ()
+    noise_at_rest: float = scalar("m", default=float("nan"))

@@ -1,0 +1,260 @@
+"""The record of one run: its motion and the properties of the slider."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from frictrack.errors import raise_faults
+from frictrack.lazy import imported
+from frictrack.records.frame_table import Array, scalar
+from frictrack.records.measured import Displacement, Motion
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+GRAVITY = 9.80665  # m/s^2, standard
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """One recorded slide: its motion and the properties of the slider.
+
+    The run covers the frames of `motion`; other frames of `displacement`, `drive` and `friction_N` are cut off.
+
+    Parameters
+    ----------
+    displacement, motion
+        The measured displacement, and what `differentiate` made of it.
+    mass, sigma_mass
+        Sliding mass and its standard deviation, kg. None: it is fitted if the drive is measured; otherwise only
+        measured friction can be identified.
+    name
+        Name of the run.
+    incline
+        Angle of the course, rad; positive if it rises toward +x.
+    normal_load
+        Normal load, N; by default m g cos(incline).
+    drive, friction_N
+        Measured drive and friction force at the frames of `displacement`, N, (n,).
+    free
+        Begin and end of the free section, s, instead of the one that is found.
+    clamp_x, beam_length
+        Position of the clamp of a beam under the course and its free length, m.
+    role
+        "fit", or "validation" for a run that is predicted and not fitted.
+    group
+        Name of a group of runs, for fits per group.
+    noise, drift
+        Stated white noise and slow error, rms: N if friction was measured, else m.
+    has_incline
+        Whether gravity drives the run: the free section then starts when motion starts.
+
+    Raises
+    ------
+    FrictrackError
+        If the parts do not fit together.
+
+    """
+
+    displacement: Displacement
+    motion: Motion
+    mass: float | None = scalar("kg", default=None)
+    name: str = "run"
+    sigma_mass: float = scalar("kg", default=0.0)
+    incline: float = scalar("rad", default=0.0)
+    normal_load: float | None = scalar("N", default=None)
+    drive: Array | None = None  # N, at displacement.t
+    friction_N: Array | None = None  # N, at displacement.t
+    free: tuple[float, float] | None = None  # s
+    clamp_x: float | None = scalar("m", default=None)
+    beam_length: float | None = scalar("m", default=None)
+    role: str = "fit"
+    group: str = ""
+    noise: float | None = None
+    drift: float | None = None
+    has_incline: bool = False
+
+    def __post_init__(self) -> None:
+        faults = []
+        self._cut_to_motion()
+        if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
+            faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
+        if self.mass is None and self.friction_N is None and self.drive is None:
+            faults.append(
+                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
+                'and mass = "fit", do without'
+            )
+        if len(self.displacement) != len(self.motion):
+            faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
+        for name in ("drive", "friction_N"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != (len(self.displacement),):
+                faults.append(f"expected {name} at {len(self.displacement)} frames but got {np.shape(value)}")
+        if self.role not in ("fit", "validation"):
+            faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
+        raise_faults(faults, f'run "{self.name}"')
+
+    def _cut_to_motion(self) -> None:
+        """Cut off the frames before the first and after the last one of the motion."""
+        n, first = len(self.displacement), int(np.searchsorted(self.displacement.t, self.motion.t[0]))
+        part = slice(first, first + len(self.motion))
+        if len(self.motion) == n or not np.array_equal(self.displacement.t[part], self.motion.t):
+            return
+        object.__setattr__(self, "displacement", self.displacement.rows(part))
+        for name in ("drive", "friction_N"):
+            value = getattr(self, name)
+            if np.shape(value) == (n,):
+                object.__setattr__(self, name, np.asarray(value)[part])
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: ArrayLike,
+        x: ArrayLike,
+        *,
+        mass: float | str | None = None,
+        friction: ArrayLike | None = None,
+        drive: ArrayLike | float | None = None,
+        sigma: ArrayLike | float | None = None,
+        **settings: Any,
+    ) -> Run:
+        """Make a run of measured positions, whatever measured them.
+
+        The clock is checked, outliers and repeated samples are left out, the noise is estimated where it is not given,
+        and the positions are smoothed and differentiated.
+
+        Parameters
+        ----------
+        t, x
+            Time, s, and position along the course, m, (n,).
+        mass
+            Sliding mass: a number in kg, or a text with its unit, such as ``"350 +/- 1 g"``.
+        friction
+            Measured friction force, N, (n,): a load cell or a tribometer. It is then identified directly.
+        drive
+            Measured drive force, N, (n,), or one number.
+        sigma
+            Standard deviation of x, m, (n,) or one number; estimated by default.
+        **settings
+            Further parameters of `Run`, such as `name`, `incline` or `normal_load`.
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        FrictrackError
+            If shapes differ, a value is not finite, time does not rise, or the mass is missing.
+
+        Warns
+        -----
+        UserWarning
+            If mass, time or positions look like values in another unit.
+
+        Examples
+        --------
+        A slide that friction of 2 N brakes from 3 m/s:
+
+        >>> import numpy as np
+        >>> t = np.arange(0, 0.2, 1 / 4000)
+        >>> run = Run.from_arrays(t, 3 * t - 0.5 * 2.0 / 0.35 * t**2, mass=0.35, name="slow")
+        >>> float(run.motion.v[0].round(6)), len(run.motion)
+        (3.0, 800)
+
+        """
+        optional = {"friction": friction, "drive": drive, "sigma": sigma}
+        run: Run = imported("frictrack.arrays:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
+        return run
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: pd.DataFrame,
+        *,
+        mass: float | str | None = None,
+        columns: Mapping[str, str] | None = None,
+        **settings: Any,
+    ) -> Run:
+        """Make a run of a pandas DataFrame; see `from_arrays`.
+
+        Parameters
+        ----------
+        frame
+            One row per sample; columns ``t_s`` and ``x_m``, and perhaps ``sigma_m``, ``y_m``, ``drive_N`` and
+            ``friction_N``.
+        mass
+            Sliding mass: a number in kg, or a text with its unit.
+        columns
+            Other headers by short name, with their units in parentheses: ``{"t": "Time (ms)", "x": "pos (mm)"}``. A
+            leading minus flips the sign.
+        **settings
+            Further parameters of `Run`.
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        FrictrackError
+            If a column is missing or holds something else than numbers, or the mass is missing.
+
+        Warns
+        -----
+        UserWarning
+            If mass, time or positions look like values in another unit.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> frame = pd.DataFrame({"Time (ms)": range(100), "pos (mm)": [0.5 * i for i in range(100)]})
+        >>> Run.from_dataframe(frame, mass="350 g", columns={"t": "Time (ms)", "x": "pos (mm)"}).mass
+        0.35
+
+        """
+        make = imported("frictrack.arrays:run_of_dataframe")
+        run: Run = make(frame, columns or {}, mass, settings)
+        return run
+
+    def __repr__(self) -> str:
+        x, t = self.displacement.x[self.displacement.known], self.displacement.t
+        mass = "no mass" if self.mass is None else f"{self.mass:.6g} kg"
+        more = "".join(f", {name} measured" for name in ("drive", "friction_N") if getattr(self, name) is not None)
+        span = f"{t[0]:.6g} to {t[-1]:.6g} s, {x.min():.4g} to {x.max():.4g} m"
+        return f'<Run "{self.name}": {len(t)} frames, {span}, {mass}{more}>'
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the measured and the smoothed motion as a pandas DataFrame, one row per frame.
+
+        Columns ``x_measured`` and ``sigma_measured`` are the measured position and its standard deviation, those of
+        `Motion` follow, then ``drive`` and ``friction_N`` where they were measured; ``attrs["units"]`` holds the units.
+        """
+        frame, units = self.motion.to_dataframe(), {}
+        measured = {"x_measured": (self.displacement.x, "m"), "sigma_measured": (self.displacement.sigma_x, "m")}
+        forces = {"drive": (self.drive, "N"), "friction_N": (self.friction_N, "N")}
+        for place, (name, (values, unit)) in enumerate(measured.items(), 1):
+            frame.insert(place, name, values)
+            units[name] = unit
+        for name, (force, unit) in forces.items():
+            if force is not None:
+                frame[name], units[name] = force, unit
+        frame.attrs["units"] = {**frame.attrs["units"], **units}
+        return frame
+
+    @property
+    def pixel_pitch(self) -> float | None:
+        """Size of a pixel on the course, m; None without a camera."""
+        return self.displacement.pixel_pitch
+
+    @property
+    def load(self) -> float | None:
+        """Normal load, N: as given, else m g cos(incline); None without a mass."""
+        if self.normal_load is not None:
+            return self.normal_load
+        return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))

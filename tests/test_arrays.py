@@ -1,0 +1,146 @@
+"""Runs of arrays and DataFrames: the same as those of a table, checked at once."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import frictrack as ft
+from frictrack.errors import FrictrackError
+
+T = np.arange(0, 0.2, 1 / 4000)
+F_C, MASS = 2.0, 0.35
+X = 3 * T - 0.5 * F_C / MASS * T**2  # a slide under Coulomb friction in closed form
+
+
+def noisy(x=X, sigma=5e-6, seed=0):
+    return x + sigma * np.random.default_rng(seed).standard_normal(len(x))
+
+
+def test_arrays_give_the_law_that_made_them():
+    runs = [ft.Run.from_arrays(T, noisy(seed=i), mass=MASS, name=f"run{i}") for i in range(2)]
+    force = ft.fit("coulomb", runs).parameters["coulomb.F_c"]
+    assert force.value == pytest.approx(F_C, abs=5 * force.std)
+    assert force.std < 1e-3
+
+
+def test_noise_is_estimated_or_given():
+    assert ft.Run.from_arrays(T, noisy(), mass=MASS).displacement.sigma_x == pytest.approx(5e-6, rel=0.1)
+    assert np.all(ft.Run.from_arrays(T, noisy(), mass=MASS, sigma=1e-6).displacement.sigma_x == 1e-6)
+
+
+def test_a_dataframe_in_other_units_is_the_same_run():
+    x = noisy()
+    frame = pd.DataFrame({"Time (ms)": 1e3 * T, "pos (mm)": -1e3 * x, "remark": "none"})
+    run = ft.Run.from_dataframe(frame, mass="350 +/- 1 g", columns={"t": "Time (ms)", "x": "-pos (mm)"})
+    np.testing.assert_allclose(run.displacement.x, ft.Run.from_arrays(T, x, mass=MASS).displacement.x, rtol=1e-12)
+    assert (run.mass, run.sigma_mass) == (pytest.approx(0.35), pytest.approx(0.001))
+    assert list(frame.columns) == ["Time (ms)", "pos (mm)", "remark"]
+
+
+def test_a_load_cell_needs_no_mass():
+    t = np.arange(0, 4, 1e-3)
+    x = 0.01 * np.sin(2 * np.pi * t)
+    run = ft.Run.from_arrays(t, x, friction=3.0 * np.sign(np.cos(2 * np.pi * t)))
+    assert run.mass is None
+    assert run.friction_N.shape == t.shape
+
+
+def test_a_doubled_sample_is_left_out_of_all_columns():
+    x = noisy()
+    x[300:] = noisy()[299:-1]  # sample 300 repeats sample 299, and all later ones are late
+    run = ft.Run.from_arrays(T, x, mass=MASS, drive=np.arange(len(T), dtype=float))
+    assert len(run.displacement) == len(run.drive) == len(T) - 1
+    assert run.drive[300] == 301.0
+    assert "1 sample repeats the one before" in run.displacement.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (dict(x=X[:-1]), "expected x of shape (800,), as t has 800 values, but got (799,)"),
+        (dict(x=np.where(T[7] == T, np.nan, X)), "expected finite x but got nan in row 7; leave the row out"),
+        (dict(t=T[::-1]), "expected rising time but got t[1] = 0.1995 s after t[0] = 0.19975 s"),
+        (dict(x=["a"] * 800), "expected numbers in x but got list"),
+        (dict(sigma=np.ones(3)), "expected sigma of shape (800,), as t has 800 values, but got (3,)"),
+        (dict(mass=None), "expected a mass but got none"),
+        (dict(mass="350 mm"), "mm"),
+        (dict(mass=-1), "expected a mass above 0 kg but got -1 kg"),
+        (dict(rôle="x"), "rôle"),
+    ],
+)
+def test_bad_arrays_are_named_at_once(arguments, message):
+    with pytest.raises((FrictrackError, TypeError)) as caught:
+        ft.Run.from_arrays(**{"t": T, "x": X, "mass": MASS, "name": "slow"} | arguments)
+    assert message in str(caught.value)
+
+
+def test_a_missing_column_names_those_that_are_there():
+    with pytest.raises(FrictrackError, match='expected a column "t_s" but got time, x_m'):
+        ft.Run.from_dataframe(pd.DataFrame({"time": T, "x_m": X}), mass=MASS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [(dict(mass=350), '"350 g"'), (dict(t=1e3 * T), "ms"), (dict(x=1e3 * X), "m/s")],
+)
+def test_values_in_another_unit_are_warned_of(arguments, meant):
+    with pytest.warns(UserWarning, match=meant):
+        ft.Run.from_arrays(**{"t": T, "x": noisy(), "mass": MASS} | arguments)
+
+
+def test_a_usual_run_gives_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ft.Run.from_arrays(T, noisy(), mass=MASS)
+
+
+@pytest.fixture(scope="module")
+def slides():
+    """Two slides under Coulomb friction, one of them with a drag that the model lacks."""
+    v, x = [4.0], [0.0]
+    for _ in range(len(T) - 1):
+        v.append(v[-1] - (F_C + 0.05 * v[-1] ** 2) / MASS / 4000)
+        x.append(x[-1] + 0.5 * (v[-1] + v[-2]) / 4000)
+    positions = {"coulomb": X, "drag": np.array(x)}
+    return [ft.Run.from_arrays(T, noisy(one), mass=MASS, name=name) for name, one in positions.items()]
+
+
+def test_every_result_prints_in_a_few_lines(slides):
+    fit = ft.fit("coulomb", slides)
+    diagnosis = ft.diagnose(fit, quick=True)
+    shown = {
+        'Run "drag": 800 frames, 0 to 0.19975 s': slides[1],
+        "Motion: 800 frames": slides[0].motion,
+        "Displacement: 800 frames": slides[0].displacement,
+        "Fit of 2 runs: F = ": fit,
+        "Comparison of 1 model, the last one coulomb; it fails in ": ft.compare(fit),
+        "Diagnosis of coulomb: ": diagnosis,
+        f"Candidate {diagnosis.best.effect}: p = ": diagnosis.best,
+    }
+    for begins, result in shown.items():
+        assert repr(result).startswith(f"<{begins}")
+        assert len(repr(result)) < 600
+
+
+def test_results_turn_into_dataframes(slides):
+    fit = ft.fit("coulomb", slides)
+    table = fit.to_dataframe()
+    assert table.loc["coulomb.F_c", ["value", "unit"]].tolist() == [fit.parameters["coulomb.F_c"].value, "N"]
+    motion = slides[0].to_dataframe()
+    np.testing.assert_array_equal(motion["x_measured"], slides[0].displacement.x)
+    np.testing.assert_array_equal(motion["a"], slides[0].motion.a)
+    assert motion.attrs["units"]["a"] == "m/s^2"
+    assert set(motion.attrs["units"]) == set(motion.columns)
+    assert ft.compare(fit).to_dataframe()["model"].tolist() == ["coulomb"]
+    diagnosis = ft.diagnose(fit, quick=True)
+    assert diagnosis.to_dataframe().index.tolist() == [c.effect for c in diagnosis.candidates]
+
+
+def test_the_package_lists_its_public_names():
+    assert dir(ft) == sorted(ft.__all__)
+    assert set(ft.__all__) == {*ft._MODULE_OF, *ft._MODULES}
+    assert all(getattr(ft, name) is not None for name in dir(ft))
