@@ -6,14 +6,17 @@ import io
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import lru_cache, wraps
 from threading import RLock
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.backends.backend_mixed import MixedModeRenderer
+from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 from frictrack.plots.style.colours import RC_PARAMS
 from frictrack.tick_rows import collection_paused, ticks_in_rows
@@ -63,15 +66,47 @@ def svg(figure: Figure) -> str:
 
     """
     with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        buffer = io.StringIO()
-        canvas = FigureCanvasSVG(figure)
+        canvas = _SvgCanvas(figure)
         figure.set_dpi(SVG_DPI)
         with _laid_out(figure):
-            figure.set_dpi(RASTER_DPI)
-            canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    text = buffer.getvalue()
+            text = canvas.to_svg()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
+
+
+class _SvgCanvas(FigureCanvasSVG):
+    """Canvas of a figure whose sizes of texts are those of all figures: most texts stand in several of them."""
+
+    def get_renderer(self) -> RendererSVG:
+        """Return a renderer that measures texts for the layout."""
+        return self._renderer(io.StringIO())
+
+    def to_svg(self) -> str:
+        """Draw the figure; return its SVG file."""
+        buffer = io.StringIO()
+        size = self.figure.get_size_inches()
+        renderer = MixedModeRenderer(self.figure, *size, RASTER_DPI, self._renderer(buffer))
+        self.figure.draw(renderer)
+        renderer.finalize()
+        return buffer.getvalue()
+
+    def _renderer(self, buffer: io.StringIO) -> RendererSVG:
+        width, height = (SVG_DPI * length for length in self.figure.get_size_inches())
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        return _SvgRenderer(width, height, buffer, image_dpi=RASTER_DPI, metadata=nothing)
+
+
+class _SvgRenderer(RendererSVG):
+    """SVG renderer that measures every text once, whatever figure it stands in."""
+
+    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
+        """Return width, height and descent of a text, px."""
+        return _text_size(s, prop.copy(), ismath)
+
+
+@lru_cache(4096)
+def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
+    return text_to_path.get_text_width_height_descent(text, font, ismath)
 
 
 @contextmanager
