@@ -84,8 +84,8 @@ class _SvgCanvas(FigureCanvasSVG):
     def to_svg(self) -> str:
         """Draw the figure; return its SVG file."""
         buffer = io.StringIO()
-        size = self.figure.get_size_inches()
-        renderer = MixedModeRenderer(self.figure, *size, RASTER_DPI, self._renderer(buffer))
+        width, height = self.figure.get_size_inches()
+        renderer: Any = MixedModeRenderer(self.figure, width, height, RASTER_DPI, self._renderer(buffer))
         self.figure.draw(renderer)
         renderer.finalize()
         return buffer.getvalue()
