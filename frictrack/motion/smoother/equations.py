@@ -73,6 +73,22 @@ class EquationLayout:
             for i in range(d + 1)
         ]
         self.band = max([*steps, n_components - 1])
+        rows, columns = np.meshgrid(np.arange(n_components), np.arange(n_components), indexing="ij")
+        self._of_weights = self._place(np.array(self.components)[rows], np.array(self.components)[columns])
+        self._of_terms = [self._places_of_term(*term) for term in zip(self.terms, self.multiplier, strict=True)]
+        self._constant = np.zeros(((3 * self.band + 1) * self.size,))
+        self._constant[self._place(m := np.concatenate(self.multiplier), m)] = -1.0
+
+    def _place(self, row: Index, column: Index) -> Index:
+        """Positions of matrix elements in band storage, column after column."""
+        return (3 * self.band + 1) * column + 2 * self.band + row - column
+
+    def _places_of_term(self, term: tuple[tuple[int, ...], int], m: Index) -> Index:
+        """Positions of the coefficients of one difference in rows and in columns, (2, components, order + 1, m)."""
+        components, order = term
+        x = np.array([[self.components[k][i : len(m) + i] for i in range(order + 1)] for k in components])
+        rows = np.broadcast_to(m, x.shape)
+        return np.array([self._place(rows, x), self._place(x, rows)])
 
     @property
     def block(self) -> int:
@@ -82,21 +98,15 @@ class EquationLayout:
 
     def equations(self, data: SmootherData, w: Array, lam: Array, lines: LineParameters) -> Array:
         """Equations in LAPACK band storage (3 band + 1, size) for weights w (n,); the top rows are for fill-in."""
-        b, colour = self.band, data.colour
-        out = np.zeros((3 * b + 1, self.size))
-        for row in self.components:
-            for column in self.components:
-                out[2 * b + row - column, column] = w
+        colour = data.colour
+        flat = self._constant.copy()
+        flat[self._of_weights] = w
         if colour:
-            out[2 * b, self.components[-1][0]] += 1.0 / colour.share
-        weighted = _differences(data, lam, lines)
-        for (components, _), m, (strength, difference) in zip(self.terms, self.multiplier, weighted, strict=True):
-            out[2 * b, m] = -1.0
-            for x in (self.components[k] for k in components):
-                for i, c in enumerate(difference):
-                    column = x[i : len(m) + i]
-                    out[2 * b + m - column, column] = out[2 * b + column - m, m] = strength * c
-        return out
+            first = self.components[-1][:1]
+            flat[self._place(first, first)] += 1.0 / colour.share
+        for places, (strength, difference) in zip(self._of_terms, _differences(data, lam, lines), strict=True):
+            flat[places] = difference[:, None] * strength
+        return flat.reshape((3 * self.band + 1, self.size), order="F")
 
 
 def _differences(data: SmootherData, lam: Array, lines: LineParameters) -> Iterator[tuple[Array | float, Array]]:
