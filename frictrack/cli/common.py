@@ -63,7 +63,7 @@ def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
 def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session, ProgressDisplay]]:
     """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
     with progress_bars() as progress, _film_workers(workers) as pool:
-        progress(0, 1, f"reading {study}")
+        progress(0, 0, f"reading {study}")
         from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
 
         opened = open_study(study)
