@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Open, Tab, browser
+
+from frictrack.fit import global_search
+from frictrack.flow import Session, open_study
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
@@ -28,7 +32,11 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
     return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
 
 
-LONG = ("notebooks", "workbench", "workbench_tabs", "diagnose", "lab", "reproduce", "blind")  # files that take minutes
+# Files that take longest.
+LONG = (
+    *("blind", "reality", "faults", "plausibility", "reproduce", "cli", "motion", "uncertainty", "fit", "workbench"),
+    *("unexplained", "lab", "flow", "diagnose", "measurement", "new_effect", "series", "turning", "notebooks"),
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -36,19 +44,45 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in LONG)
 
 
-@pytest.fixture
-def study_file(tmp_path: Path) -> Path:
+def write_tables(folder: Path) -> Path:
     """A study of three table runs that Coulomb + viscous friction made."""
     rng = np.random.default_rng(1)
     t = np.arange(500) / 4000
     text = STUDY
     for name, v0 in SPEEDS.items():
         x = slide(t, v0) + NOISE * rng.normal(size=len(t))
-        np.savetxt(tmp_path / f"{name}.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
+        np.savetxt(folder / f"{name}.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
         text += f'\n[[run]]\nname = "{name}"\ntable = "{name}.csv"\n'
-    path = tmp_path / "study.toml"
+    path = folder / "study.toml"
     path.write_text(text)
     return path
+
+
+@pytest.fixture(scope="session")
+def measured_tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the study of three tables, its motion computed once for all tests: copy it."""
+    folder = tmp_path_factory.mktemp("measured")
+    Session(open_study(write_tables(folder))).bring_up_to("motion")
+    return folder
+
+
+@pytest.fixture
+def new_study_file(tmp_path: Path) -> Path:
+    """The study of three tables before any work."""
+    return write_tables(tmp_path)
+
+
+@pytest.fixture
+def study_file(measured_tables: Path, tmp_path: Path) -> Path:
+    """The study of three tables with the motion of its runs; the rest is to be done."""
+    shutil.copytree(measured_tables, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "study.toml"
+
+
+@pytest.fixture
+def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Global searches of a fit end early: for tests that do not ask how near they come."""
+    monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
 
 
 @pytest.fixture(scope="module")

@@ -261,6 +261,7 @@ class Spec:
 
 # Three speeds, a double mass, two reversed. The slowest nearly stops.
 SIX = (Spec(2.2, 1, 0.075), Spec(4.0), Spec(6.0), Spec(4.5, 2), Spec(-4.0), Spec(-5.5))
+FOUR = (SIX[0], SIX[1], SIX[3], SIX[5])  # the same, as few as let the levels scatter
 PER_RUN_PHASE = (
     *("vibration", "load_modulation", "camera_shake"),
     *("decaying_vibration", "beam_vibration", "viscous_modulation"),

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from few_effects import use_few_effects
 
-from frictrack import effects
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import truth_sampling as drawing
 from frictrack.blind.detection_limits import ideal_detection_limit, limits_over_ideal
@@ -202,15 +202,22 @@ def test_foreign_causes_are_of_place_time_velocity_and_memory():
 ORDER = list(dict.fromkeys(n for law, _ in LAWS for n in candidates("one", law)))
 
 
-def test_a_draw_hides_what_it_says_at_the_size_it_says():
-    for turn, name in enumerate(["drag", "vibration"]):
-        truth = draw_truth(20 + turn, "one", ORDER.index(name))
-        assert truth.hidden == (name,)
-        detector = IdealDetector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs)))
-        left, surely = detector.trace_and_rise(truth)
-        rise = min(float(left @ left), surely)
-        assert np.sqrt(rise / detector.limit(effect_named(name))) == pytest.approx(truth.size[0], rel=0.06)
-        assert SIZE_RANGE[0] <= truth.size[0] <= SIZE_RANGE[1]
+@pytest.fixture
+def short_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw runs of few frames, for speed."""
+    monkeypatch.setattr(drawing, "MAX_FRAMES", 150)
+
+
+@pytest.mark.usefixtures("short_runs")
+@pytest.mark.parametrize(("seed", "name"), [(20, "drag"), pytest.param(21, "vibration", marks=pytest.mark.slow)])
+def test_a_draw_hides_what_it_says_at_the_size_it_says(seed: int, name: str):
+    truth = draw_truth(seed, "one", ORDER.index(name))
+    assert truth.hidden == (name,)
+    detector = IdealDetector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs)))
+    left, surely = detector.trace_and_rise(truth)
+    rise = min(float(left @ left), surely)
+    assert np.sqrt(rise / detector.limit(effect_named(name))) == pytest.approx(truth.size[0], rel=0.06)
+    assert SIZE_RANGE[0] <= truth.size[0] <= SIZE_RANGE[1]
 
 
 def test_every_cause_takes_its_turn():
@@ -222,6 +229,7 @@ def test_every_cause_takes_its_turn():
     assert all(LIBRARY[n].acts_on == "measurement" for n in candidates("fault", LAWS[0][0]))
 
 
+@pytest.mark.usefixtures("short_runs")
 @pytest.mark.parametrize(
     ("name", "key"), [("drive_error", "push"), ("measured_load", "lift"), ("beam_vibration", "clamp")]
 )
@@ -234,6 +242,7 @@ def test_a_draw_measures_what_its_cause_needs(name: str, key: str, tmp_path: Pat
     assert ("y_m" in frame) == (truth.lift is not None)
 
 
+@pytest.mark.usefixtures("short_runs")
 def test_a_study_has_runs_of_many_speeds_both_ways_and_another_mass():
     for seed in range(3):
         truth = draw_truth(seed, "none")
@@ -245,6 +254,7 @@ def test_a_study_has_runs_of_many_speeds_both_ways_and_another_mass():
         assert not any(run.values for run in truth.runs)
 
 
+@pytest.mark.usefixtures("short_runs")
 def test_events_happen_in_some_runs_each_at_a_moment_of_its_own():
     truth = draw_truth(8, "one", ORDER.index("dropped_frame"))
     own = [run.values["dropped_frame"] for run in truth.runs if run.values]
@@ -255,6 +265,7 @@ def test_events_happen_in_some_runs_each_at_a_moment_of_its_own():
     assert all((o["time"] * truth.fps) % 1 == pytest.approx(0.5, abs=1e-6) for o in own)
 
 
+@pytest.mark.usefixtures("short_runs")
 def test_the_same_seed_draws_the_same_study():
     assert draw_truth(5, "foreign", 3) == draw_truth(5, "foreign", 3)
     assert draw_truth(5, "foreign", 3) != draw_truth(6, "foreign", 3)
@@ -281,6 +292,7 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
     assert not {"texture", "vibration"} - {name} & set(found)
 
 
+@pytest.mark.usefixtures("short_runs")
 def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path):
     truth = draw_truth(9004, "two", 4)
     write_study(truth, tmp_path)
@@ -309,16 +321,13 @@ def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp
 # --- seal and benchmark
 
 
-SOME = ("coulomb", "stribeck", "viscous", "drag", "texture", "lens", "slope")  # a small library, for speed
-
-
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind") / "out"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(drawing, "MAX_FRAMES", 150)  # short runs, for speed
-        patched.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
-        made_of = make(folder, 3, seed=4, workers=1)
+        use_few_effects(patched)
+        made_of = make(folder, 3, seed=3, workers=1)
     assert made_of["studies"] == 3
     return folder
 
@@ -353,7 +362,7 @@ def test_kinds_come_in_proportion_and_in_no_order():
 
 
 def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
+    use_few_effects(monkeypatch)
     done: list[str] = []
     real = benchmark.judge_study
 

@@ -74,7 +74,7 @@ def test_a_run_that_is_foretold_has_a_right_clock():
 
 def test_a_wrong_clock_is_named_and_the_error_falls():
     runs = recorded({1: 1.02}, sigma=1e-5)
-    said = diagnose(fit("coulomb,viscous", runs))
+    said = diagnose(fit("coulomb,viscous", runs), quick=True)
     assert (said.verdict, said.missing) == ("missing", ["clock_rate"])
     best = said.candidates[0]
     assert best.heldout_after < 0.9 * best.heldout_before
@@ -96,7 +96,7 @@ def test_a_law_with_a_clock_is_held_against_one_without():
 
 
 def test_a_clock_that_is_wrong_in_all_runs_is_absorbed_by_the_law():
-    said = diagnose(fit("coulomb,viscous", recorded(dict.fromkeys(range(6), 1.1), sigma=1e-5)))
+    said = diagnose(fit("coulomb,viscous", recorded(dict.fromkeys(range(6), 1.1), sigma=1e-5)), quick=True)
     assert said.missing == []
 
 

@@ -17,7 +17,13 @@ MODULES = {
     for path in sorted((ROOT / "frictrack").rglob("*.py"))
 }
 PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """The syntax tree of every module, parsed once for all tests."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
 
 # Words of a former vocabulary; docs/glossary.md says what to write instead.
 RETIRED = {
@@ -52,14 +58,21 @@ def words_of(name: str) -> frozenset[str]:
     return frozenset(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_"))
 
 
-def names_of(tree: ast.Module) -> list[str]:
+def names_of(tree: ast.Module) -> set[str]:
     """Every class, function and argument that a module defines."""
-    named = [n.name for n in ast.walk(tree) if isinstance(n, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
-    return [*named, *(n.arg for n in ast.walk(tree) if isinstance(n, ast.arg))]
+    defined = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    return {n.arg if isinstance(n, ast.arg) else n.name for n in ast.walk(tree) if isinstance(n, defined | ast.arg)}
 
 
-# Every name that a module defines, looked up once for all tests.
-NAMES = {module: names_of(tree) for module, tree in TREES.items()}
+@cache
+def names_by_word() -> dict[str, list[str]]:
+    """The names of all modules and of what they define, by each word in them."""
+    found: dict[str, list[str]] = {}
+    named = [(name.rpartition(".")[2], name) for name in MODULES]
+    for name, place in [*named, *((n, f"{module}: {n}") for module, tree in trees().items() for n in names_of(tree))]:
+        for word in words_of(name):
+            found.setdefault(word, []).append(place)
+    return found
 
 
 def constants_of(tree: ast.Module) -> list[str]:
@@ -83,7 +96,7 @@ def target_of(module: str, name: str) -> str:
 def test_a_public_class_name_has_one_meaning():
     names = Counter(
         node.name
-        for tree in TREES.values()
+        for tree in trees().values()
         for node in ast.walk(tree)
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
@@ -92,19 +105,17 @@ def test_a_public_class_name_has_one_meaning():
 
 @pytest.mark.parametrize("word", sorted(RETIRED))
 def test_no_name_holds_a_retired_word(word):
-    files = [name for name in MODULES if word in words_of(name.rpartition(".")[2])]
-    names = [f"{module}: {name}" for module, own in NAMES.items() for name in own if word in words_of(name)]
-    assert files + names == []
+    assert names_by_word().get(word, []) == []
 
 
 def test_constants_carry_a_meaning():
     assert [
-        f"{module}: {c}" for module, tree in TREES.items() for c in constants_of(tree) if c.strip("_") in VAGUE
+        f"{module}: {c}" for module, tree in trees().items() for c in constants_of(tree) if c.strip("_") in VAGUE
     ] == []
 
 
 def test_no_module_imports_itself_by_way_of_others():
-    graph = {name: {target_of(*i) for i in imports_of(tree)} - {name} for name, tree in TREES.items()}
+    graph = {name: {target_of(*i) for i in imports_of(tree)} - {name} for name, tree in trees().items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as e:
@@ -113,7 +124,7 @@ def test_no_module_imports_itself_by_way_of_others():
 
 def test_packages_are_entered_by_their_interface():
     past = []
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for module, imported in imports_of(tree):
             target = target_of(module, imported)
             package = target if target in PACKAGES else target.rpartition(".")[0]

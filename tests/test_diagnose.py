@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from repeats import few_or_many
 from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
@@ -117,7 +118,7 @@ def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
 def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing):
     limit = nothing_missing.detection_limits["drag"]
     assert limit["unit"] == "N s^2/m^2"
-    large = diagnose(fit(LAW, runs_with("drag", {"c": 1.5 * limit["value"]})))
+    large = diagnose(fit(LAW, runs_with("drag", {"c": 1.5 * limit["value"]})), quick=True)
     assert large.verdict != "complete"
     small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})))
     assert small.verdict == "complete"
@@ -144,7 +145,7 @@ def test_one_run_in_one_direction_cannot_miss_a_slope():
 def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():
     shaken = runs_with("camera_shake", {"amplitude": 2e-5, "frequency": 160.0, "phase": 0.4})
     told = [replace(r, displacement=replace(r.displacement, shake=(160.0, 2e-5 / np.sqrt(2)))) for r in shaken]
-    assert diagnose(fit(LAW, shaken)).verdict != "complete"
+    assert diagnose(fit(LAW, shaken), quick=True).verdict != "complete"
     found = diagnose(fit(LAW, told))
     assert (found.verdict, found.missing) == ("undetermined", [])  # what is left of the shake could hide a vibration
     assert "vibration" in {gap.what for gap in found.undetermined}
@@ -168,11 +169,12 @@ def test_the_same_seed_gives_the_same_p_values():
     assert first.p_lack_of_fit == pytest.approx(other.p_lack_of_fit, abs=0.1)
 
 
-def test_false_alarms_are_as_rare_as_stated_and_the_lack_of_fit_is_calibrated():
-    found = [diagnose(fit(LAW, runs_with(specs=FOUR[:1], seed=s))) for s in range(20)]
-    assert sum(d.verdict in ("complete", "undetermined") for d in found) >= 19  # alpha = 0.01
+@pytest.mark.parametrize("repeats", few_or_many(8, 20))
+def test_false_alarms_are_as_rare_as_stated_and_the_lack_of_fit_is_calibrated(repeats):
+    found = [diagnose(fit(LAW, runs_with(specs=FOUR[:1], seed=s)), quick=True) for s in range(repeats)]
+    assert sum(d.verdict in ("complete", "undetermined") for d in found) >= repeats - 1  # alpha = 0.01
     p = np.array([d.p_lack_of_fit for d in found])
-    assert 0.3 < p.mean() < 0.7  # 20 uniform numbers: 0.5 +- 0.065
+    assert 0.2 < p.mean() < 0.8  # 8 uniform numbers: 0.5 +- 0.1
     assert p.min() < 0.3
     assert p.max() > 0.7
 
@@ -219,7 +221,7 @@ def test_two_effects_are_found_one_after_the_other_and_nothing_more():
     law = {name: BASE[name] for name in LAW} | {"texture": HIDDEN["texture"], "drag": {"c": 0.3}}
     rng = np.random.default_rng(4)
     runs = study(models.of(law), law, specs=FOUR, sigma=1e-5, scatter=0.03, rng=rng)[0]
-    found = diagnose(fit(LAW, runs))
+    found = diagnose(fit(LAW, runs), quick=True)
     assert sorted(found.missing) == ["drag", "texture"]
     assert {c.effect for c in found.candidates[:2]} == {"drag", "texture"}
     assert all(c.p == 0.001 for c in found.candidates[:2])

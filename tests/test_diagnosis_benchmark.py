@@ -6,11 +6,8 @@ import json
 import sys
 from pathlib import Path
 
-import nbformat
 import numpy as np
 import pytest
-from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
@@ -82,12 +79,15 @@ def test_unit_values_keep_the_setting_and_fill_in_the_rest():
     )
 
 
-def executed(folder: Path) -> nbformat.NotebookNode:
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    return NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+def run_notebook() -> None:
+    """Run the notebook's code here, in this folder."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    exec("\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code"), {})
 
 
-def test_the_notebook_shows_stored_results(tmp_path: Path):
+def test_the_notebook_shows_stored_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     place = tmp_path / "pipelines" / "benchmarks" / "diagnosis" / "results.json"
     place.parent.mkdir(parents=True)
     kinds = ("one", ("drag",)), ("none", ()), ("two", ("drag", "lens")), ("foreign", ("joint",))
@@ -95,11 +95,14 @@ def test_the_notebook_shows_stored_results(tmp_path: Path):
     score = tally(rows) | {"seed": 0}
     row = {"at": {}, "unit": "N", "stated": 0.2, "ideal": 0.19, "force": 1.0, "measured": {"size": 0.21}, "sparse": {}}
     place.write_text(json.dumps({"machine": {"python": "3"}, "blind": {"tables": score}, "limits": {"drag": row}}))
-    outputs = [o for cell in executed(tmp_path).cells for o in cell.get("outputs", [])]
-    assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) == 3
-    assert any("4 studies of tables" in o.get("text", "") for o in outputs)
+    monkeypatch.chdir(tmp_path)
+    run_notebook()
+    printed = capsys.readouterr().out
+    assert printed.count("<IPython.core.display.SVG object>") == 3
+    assert "4 studies of tables" in printed
 
 
-def test_the_notebook_says_what_is_missing(tmp_path: Path):
-    with pytest.raises(CellExecutionError, match="makes it"):
-        executed(tmp_path)
+def test_the_notebook_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match="makes it"):
+        run_notebook()

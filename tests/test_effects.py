@@ -10,6 +10,7 @@ import pytest
 from runs import (
     BASE,
     FACTORS,
+    FOUR,
     FPS,
     HIDDEN,
     KNOWN,
@@ -331,7 +332,7 @@ def turned(slide, values):
 def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
     """Those of the rest of the library do in test_fit; the fit is read back from HDF5 without a search."""
     values = BASE | {name: TOLD[name]}
-    runs, _ = study(models.of(values), values, sigma=1e-7)
+    runs, _ = study(models.of(values), values, FOUR, sigma=1e-7)
     fitted = fit(list(values), runs)
     truth = {f"{e}.{p}": value for e, q in values.items() for p, value in q.items()}
     truth["stribeck.F_s"] += values["coulomb"]["F_c"]

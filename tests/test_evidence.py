@@ -76,7 +76,7 @@ def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
 
 def test_vertical_motion_that_has_nothing_to_do_with_the_residual_is_no_evidence():
     found = []
-    for seed in range(4):
+    for seed in range(2):
         runs, _ = slides("load", seed=seed, bounce=False)
         rng = np.random.default_rng(seed)
         t = runs[0].displacement.t
@@ -89,7 +89,7 @@ def test_vertical_motion_that_has_nothing_to_do_with_the_residual_is_no_evidence
 def test_vertical_motion_that_drifts_with_the_place_is_no_evidence_of_a_patch():
     """A rail that is not level under a path that has a patch: both repeat with the place, and are smooth."""
     found = []
-    for seed, length in enumerate((0.02, 0.03, 0.05, 0.08)):
+    for seed, length in enumerate((0.02, 0.05)):
         runs, _ = slides("patch", bounce=False)
         rng = np.random.default_rng(seed)
         places = [r.displacement.x for r in runs]

@@ -79,13 +79,13 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def test_a_run_goes_through_its_stages_once(study_file: Path, made: list[str]) -> None:
-    session(study_file).bring_up_to("friction")
+def test_a_run_goes_through_its_stages_once(new_study_file: Path, made: list[str]) -> None:
+    session(new_study_file).bring_up_to("friction")
     of_one = [m.split()[1] for m in made if m.startswith("slow ")]
     assert of_one == ["displacement", "sensors", "filtered", "motion", "friction"]
     assert len(made) == 15
     made.clear()
-    session(study_file).bring_up_to("friction")
+    session(new_study_file).bring_up_to("friction")
     assert made == []
 
 
@@ -149,7 +149,7 @@ def test_another_version_makes_everything_again(
 
 
 def test_a_failing_stage_keeps_what_was_done(
-    study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+    new_study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(displacement: Any, cutoff: Any, **how: Any) -> Filtered:
         raise FrictrackError("displacement: expected a moving target")
@@ -157,10 +157,10 @@ def test_a_failing_stage_keeps_what_was_done(
     with monkeypatch.context() as patch:
         patch.setattr(stage_functions, "low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
-            session(study_file).bring_up_to("motion")
+            session(new_study_file).bring_up_to("motion")
     assert made == ["slow displacement", "slow sensors"]
     made.clear()
-    session(study_file).bring_up_to("motion")
+    session(new_study_file).bring_up_to("motion")
     assert made[0] == "slow filtered"
 
 
@@ -274,6 +274,7 @@ def test_comparison_and_diagnosis_are_kept_until_the_model_changes(study_file: P
         assert study["comparison"].attrs["settings"] == "{}"
 
 
+@pytest.mark.usefixtures("few_evaluations")
 def test_results_hold_all_a_report_needs(study_file: Path, called: list[str]) -> None:
     edit(study_file, 'name = "three tables"', 'name = "three tables"\noutput = "out"')
     results = session(study_file).results()
@@ -300,17 +301,17 @@ def test_a_diagnosis_failing_leaves_the_fit(
     assert session(study_file).models.groups == ["1_coulomb+viscous"]
 
 
-def test_wrong_names_are_found_before_any_work(study_file: Path, made: list[str]) -> None:
+def test_wrong_names_are_found_before_any_work(new_study_file: Path, made: list[str]) -> None:
     with pytest.raises(FrictrackError, match='but got "texure"; did you mean "texture"') as caught:
-        session(study_file).add("texure")
+        session(new_study_file).add("texure")
     assert caught.value.usage
     with pytest.raises(FrictrackError, match="effect of the model"):
-        session(study_file).remove("texture")
+        session(new_study_file).remove("texture")
     with pytest.raises(FrictrackError, match='did you mean "drag"'):
-        session(study_file).fit(model="coulomb,drga")
-    edit(study_file, '["coulomb", "viscous"]', '"tustn"')
+        session(new_study_file).fit(model="coulomb,drga")
+    edit(new_study_file, '["coulomb", "viscous"]', '"tustn"')
     with pytest.raises(FrictrackError, match=r'study\.toml: model: .*"tustn"') as caught:
-        open_study(study_file)
+        open_study(new_study_file)
     assert caught.value.usage
 
 
@@ -414,6 +415,7 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     assert made == ["block recording", "block track"]
 
 
+@pytest.mark.usefixtures("few_evaluations")
 def test_a_global_search_tells_its_progress_generation_by_generation(study_file: Path) -> None:
     told: list[tuple[int, int, str]] = []
     at_it = Session(open_study(study_file), lambda done, total, what: told.append((done, total, what)))

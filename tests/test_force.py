@@ -143,10 +143,8 @@ class TestSearch:
     @pytest.mark.parametrize(
         ("search", "close"),
         [
-            ("ga", 15.0),
-            pytest.param("mga", 100.0, marks=pytest.mark.slow),
             ("sga", 1.3),
-            pytest.param("sa", 3.0, marks=pytest.mark.slow),
+            *(pytest.param(*row, marks=pytest.mark.slow) for row in (("ga", 15.0), ("mga", 100.0), ("sa", 3.0))),
         ],
     )
     def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
@@ -188,6 +186,7 @@ class TestSearch:
         both = fit("atm1:2", [run], domain="force", search="de", over="nonlinear").found.force
         assert both.chi2 < 1.1 * best.chi2
 
+    @pytest.mark.usefixtures("few_evaluations")
     def test_sga_on_atm1_reports_all_parameters_with_deviations(self):
         run = one_slide(base=BASE | ATM1, model=models.atm1(2))
         summary = fit("atm1:2", [run], domain="force", search="sga", seed=1).summary()

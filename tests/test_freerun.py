@@ -52,7 +52,7 @@ def swinging(n=1500, *, seed=0, sigma=2e-6, lead=0, **known):
 
 
 def test_a_free_run_of_hysteresis_is_the_motion_that_scipy_integrates():
-    t = np.arange(1500) / FS
+    t = np.arange(800) / FS
     x, v, z = oscillator(t)
     conditions = Conditions(M, drive=push)
     assert is_smooth_at_rest(LAW, BOUC_WEN, conditions)
@@ -99,7 +99,7 @@ def test_the_free_run_of_a_record_that_swings_already_finds_its_first_state():
 
 
 def test_what_a_law_lacks_shows_in_the_free_run_more_than_in_its_segments():
-    runs = [swinging(1500), swinging(1500, seed=1, name="other", role="validation", sigma=1e-8)]
+    runs = [swinging(700), swinging(700, seed=1, name="other", role="validation", sigma=1e-8)]
     bare, full = fit("viscous,spring", runs), fit(LAW, runs)
     for name, truth in (("viscous.F_v", C), ("spring.k", K), ("bouc_wen.alpha", ALPHA), ("bouc_wen.gamma", GAMMA)):
         estimate = full.parameters[name]

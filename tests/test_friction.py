@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from repeats import few_or_many
 from scipy.integrate import solve_ivp
 
 from frictrack.errors import FrictrackError
@@ -102,10 +103,11 @@ def test_measured_friction_is_passed_on_without_a_mass():
     assert result.reason.startswith("whole record (friction is measured)")
 
 
+@pytest.mark.parametrize("repeats", few_or_many(5, 20))
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_coulomb_slide_gives_its_force_within_its_deviation(direction):
+def test_coulomb_slide_gives_its_force_within_its_deviation(direction, repeats):
     z = []
-    for seed in range(20):
+    for seed in range(repeats):
         t, x, _ = coasting(5.0, 0.15)
         result = friction(filmed(t, direction * x, seed=seed))
         z.append((result.F - direction * COULOMB) / result.sigma_F)
@@ -170,7 +172,10 @@ def test_impact_at_an_end_stop_ends_the_section():
     assert "an impact at 0.10" in reason
 
 
-@pytest.mark.parametrize(("degrees", "seed"), [(-3.0, 0), (-3.0, 1), (-2.0, 2), (-5.0, 3)])
+FURTHER = [pytest.param(*row, marks=pytest.mark.slow) for row in ((-3.0, 1), (-2.0, 2))]
+
+
+@pytest.mark.parametrize(("degrees", "seed"), [(-3.0, 0), (-5.0, 3), *FURTHER])
 def test_places_rounded_to_1_cm_show_the_first_bounce_on_a_buffer(degrees, seed):
     pull = -MASS * GRAVITY * np.sin(np.radians(degrees))
 

@@ -125,7 +125,7 @@ def in_another_process(names: Any, examples: int, folder: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="bounds the memory of a process")
 @pytest.mark.parametrize("group", GROUPS)
 def test_damage_of_any_kind_is_taken_or_told(tmp_path: Path, group: str) -> None:
-    in_another_process(GROUPS[group], 30, tmp_path)
+    in_another_process(GROUPS[group], 12, tmp_path)
 
 
 @pytest.mark.slow

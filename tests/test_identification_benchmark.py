@@ -70,18 +70,18 @@ def test_five_runs_scatter_and_are_no_worse_than_their_level():
 @pytest.fixture(scope="module")
 def told():
     scene = SCENES["tustin"]
-    draws = [accuracy.draw(job) for job in Plan(["tustin"], [1e-5], 20, 4, 1).jobs("tustin", 1e-5)]
+    draws = [accuracy.draw(job) for job in Plan(["tustin"], [1e-5], 8, 2, 1).jobs("tustin", 1e-5)]
     limits = bound(scene, 1e-5)
     return accuracy._judged(scene, limits, draws) | {"apart": accuracy._differs(limits, draws)}
 
 
 def test_frictrack_is_at_the_bound(told):
     ours = told[accuracy.OURS]
-    assert ours["draws"] == 20
+    assert ours["draws"] == 8
     assert ours["failed"] == ours["withheld"] == 0
     rms = np.array(list(ours["rms"].values()))
-    assert np.all((rms > 0.55) & (rms < 1.5)), ours["rms"]  # 20 draws: 16 % deviation
-    assert np.max(np.abs(list(ours["bias"].values()))) < 3 / np.sqrt(20)
+    assert np.all((rms > 0.35) & (rms < 1.8)), ours["rms"]  # 8 draws: 25 % deviation
+    assert np.max(np.abs(list(ours["bias"].values()))) < 3 / np.sqrt(8)
     assert min(ours["cover"].values()) >= 0.75
     assert told["apart"] < 1e-3  # whatever smoother it starts from
 
@@ -113,7 +113,7 @@ def test_tables_print(told):
     text = accuracy.table(
         "tustin", {"truth": SCENES["tustin"].law, "bound": limits, "methods": rows, "quick_smoother_apart": 0.0}
     )
-    assert "20 draws" in text.splitlines()[2]
+    assert "8 draws" in text.splitlines()[2]
     assert len(text.splitlines()) == 9
 
 

@@ -12,7 +12,6 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-import nbformat
 import pytest
 from browser import CHROMIUM, SLOW, Open
 
@@ -81,6 +80,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
 
 @in_chromium
 def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study: Path) -> None:
+    import nbformat  # noqa: PLC0415 - three seconds that only the process of this file spends
+
     address, folder = lab
     cell = nbformat.v4.new_code_cell(f"from frictrack.workbench.notebook import look\nlook({str(study)!r})")
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}

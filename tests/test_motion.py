@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from repeats import few_or_many
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
@@ -235,11 +236,13 @@ def test_y_has_a_cutoff_of_its_own_and_may_be_missing(rng):
 # -- accuracy and honest deviations -----------------------------------------------------------------------
 
 
+# Smoothed errors of a slide count as some ten of white noise: their rms over 4 slides deviates by 11 %, over 15 by 6 %.
+@pytest.mark.parametrize(("repeats", "room"), few_or_many((4, 0.2), (15, 0.1)))
 @pytest.mark.parametrize(("vibration", "limit_a", "limit_v"), [(0.0, 0.3, 0.6e-3), (2.0, 0.45, 0.8e-3)])
-def test_error_and_deviation_on_a_slide(vibration, limit_a, limit_v):
+def test_error_and_deviation_on_a_slide(vibration, limit_a, limit_v, repeats, room):
     t, x, v, a = tustin_slide(vibration)
     error_a, error_v, z = [], [], []
-    for seed in range(15):
+    for seed in range(repeats):
         noise = NOISE * np.random.default_rng(seed).normal(size=len(t))
         m = differentiate(low_pass(displacement(t, x + noise)))
         error_a.append(m.a - a)
@@ -248,9 +251,9 @@ def test_error_and_deviation_on_a_slide(vibration, limit_a, limit_v):
     assert rms(error_a) < limit_a
     assert rms(error_v) < limit_v
     z_x, z_v, z_a = (rms(part) for part in np.swapaxes(z, 0, 1))
-    assert 0.9 < z_x < 1.1
-    assert 0.8 < z_v < 1.15
-    assert 0.75 < z_a < 1.15
+    assert 1.0 - room < z_x < 1.0 + room
+    assert 0.9 - room < z_v < 1.05 + room
+    assert 0.85 - room < z_a < 1.05 + room
 
 
 @pytest.mark.slow
@@ -284,7 +287,7 @@ def test_stiff_smoother_is_the_cubic_of_least_squares():
 
 
 def test_guard_of_a_long_record_is_half_a_period(rng):
-    t = np.arange(12_400) / 1000.0
+    t = np.arange(6_200) / 1000.0
     x = 0.1 * np.sin(2 * np.pi * 0.5 * t) + 0.02 * np.sin(2 * np.pi * 3.1 * t) + rng.normal(size=len(t)) * NOISE
     motion = differentiate(low_pass(displacement(t, x)))
     assert np.ceil(500.0 / motion.cutoff) <= motion.guard < 50
@@ -367,13 +370,14 @@ def test_lines_are_followed_as_far_as_they_wander(rng):
 # -- what a mean is worth --------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("repeats", few_or_many(8, 30))
 @pytest.mark.parametrize("method", METHOD_NAMES)
-def test_covariance_covers_the_error_of_a_mean(method):
+def test_covariance_covers_the_error_of_a_mean(method, repeats):
     """Smoothing colours the noise: the mean of many accelerations is far better known than each of them alone says."""
     t = np.arange(240) / FPS
     x, rows = 3 * t - 10 * t**2, np.arange(60, 180)
     means, singles = [], []
-    for seed in range(30):
+    for seed in range(repeats):
         noise = NOISE * np.random.default_rng(seed).normal(size=len(t))
         filtered = low_pass(displacement(t, x + noise), method=method)
         known = covariance(filtered, "a", rows)

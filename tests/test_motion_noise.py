@@ -100,7 +100,7 @@ def test_the_likelihood_of_noise_is_that_of_the_dense_covariance():
 def test_deviations_hold_in_correlated_noise(correlation, share):
     t, x, v, a = slid()
     z, off = [], []
-    for seed in range(4):
+    for seed in range(2):
         m = differentiate(low_pass(seen(t, x + NOISE * noise(seed, len(t), correlation, share))))
         z.append([(m.x - x) / m.sigma_x, (m.v - v) / m.sigma_v, (m.a - a) / m.sigma_a])
         off.append(m.a - a)

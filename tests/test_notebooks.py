@@ -1,33 +1,96 @@
-"""The notebooks run: the demo's on the files of a finished study, those of the papers on what they render."""
+"""The notebooks: the demo's runs on the files of a finished study; what the others use exists; `slow` runs them all."""
 
 from __future__ import annotations
 
+import ast
+import importlib
+import json
 import shutil
+from inspect import signature
 from pathlib import Path
+from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError
 
 from frictrack.flow import Session, open_study
 
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "demo.ipynb"
 
 
-def execute(folder: Path, path: Path = NOTEBOOK) -> nbformat.NotebookNode:
+def execute(folder: Path, path: Path = NOTEBOOK) -> Any:
+    """Run a notebook in a kernel of its own, in a folder; returns it with its outputs."""
+    import nbformat  # noqa: PLC0415 - three seconds that only the process of this file spends
+    from nbclient import NotebookClient  # noqa: PLC0415
+
     """The notebook with its outputs, run in a folder."""
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}})
     return client.execute()
 
 
+def code_of(path: Path) -> str:
+    """The code of a notebook's cells, one after the other."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+
+
+def kept(path: Path) -> Any:
+    """A notebook as it is kept, found valid."""
+    import nbformat  # noqa: PLC0415
+
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def names_used(tree: ast.Module) -> dict[str, Any]:
+    """What a notebook imports from frictrack, by the name that it has there."""
+    found: dict[str, Any] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            named = {a.asname or a.name: a.name for a in node.names if a.name.startswith("frictrack")}
+            found |= {name: importlib.import_module(module) for name, module in named.items()}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("frictrack"):
+            module = importlib.import_module(node.module or "")
+            for a in node.names:  # a name of the module, or a module in it
+                own = getattr(module, a.name, None)
+                found[a.asname or a.name] = own or importlib.import_module(f"{node.module}.{a.name}")
+    return found
+
+
+def callee(node: ast.expr, names: dict[str, Any]) -> Any:
+    """The object of frictrack that an expression names; None for another one. `session` is a Session everywhere."""
+    if isinstance(node, ast.Name):
+        return names.get(node.id)
+    owner = callee(node.value, names) if isinstance(node, ast.Attribute) else None
+    return None if owner is None else getattr(owner, node.attr)  # an AttributeError where it has gone
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOK.parent.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_all_that_a_notebook_uses_exists_and_is_called_as_it_takes(path: Path, measured_tables: Path):
+    tree = ast.parse(code_of(path))
+    names = names_used(tree)
+    assert names
+    if "Session" in names:
+        names["session"] = Session(open_study(measured_tables / "study.toml"))
+    checked = 0
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            callee(node, names)
+        if isinstance(node, ast.Call) and callable(called := callee(node.func, names)):
+            plain = [a for a in node.args if not isinstance(a, ast.Starred)]
+            bind = signature(called).bind if len(plain) == len(node.args) else signature(called).bind_partial
+            bind(*plain, **{k.arg: k.value for k in node.keywords if k.arg})
+            checked += 1
+    assert checked
+
+
 @pytest.fixture
-def finished(study_file: Path, tmp_path: Path) -> Path:
+def finished(study_file: Path, tmp_path: Path, few_evaluations: None) -> Path:
     """A folder with a small study as `frictrack demo` leaves one: fitted, diagnosed, one effect added."""
     folder = tmp_path / "frictrack_demo"
     folder.mkdir()
-    for path in (study_file, *tmp_path.glob("*.csv")):
+    for path in (study_file, study_file.with_name("study_results"), *tmp_path.glob("*.csv")):
         shutil.move(path, folder / path.name)
     session = Session(open_study(folder / "study.toml"))
     session.diagnose()
@@ -48,9 +111,10 @@ def test_notebook_draws_the_demo_from_its_files(finished: Path):
     assert {p: p.read_bytes() for p in finished.rglob("*.h5")} == before  # read, not made again
 
 
-def test_notebook_says_which_command_is_missing(tmp_path: Path):
-    with pytest.raises(CellExecutionError, match="run `frictrack demo` there first"):
-        execute(tmp_path)
+def test_notebook_says_which_command_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Exception, match="run `frictrack demo` there first"):
+        exec(code_of(NOTEBOOK), {})
 
 
 PAPERS = {"first_paper": (14, "MGA needs fewer iterations than GA"), "second_paper": (2, "the sine filter improves")}
@@ -61,33 +125,35 @@ STORIES = {
 }
 
 
-LONG = ("real_data", "first_paper")  # what they show is tested in test_real_data and test_reproduce too
+def outputs_of(notebook: Any) -> list[Any]:
+    """All outputs of a notebook's cells."""
+    return [o for cell in notebook.cells for o in cell.get("outputs", [])]
 
 
-@pytest.mark.parametrize(
-    ("name", "figures", "claim"),
-    [
-        pytest.param(name, *told, marks=[pytest.mark.slow] if name in LONG else [])
-        for name, told in (PAPERS | STORIES).items()
-    ],
-)
-def test_notebook_runs_and_is_kept_with_its_outputs(name: str, figures: int, claim: str, tmp_path: Path):
-    path = NOTEBOOK.with_name(f"{name}.ipynb")
-    for notebook in (nbformat.read(path, as_version=4), execute(tmp_path, path)):
-        nbformat.validate(notebook)
-        outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-        assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= figures
-        printed = "".join(o["text"] for o in outputs if o.output_type == "stream" and o.name == "stdout")
-        assert claim in printed
-        if name in PAPERS:
-            assert any("text/html" in o.get("data", {}) for o in outputs)
-            assert "DOES NOT HOLD" in printed
+def assert_tells(notebook: Any, name: str, figures: int, claim: str) -> None:
+    """The notebook shows at least so many figures and prints the claim; those of the papers say what does not hold."""
+    outputs = outputs_of(notebook)
+    assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= figures
+    printed = "".join(o["text"] for o in outputs if o.output_type == "stream" and o.name == "stdout")
+    assert claim in printed
+    if name in PAPERS:
+        assert any("text/html" in o.get("data", {}) for o in outputs)
+        assert "DOES NOT HOLD" in printed
+
+
+@pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
+def test_a_notebook_is_kept_with_its_outputs(name: str, figures: int, claim: str):
+    assert_tells(kept(NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
+def test_a_notebook_runs(name: str, figures: int, claim: str, tmp_path: Path):
+    assert_tells(execute(tmp_path, NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_demo_is_kept_with_its_outputs():
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    nbformat.validate(notebook)
-    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    outputs = outputs_of(kept(NOTEBOOK))
     assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= 8
     assert any("verdict on Tustin + texture: complete" in o.get("text", "") for o in outputs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -28,8 +29,14 @@ def test_films_to_a_law_and_what_it_lacks() -> None:
     assert after < 0.1 * before
 
 
-def test_searches_side_by_side(study_file: Path) -> None:
-    said = run("searches.py", study_file, "--model", "coulomb,viscous", "--searches", "varpro,ga").splitlines()
+@pytest.mark.usefixtures("few_evaluations")
+def test_searches_side_by_side(
+    study_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["searches.py", str(study_file), "--model", "coulomb,viscous", "--searches", "varpro,ga"]
+    monkeypatch.setattr(sys, "argv", words)
+    runpy.run_path(str(HERE / "searches.py"), run_name="__main__")
+    said = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in said] == ["search", "varpro", "ga"]
     assert float(said[1].split()[1]) == pytest.approx(1.2, rel=0.05)
     assert min(float(line.split()[4]) for line in said[1:]) == 0.0  # the best one is over the best by nothing

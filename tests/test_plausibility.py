@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from math import cos, radians, sin
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from frictrack.plausibility import (
     path_angle,
     wrong_incline,
 )
-from frictrack.records import GRAVITY, Array, Displacement, Run, Track
+from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.workbench.page_state import PageState
 
 NOISE = 1e-5  # m
@@ -41,12 +42,19 @@ FPS = 1000.0
 
 def run_of(t: Array, x: Array, *, noise: float = NOISE, seed: int = 0, **known) -> Run:
     """A measured run of a motion x(t) with white noise."""
+    return Run(*seen(t.tobytes(), x.tobytes(), noise, seed), **({"mass": 0.35} | known))
+
+
+@cache
+def seen(times: bytes, places: bytes, noise: float, seed: int) -> tuple[Displacement, Motion]:
+    """Displacement and motion of a path seen with white noise, computed once for all tests that use it."""
+    t, x = np.frombuffer(times), np.frombuffer(places)
     nan = np.full(len(t), np.nan)
     noisy = x + noise * np.random.default_rng(seed).standard_normal(len(t))
     sigma = np.full(len(t), noise)
     valid = np.ones(len(t), dtype=bool)
     displacement = Displacement(t=t, x=noisy, y=nan, angle=nan, sigma_x=sigma, sigma_y=nan, valid=valid)
-    return Run(displacement, differentiate(low_pass(displacement)), **({"mass": 0.35} | known))
+    return displacement, differentiate(low_pass(displacement))
 
 
 def moved(
@@ -525,6 +533,7 @@ def test_a_warning_reaches_stderr_and_the_json_of_a_command(
     assert "mass = 45 has no unit" in told["warnings"][0]["words"]
 
 
+@pytest.mark.usefixtures("few_evaluations")
 def test_a_warning_heads_the_report(study_file: Path) -> None:
     edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
     session = Session(open_study(study_file))

@@ -17,7 +17,6 @@ import pytest
 
 from frictrack import effects, export, models, plots, report
 from frictrack.compare import compare
-from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.fit.measured_friction import block_covariance, friction_pieces
@@ -296,11 +295,6 @@ class TestTribometer:
     @staticmethod
     def run():
         return strokes()
-
-    def test_memory_is_what_a_law_of_the_velocity_lacks(self, run):
-        said = diagnose(fit("coulomb,viscous", [run]))
-        assert said.best.effect == "presliding"
-        assert said.missing[0] == "presliding"
 
     def test_units_and_sign_are_read_from_the_headers(self, run):
         assert np.ptp(run.displacement.x) == pytest.approx(0.228e-3, rel=0.01)

@@ -254,6 +254,7 @@ TIED = (
 
 
 @pytest.mark.parametrize(("domain", "search"), [("force", "varpro"), ("displacement", "ga"), ("force", "sga")])
+@pytest.mark.usefixtures("few_evaluations")
 def test_settings_hold_in_every_domain_and_search(lines, domain, search):
     law = model("coulomb,stribeck,viscous,vibration,vibration:2", *TIED)
     fitted = ft.fit(law, lines, domain=domain, search=search)

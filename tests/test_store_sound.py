@@ -155,7 +155,7 @@ def _compare(path: Path, whole: dict[str, Any]) -> None:
 
 def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sealed again by who means harm: in this heap of strings a few of the bytes let HDF5 2.0 search without end."""
-    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 0.4)
     content, path = sound.read_bytes(), sound.with_name("harm.h5")
     text = content.index(b'{"mass": 0.35}')
     for at in range(text - 8, text + 30):
@@ -169,7 +169,7 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
 
 @pytest.mark.parametrize("child", ["os.abort()", "time.sleep(60)", "print('no JSON')"])
 def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest.MonkeyPatch, child: str) -> None:
-    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 0.4)
     monkeypatch.setattr(sandbox, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
     monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("strange.h5")
@@ -378,12 +378,12 @@ def test_a_hostile_link_is_not_written_through(tmp_path: Path) -> None:
 
 
 def test_a_table_that_changes_while_it_is_read_is_measured_again(
-    study_file: Path, monkeypatch: pytest.MonkeyPatch
+    new_study_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was read is never said to be what came after."""
     from frictrack.flow import stage_functions  # noqa: PLC0415
 
-    table, original = study_file.parent / "slow.csv", stage_functions.read_run_table
+    table, original = new_study_file.parent / "slow.csv", stage_functions.read_run_table
     late = table.read_text()[:-3] + "7\n"
 
     def changed_meanwhile(run: Any) -> Any:
@@ -394,8 +394,8 @@ def test_a_table_that_changes_while_it_is_read_is_measured_again(
 
     with monkeypatch.context() as meanwhile:
         meanwhile.setattr(stage_functions, "read_run_table", changed_meanwhile)
-        Session(open_study(study_file)).bring_up_to("displacement")
-    work = Session(open_study(study_file)).runs[[r.name for r in open_study(study_file).runs].index("slow")]
+        Session(open_study(new_study_file)).bring_up_to("displacement")
+    work = Session(open_study(new_study_file)).runs[[r.name for r in open_study(new_study_file).runs].index("slow")]
     assert not work.is_current("displacement")
     assert work.get("displacement").x[-1] == np.loadtxt(table, delimiter=",", skiprows=1)[-1, 1]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,20 +29,28 @@ model = ["{'", "'.join(LAW)}"]
 """
 
 
-@pytest.fixture
-def study_file(tmp_path: Path) -> Path:
-    """Two tables with x and y, of a mass that is carried up and down over a beam that rings."""
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two tables with x and y, of a mass that is carried up and down over a beam that rings, and their motion."""
+    folder = tmp_path_factory.mktemp("measured")
     rng, t = np.random.default_rng(0), np.arange(480) / FPS
     text = HEAD
     for i, speed in enumerate((3.0, 5.0)):
         slide = simulate(models.of(LAW), LAW, Conditions(MASS, lift=lift, **KNOWN["beam_vibration"]), t, (0.0, speed))
         y = -lift(t) / (2 * np.pi * 33.0) ** 2
         seen = np.column_stack([t, slide.x, y]) + [0, 2e-6, 2e-6] * rng.standard_normal((len(t), 3))
-        np.savetxt(tmp_path / f"r{i}.csv", seen, delimiter=",", header="t_s,x_m,y_m", comments="")
+        np.savetxt(folder / f"r{i}.csv", seen, delimiter=",", header="t_s,x_m,y_m", comments="")
         text += f'\n[[run]]\ntable = "r{i}.csv"\nclamp_x = "-100 mm"\nbeam_length = "0.9 m"\n'
-    path = tmp_path / "study.toml"
+    path = folder / "study.toml"
     path.write_text(text)
-    return path
+    Session(open_study(path)).bring_up_to("motion")
+    return folder
+
+
+@pytest.fixture
+def study_file(measured: Path, tmp_path: Path) -> Path:
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "study.toml"
 
 
 def test_the_law_is_found_and_a_beam_measured_anew_is_fitted_anew(study_file: Path) -> None:

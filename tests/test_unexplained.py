@@ -112,7 +112,10 @@ def test_pure_noise_has_no_axis():
     assert smooth[0].gain < 12  # of six to nine axes; a cause has hundreds
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize(
+    "cause",
+    [c if c in ("magnet", "rate_and_state", "chirp") else pytest.param(c, marks=pytest.mark.slow) for c in CAUSES],
+)
 def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, cause):
     first = firsts(cause)
     assert any(LOOKS[shape] in first["formula"] for shape in EQUAL[cause]), first["formula"]

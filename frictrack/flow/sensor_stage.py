@@ -61,7 +61,9 @@ def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
     """
     reader = _SensorReader(displacement)
     if run.table:
-        reader.add_own_columns(with_even_clock(read_run_table(run)).data, run.table.name)
+        own = read_run_table(run)
+        if any(column is not None for column in (own.drive, own.friction, own.a)):
+            reader.add_own_columns(with_even_clock(own).data, run.table.name)
     if run.drive is not None:
         reader.add_drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
     if run.sensor is not None:

@@ -31,5 +31,16 @@ def usual_steps(steps: Array, share: float = 0.5) -> Array:
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH_STEPS + 1)
     enough = np.sum(np.isfinite(windows), axis=1) >= MIN_KNOWN_STEPS
     out = np.full(len(steps), np.nan)
-    out[enough] = np.nanquantile(windows[enough], share, axis=1)
+    out[enough] = _row_quantile(windows[enough], share)
     return out
+
+
+def _row_quantile(values: Array, share: float) -> Array:
+    """Quantile (m,) of the known values in every row of (m, n), as `np.nanquantile`, which takes one row at a time."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    rows = np.arange(len(ordered))
+    place = share * (np.sum(~np.isnan(ordered), axis=1) - 1)
+    low = np.floor(place).astype(np.intp)
+    below, above = ordered[rows, low], ordered[rows, np.ceil(place).astype(np.intp)]
+    quantile: Array = below + (place - low) * (above - below)
+    return quantile

@@ -29,7 +29,8 @@ from frictrack.simulate.dynamics import (
 )
 from frictrack.simulate.state import SimulationState, interleave, nodes_and_edges
 
-WINDOW_PANELS = 64  # panels solved at once
+WINDOW_PANELS = 64  # panels solved at once after a stop, and under a law with memory
+MAX_WINDOW_PANELS = 512  # the same while the mass slides on: every window doubles, because each costs about the same
 REVERSAL_WINDOW_PANELS = 16  # the same under a model in which reversals are frequent
 SMOOTH_WINDOW_PANELS = 64  # the same under a law without a jump at rest
 AGREEMENT_M = 1e-10  # largest change of the displacement when panels are halved
@@ -189,10 +190,9 @@ def _integrate(state: SimulationState, t: Array, start: tuple[float, float], per
     """Integrate through every stop and release; return the rows of the history (6, k), frames among them."""
     state.reset(start)
     edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
-    now, x, v = float(edges[0]), float(start[0]), float(start[1])
+    now, x, v, count = float(edges[0]), float(start[0]), float(start[1]), _first_window(state)
     while now < edges[-1] - 1e-12:
         next_one = int(np.searchsorted(edges, now + 1e-12, side="right"))
-        count = SMOOTH_WINDOW_PANELS if state.smooth else WINDOW_PANELS
         ahead = np.concatenate([[now], edges[next_one : next_one + count]])
         state.history.add(np.array([now]), np.array([x]), np.array([v]), 0.0)
         if state.smooth:
@@ -200,7 +200,16 @@ def _integrate(state: SimulationState, t: Array, start: tuple[float, float], per
             continue
         s = np.sign(v) if v else _start_direction(state, x, now)
         now, x, v = _slide_until_stop(state, ahead, (x, v), float(s)) if s else _stick(state, ahead, x)
+        can_grow = v and not state.model.memory and not state.model.turns
+        count = min(2 * count, MAX_WINDOW_PANELS) if can_grow else _first_window(state)
     return state.history.rows
+
+
+def _first_window(state: SimulationState) -> int:
+    """Number of panels that are solved at once after a stop."""
+    if state.smooth:
+        return SMOOTH_WINDOW_PANELS
+    return REVERSAL_WINDOW_PANELS if state.model.turns else WINDOW_PANELS
 
 
 def _start_direction(state: SimulationState, x: float, now: float) -> float:
@@ -241,8 +250,7 @@ def _slide_until_stop(
     state: SimulationState, ahead: Array, start: tuple[float, float], s: float
 ) -> tuple[float, float, float]:
     """Slide in direction s through one window of panels, or to the stop; return time, position and velocity there."""
-    panels = Panels(ahead[: (REVERSAL_WINDOW_PANELS if state.model.turns else WINDOW_PANELS) + 1])
-    motion = _solve_window(state, panels, start, s)
+    motion = _solve_window(state, Panels(ahead), start, s)
     panels = motion.panels
     stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
     last = int(stopped[0]) if len(stopped) else len(panels.h)  # edge before the stop
@@ -261,10 +269,10 @@ def _follow_smooth(state: SimulationState, ahead: Array, start: tuple[float, flo
 
 
 def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> CollocationSolution:
-    """Solve the motion on the panels, or on as many of the first as converge if an accuracy was given."""
+    """Solve the motion on the panels, or on as many of the first as converge."""
     guess = _predict_accelerations(state, panels, start, s)
     if state.tolerance is None:
-        return solve_motion(state.acceleration(s), panels, start, guess, memory=state.model.memory)[0]
+        return _solve_first_panels(state, panels, start, guess, s)
     count = len(panels.h)
     while count:
         some = Panels(panels.edges[: count + 1])
@@ -275,6 +283,19 @@ def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, fl
         count //= 2
     one = Panels(panels.edges[:2])
     return solve_motion(state.acceleration(s), one, start, guess[:3], memory=state.model.memory)[0]
+
+
+def _solve_first_panels(
+    state: SimulationState, panels: Panels, start: tuple[float, float], guess: Array, s: float
+) -> CollocationSolution:
+    """Solve the motion on the first panels; fewer where Newton's method fails, as it may far beyond a stop."""
+    law, count = state.acceleration(s), len(panels.h)
+    while count > WINDOW_PANELS:
+        try:
+            return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count])[0]
+        except FrictrackError:
+            count //= 2
+    return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count], memory=state.model.memory)[0]
 
 
 def _predict_accelerations(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> Array:
