@@ -99,8 +99,13 @@ class ColumnSums:
         return np.asarray(np.einsum("gkk->gk", self.gram) + np.einsum("gkl,gkl->gk", *[self.coordinates] * 2))
 
     def schur(self, left: Array) -> Array:
-        """Gram matrices (g, k, k) of what the model leaves of the columns; `left` (L_b, L_b) of their coordinates."""
-        return np.asarray(self.gram + self.coordinates @ left @ self.coordinates.transpose(0, 2, 1))
+        """Gram matrices (T, g, k, k) of what the model leaves of the columns; `left` (T, L_b, L_b) of coordinates."""
+        return np.asarray(self.gram + self.times(left) @ self.coordinates.transpose(0, 2, 1))
+
+    def times(self, matrices: Array) -> Array:
+        """Multiply the coordinates with matrices (T, L_b, q), one product each; gives (T, g, k, q)."""
+        flat = self.coordinates.reshape(-1, self.coordinates.shape[2]) @ matrices
+        return np.asarray(flat.reshape(len(matrices), *self.data.shape, -1))
 
     def of_data(self, projected: Array) -> Array:
         """Products (g, k) with the measured series; `projected` (L_b,) is what the model leaves of its coordinates."""
@@ -126,33 +131,34 @@ class GridGains:
     def __init__(
         self, absorbed: dict[int, Absorbed], groups: Sequence[slice], count: int, limits: tuple[float, float]
     ) -> None:
-        self._absorbed, self._limits = absorbed, limits
-        self._groups = {t: groups[t] for t in absorbed}
-        self._own = next(t for t, columns in self._groups.items() if columns.start == 0)
-        series = max(columns.stop for columns in self._groups.values())
+        self._limits, self._groups = limits, [groups[t] for t in absorbed]
+        self._left = [np.stack(of_block) for of_block in zip(*(a.left for a in absorbed.values()), strict=True)]
+        self._shared = _side_by_side([a.shared for a in absorbed.values()])
+        self._own = next(i for i, columns in enumerate(self._groups) if columns.start == 0)
+        series = max(columns.stop for columns in self._groups)
         self._squares = np.zeros((count, series), dtype=np.float32)
-        self._coupled = {t: _Coupled(count, absorbed[t].shared.shape[1], c) for t, c in self._groups.items()}
+        self._coupled = [_Coupled(count, self._shared.shape[2], c) for c in self._groups]
         self._of_data = np.zeros(count)
-        self._coupled_data = _Coupled(count, absorbed[self._own].shared.shape[1], slice(0, 1), np.float64)
+        self._coupled_data = _Coupled(count, self._shared.shape[2], slice(0, 1), np.float64)
 
     def add(self, block: int, rows: NDArray[np.int_], sums: ColumnSums, data: Array) -> None:
         """Add some columns of one block, with its `rows` among all coordinates; `data` (g, k) are those measured."""
-        mixes = {t: _mixes(sums, a.left[block], a.shared[rows]) for t, a in self._absorbed.items()}
-        root, shared = mixes[self._own]
+        roots, shared = _mixes(sums, self._left[block], self._shared[:, rows])
+        root = roots[self._own]
         measured = (root @ data[:, :, None]).clip(*self._limits)
         self._of_data[sums.points] += np.sum(measured[:, :, 0] ** 2, axis=1)
-        self._coupled_data.add(sums.points, shared, shared @ measured)
-        coupled = np.any([np.sum(s**2, axis=(1, 2)) > MAX_NEGLECTED_SHARE for _, s in mixes.values()], axis=0)
-        spread = np.max([np.abs(other - root).max(axis=(1, 2)) for other, _ in mixes.values()], axis=0)
+        self._coupled_data.add(sums.points, shared[self._own], shared[self._own] @ measured)
+        coupled = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
+        spread = np.abs(roots - root).max(axis=(0, 2, 3))
         varied = coupled | (2 * spread > MAX_NEGLECTED_SHARE * np.abs(root).max(axis=(1, 2)))
         for part in sums.products:
             own = slice(part.points.start - sums.points.start, part.points.stop - sums.points.start)
             if not varied[own].any():
                 self._add_squares(part, root[own], slice(0, self._squares.shape[1]))
                 continue
-            for t, columns in self._groups.items():
-                mine, others = (mix[own] for mix in mixes[t])
-                self._add_squares(part, mine, columns, (t, others) if coupled[own].any() else None)
+            for t, columns in enumerate(self._groups):
+                others = (t, shared[t, own]) if coupled[own].any() else None
+                self._add_squares(part, roots[t, own], columns, others)
 
     def _add_squares(
         self, part: SeriesProducts, root: Array, columns: slice, coupled: tuple[int, Array] | None = None
@@ -170,7 +176,7 @@ class GridGains:
 
     def totals(self) -> tuple[Array, Array]:
         """Gains of the measured series (G,), and the largest of every series (D,)."""
-        for coupled in self._coupled.values():
+        for coupled in self._coupled:
             points, gains = coupled.gains()
             self._squares[points, coupled.series] += gains
         points, gains = self._coupled_data.gains()
@@ -179,9 +185,20 @@ class GridGains:
 
 
 def _mixes(sums: ColumnSums, left: Array, shared: Array) -> tuple[Array, Array]:
-    """What whitens columns of one block (g, k, k), and the whitened columns that it shares with others (g, p, k)."""
-    root = whitener(sums.schur(left), sums.full)
-    return root, (root @ (sums.coordinates @ shared)).transpose(0, 2, 1)
+    """What whitens columns of one block (T, g, k, k), and the columns that it shares with others (T, g, p, k).
+
+    `left` (T, L_b, L_b) and `shared` (T, L_b, p) are those of T scatters of the levels.
+    """
+    roots = whitener(sums.schur(left), sums.full)
+    return roots, (roots @ sums.times(shared)).transpose(0, 1, 3, 2)
+
+
+def _side_by_side(matrices: Sequence[Array]) -> Array:
+    """Stack matrices (L, p) of T scatters, those with fewer columns filled up with zeros, (T, L, p)."""
+    out = np.zeros((len(matrices), len(matrices[0]), max(m.shape[1] for m in matrices)))
+    for room, matrix in zip(out, matrices, strict=True):
+        room[:, : matrix.shape[1]] = matrix
+    return out
 
 
 class _Coupled:

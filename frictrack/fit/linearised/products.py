@@ -168,9 +168,10 @@ class _Piece:
             part = slice(first, first + step)
             rows = self.strip.whitened_rows(samples[part], self.key[1] == "measurement")
             left[part], coordinates[part] = self.strip.split(rows)
-        size = np.maximum(np.linalg.norm(left, axis=1), np.finfo(float).tiny)
+        gram = left @ left.T
+        size = np.maximum(np.sqrt(gram.diagonal()), np.finfo(float).tiny)
         products = self.with_series(left, coordinates, size)
-        return NodeProducts(nodes, left @ left.T, coordinates, left @ self.measured, products, size)
+        return NodeProducts(nodes, gram, coordinates, left @ self.measured, products, size)
 
     def with_series(self, left: Array, coordinates: Array, scale: Array) -> Float32Array:
         """Products (C, D) of columns over their scale (C,) with the series, from remainders and coordinates."""
