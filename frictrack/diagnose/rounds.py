@@ -151,23 +151,42 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     Round
 
     """
+    draws, tests, excluded = _run_all_tests(solution, own, rng, notify)
+    return Round(solution, draws, tests, _refine_candidates(solution, draws, tests, notify), excluded)
+
+
+def _run_all_tests(
+    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify
+) -> tuple[NullEnsemble, SearchTests, dict[str, str]]:
+    """Test a model with all draws; also return the effects that could not be tried."""
     notify("drawing data of the null hypothesis")
     draws = draw_null_ensemble(solution, rng)
     notify("scanning every effect of the library")
+    return draws, *_test_library(solution, own, draws)
+
+
+def _test_library(solution: Solution, own: Sequence[Effect], draws: NullEnsemble) -> tuple[SearchTests, dict[str, str]]:
+    """Test a model for every effect; also return those that could not be tried."""
     library, excluded = list_candidates(solution, own)
-    tests = run_tests(solution, draws, library)
+    return run_tests(solution, draws, library), excluded
+
+
+def _refine_candidates(
+    solution: Solution, draws: NullEnsemble, tests: SearchTests, notify: Notify
+) -> list[RefinedCandidate]:
+    """Refine the significant candidates, and simulate the best."""
     data = draws.series.coordinates[:, 0]
     notify("refining significant candidates")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
-    found = simulate_promising(draws.law, solution, _deepen_significant(draws.law, trials, tests.p), tests.p)
-    return Round(solution, draws, tests, found, excluded)
+    return simulate_promising(draws.law, solution, _deepen_significant(draws.law, trials, tests.p), tests.p)
 
 
 def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
     """Test a model with the effects found; few draws do where these show clearly that nothing is left.
 
     Of such a round only the decision matters that nothing is significant. A sequential Monte Carlo test reaches it with
-    the draws that exceed the data early. Everything else takes all draws.
+    the draws that exceed the data early. Everything else takes all draws. Without a significant candidate none is
+    refined, because none can be added.
 
     Parameters
     ----------
@@ -183,7 +202,7 @@ def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Ge
     Returns
     -------
     Round
-        Without refined candidates if nothing is left.
+        Without refined candidates if none is significant.
 
     References
     ----------
@@ -192,11 +211,13 @@ def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Ge
     """
     draws = draw_null_ensemble(solution, rng, N_DRAWS_LATER_ROUND)
     if lack_of_fit(draws) >= MIN_P_CLEAR:
-        library, excluded = list_candidates(solution, own)
-        tests = run_tests(solution, draws, library)
+        tests, excluded = _test_library(solution, own, draws)
         if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
             return Round(solution, draws, tests, [], excluded)
-    return run_round(solution, own, rng, notify)
+    draws, tests, excluded = _run_all_tests(solution, own, rng, notify)
+    significant = min(tests.p.values(), default=1.0) < ALPHA / 2
+    refined = _refine_candidates(solution, draws, tests, notify) if significant else []
+    return Round(solution, draws, tests, refined, excluded)
 
 
 def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
