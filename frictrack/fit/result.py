@@ -16,11 +16,14 @@ from frictrack.fit.objectives import FittedRuns, Objective, objective_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.uncertainty import Estimate, Estimates, Misfit, UncertaintyAnalysis, with_misfit
 from frictrack.fit.uncertainty import reported_by_address as quoted
+from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.records import Array, Curve, ModelledMotion
+from frictrack.results import ModelResults
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
@@ -59,6 +62,27 @@ class Fit(FittedRuns):
         }
         frame = pd.DataFrame.from_dict(rows, orient="index").astype({"value": float, "std": float})
         return frame.rename_axis("parameter")
+
+    def to_results(self, name: str = "") -> ModelResults:
+        """Return what is stored of a fit: its JSON, its curves and its modelled motion.
+
+        Parameters
+        ----------
+        name
+            Name of the model in the store; default its effects.
+
+        """
+        named = name or f"1_{'+'.join(self.model.names)}"
+        return ModelResults(named, str(self.model), self.summary(), self.curves, current=True, motion=self.motion)
+
+    def plot(self) -> Figure:
+        """Draw per run the modelled and the measured friction force over time, and the residual below."""
+        figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
+        return figure
+
+    def _repr_html_(self) -> str:
+        page: str = imported("frictrack.plots:html")(self)
+        return page
 
     @property
     def compared(self) -> Solution:

@@ -13,9 +13,11 @@ from frictrack.plots.missing_force import has_missing_force, missing_force
 from frictrack.plots.model import failing, fit, modelled_force, noise_um, residual_unit, residuals, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.next_experiments import next_experiments
+from frictrack.plots.notebook import html
 from frictrack.plots.plan import pair_separation, remaining_pairs
 from frictrack.plots.profiles import profiles
 from frictrack.plots.style import numbered_name, plain_name, png, svg
+from frictrack.plots.table import table
 from frictrack.plots.unexplained import correlated_signal, unexplained
 
 __all__ = [
@@ -31,6 +33,7 @@ __all__ = [
     "has_missing_force",
     "has_scan",
     "history",
+    "html",
     "limits",
     "loops",
     "missing_force",
@@ -51,6 +54,7 @@ __all__ = [
     "routes",
     "scan",
     "svg",
+    "table",
     "trends",
     "unexplained",
 ]

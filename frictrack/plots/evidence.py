@@ -15,6 +15,7 @@ from frictrack import effects
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_change, format_number, format_unit
 from frictrack.plots import style
+from frictrack.plots.inputs import AnyModel, AnySummary, as_model, as_summary
 from frictrack.plots.model import noise_um
 from frictrack.plots.style import axis_label, new_figure, plain_name, styled
 from frictrack.records import Array
@@ -45,7 +46,7 @@ def passes(candidate: Mapping[str, Any]) -> bool:
 
 
 @styled
-def candidates(diagnosis: Mapping[str, Any]) -> Figure:
+def candidates(diagnosis: AnySummary) -> Figure:
     """Draw delta BIC of every candidate as a bar, the best on top.
 
     Bars of candidates that pass are filled, the others hatched. A bracket joins candidates that these runs cannot
@@ -53,10 +54,11 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
 
     Parameters
     ----------
-    diagnosis : mapping
+    diagnosis : mapping or Diagnosis
         A diagnosis with its `candidates`.
 
     """
+    diagnosis = as_summary(diagnosis)
     found = diagnosis["candidates"]
     figure = new_figure(0.45 * max(len(found), 2) + 1.5, _candidates_title(diagnosis))
     ax = figure.subplots()
@@ -243,19 +245,20 @@ def _set_x_axis(ax: Axes, name: str, written: str) -> None:
 
 
 @styled
-def history(models: Sequence[ModelResults]) -> Figure:
+def history(models: Sequence[AnyModel]) -> Figure:
     """Draw the held-out error of every model in the order in which they were fitted, and the noise.
 
     Parameters
     ----------
-    models : sequence of ModelResults
+    models : sequence of ModelResults or Fit
         All models of the study.
 
     """
-    unit, values, noise = _held_out(models)
-    figure = new_figure(3.3, _history_title(models, values, noise, unit))
+    tried = [as_model(model) for model in models]
+    unit, values, noise = _held_out(tried)
+    figure = new_figure(3.3, _history_title(tried, values, noise, unit))
     ax = figure.subplots()
-    places = np.arange(len(models))
+    places = np.arange(len(tried))
     ax.plot(places, values, color=style.BLUE, marker="o", markersize=8, lw=1.8)
     for x, y in zip(places, values, strict=True):
         ax.annotate(format_number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
@@ -263,8 +266,8 @@ def history(models: Sequence[ModelResults]) -> Figure:
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
         ax.annotate(f"noise {format_number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", va="bottom")  # fmt: skip
-    ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in models])
-    ax.set_xlim(-0.5, len(models) - 0.5)
+    ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in tried])
+    ax.set_xlim(-0.5, len(tried) - 0.5)
     _set_error_axis(ax, values, noise)
     ax.set_ylabel(axis_label("held-out error, rms", unit))
     return figure
@@ -343,15 +346,15 @@ def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
 
 
 @styled
-def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> Figure:
+def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | None = None) -> Figure:
     """Draw the detection limit of each effect over the setting on which it depends, one panel per effect.
 
     Parameters
     ----------
-    diagnosis : mapping
+    diagnosis : mapping or Diagnosis
         A diagnosis with its `detection_limits`.
-    figures : mapping
-        Curves of the stored diagnosis by effect.
+    figures : mapping, optional
+        Curves of the stored diagnosis by effect; a Diagnosis has its own.
 
     Raises
     ------
@@ -359,6 +362,8 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
         If no limit depends on a setting.
 
     """
+    figures = getattr(diagnosis, "figures", {}) if figures is None else figures
+    diagnosis = as_summary(diagnosis)
     shown = has_limits(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from frictrack.number_format import format_number
 from frictrack.plots import style
+from frictrack.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.plots.model import worst_runs
 from frictrack.plots.style import axis_label, new_figure, plain_name, styled
 from frictrack.records import Array, Curve, Mask
@@ -21,14 +22,14 @@ MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is lon
 
 
 @styled
-def loops(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
+def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """Draw per run the hysteresis loops of measured and modelled friction force over displacement and velocity.
 
     Parameters
     ----------
-    model : ModelResults
+    model : ModelResults or Fit
         The fitted model.
-    runs : sequence of RunResults
+    runs : sequence of RunResults or Run
         All runs of the study.
 
     Raises
@@ -37,6 +38,7 @@ def loops(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
         If no run has a friction force.
 
     """
+    model, runs = as_model(model), as_runs(runs)
     by_name = {run.name: run for run in runs}
     shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MAX_PANELS]
     if not shown:

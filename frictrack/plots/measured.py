@@ -12,6 +12,7 @@ from matplotlib.patches import Patch, Polygon
 
 from frictrack.number_format import format_number
 from frictrack.plots import style
+from frictrack.plots.inputs import AnyRun, as_run, as_runs
 from frictrack.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.polygons import polygon
 from frictrack.records import Array, Motion, stretches
@@ -73,11 +74,12 @@ def _median(values: Array) -> float:
 
 
 @styled
-def motion(run: RunResults) -> Figure:
+def motion(run: AnyRun) -> Figure:
     """Draw displacement, velocity and acceleration of a run over time, with bands of two standard deviations.
 
     The free section is shaded. Ends that the low-pass filter smears are hatched; events are marked and named.
     """
+    run = as_run(run)
     m = run.motion
     figure = new_figure(6.2, _motion_title(run), width=style.PAGE_WIDTH_IN / 2)
     panels = figure.subplots(3, 1, sharex=True)
@@ -176,12 +178,12 @@ def _section_handles(run: RunResults) -> list[Patch]:
 
 
 @styled
-def friction(runs: Sequence[RunResults]) -> Figure:
+def friction(runs: Sequence[AnyRun]) -> Figure:
     """Draw the friction force of all runs on their free sections, against time and against velocity.
 
     Parameters
     ----------
-    runs : sequence of RunResults
+    runs : sequence of RunResults or Run
         All runs of the study.
 
     Raises
@@ -190,7 +192,7 @@ def friction(runs: Sequence[RunResults]) -> Figure:
         If no run has a friction force.
 
     """
-    able = [run for run in runs if run.friction is not None and np.any(run.friction.free)]
+    able = [run for run in as_runs(runs) if run.friction is not None and np.any(run.friction.free)]
     if not able:
         raise ValueError("expected a run with a friction force but got none; a mass is needed")
     figure = new_figure(4.4, _friction_title(able))

@@ -19,6 +19,7 @@ from matplotlib.patches import Patch
 
 from frictrack.number_format import format_number, format_share
 from frictrack.plots import style
+from frictrack.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
 from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
@@ -50,17 +51,18 @@ class Residual:
 
 
 @styled
-def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
+def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """Draw per run the modelled and the measured friction force over time, and the residual below.
 
     Parameters
     ----------
-    model : ModelResults
+    model : ModelResults or Fit
         The fitted model.
-    runs : sequence of RunResults
+    runs : sequence of RunResults or Run
         All runs of the study.
 
     """
+    model, runs = as_model(model), as_runs(runs)
     shown = worst_runs(model, runs)
     columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
@@ -89,25 +91,26 @@ def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
 
 @styled
 def failing(
-    model: ModelResults,
-    runs: Sequence[RunResults],
+    model: AnyModel,
+    runs: Sequence[AnyRun],
     spans: Sequence[dict[str, Any]],
-    better: ModelResults | None = None,
+    better: AnyModel | None = None,
 ) -> Figure:
     """Draw the residual of every run, with the spans where the model fails.
 
     Parameters
     ----------
-    model : ModelResults
+    model : ModelResults or Fit
         The model that fails.
-    runs : sequence of RunResults
+    runs : sequence of RunResults or Run
         All runs of the study.
     spans : sequence of dict
         Where it fails: each has `run`, `t` (start and end, s) and `share_of_error`, which is written on it.
-    better : ModelResults, optional
+    better : ModelResults or Fit, optional
         A later model, whose residual is drawn in grey.
 
     """
+    model, runs, better = as_model(model), as_runs(runs), None if better is None else as_model(better)
     by_name = {run.name: run for run in runs}
     colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
     shown = worst_runs(model, runs)
@@ -134,17 +137,18 @@ def failing(
 
 
 @styled
-def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figure:
+def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
     """Draw the friction force of one run: measured, fitted in the displacement domain, and by the papers' route.
 
     Parameters
     ----------
-    default, papers : ModelResults
+    default, papers : ModelResults or Fit
         The same model, fitted in both ways.
-    run : RunResults
+    run : RunResults or Run
         A run that both have fitted.
 
     """
+    default, papers, run = as_model(default), as_model(papers), as_run(run)
     figure = new_figure(3.4, f"{run.name}: measured force and both fits")
     ax = figure.subplots()
     _draw_measured_force(ax, run)

@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from frictrack.number_format import format_number
 from frictrack.plots import style
+from frictrack.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.plots.model import worst_runs
 from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
 from frictrack.records import Array, Mask, ModelledMotion, stretches
@@ -30,16 +31,16 @@ MODEL_STYLE: dict[str, Any] = {"color": style.MODEL_COLOUR, "lw": 1.6, "ls": (0,
 
 
 @styled
-def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
+def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """Draw per run the acceleration, smoothed minus modelled acceleration, and friction force, with their bands.
 
     A blow that is too short to be resolved is hatched, without the model's line; its impulse is written there.
 
     Parameters
     ----------
-    model : ModelResults
+    model : ModelResults or Fit
         The fitted model, with its own motion.
-    runs : sequence of RunResults
+    runs : sequence of RunResults or Run
         All runs of the study.
 
     Raises
@@ -48,6 +49,7 @@ def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
         If the model has no motion of its own.
 
     """
+    model, runs = as_model(model), as_runs(runs)
     own = {motion.run: motion for motion in model.motion}
     shown = [name for name in worst_runs(model, runs) if name in own][:MAX_PANELS]
     if not shown:

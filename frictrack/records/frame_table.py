@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError, raise_faults
+from frictrack.lazy import imported
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -125,6 +127,15 @@ class FrameTable:
             return ""
         low, high = f"{known.min():.4g}", f"{known.max():.4g}"
         return f"{f.name} {low if low == high else f'{low} to {high}'} {f.metadata['unit']}"
+
+    def plot(self) -> Figure:
+        """Draw the columns over time, each with its standard deviation as a band."""
+        figure: Figure = imported("frictrack.plots:table")(self)
+        return figure
+
+    def _repr_html_(self) -> str:
+        page: str = imported("frictrack.plots:html")(self)
+        return page
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the columns as a pandas DataFrame, one row per frame; ``attrs["units"]`` holds their units.

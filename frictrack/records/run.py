@@ -16,6 +16,7 @@ from frictrack.records.measured import Displacement, Motion
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 GRAVITY = 9.80665  # m/s^2, standard
 
@@ -246,6 +247,15 @@ class Run:
                 frame[name], units[name] = force, unit
         frame.attrs["units"] = {**frame.attrs["units"], **units}
         return frame
+
+    def plot(self) -> Figure:
+        """Draw position, velocity and acceleration over time with their bands."""
+        figure: Figure = imported("frictrack.plots:motion")(self)
+        return figure
+
+    def _repr_html_(self) -> str:
+        page: str = imported("frictrack.plots:html")(self)
+        return page
 
     @property
     def pixel_pitch(self) -> float | None:

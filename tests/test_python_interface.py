@@ -1,4 +1,4 @@
-"""Runs of arrays and DataFrames: the same as those of a table, checked at once."""
+"""The Python interface: runs of arrays and DataFrames, printed results, DataFrames, figures, public names."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import frictrack as ft
+from frictrack import plots
 from frictrack.errors import FrictrackError
 
 T = np.arange(0, 0.2, 1 / 4000)
@@ -138,6 +139,41 @@ def test_results_turn_into_dataframes(slides):
     assert ft.compare(fit).to_dataframe()["model"].tolist() == ["coulomb"]
     diagnosis = ft.diagnose(fit, quick=True)
     assert diagnosis.to_dataframe().index.tolist() == [c.effect for c in diagnosis.candidates]
+
+
+def test_every_figure_takes_runs_fits_and_diagnoses(slides):
+    fit = ft.fit("coulomb", slides)
+    better = ft.fit("coulomb,drag", slides)
+    diagnosis = ft.diagnose(fit, quick=True)
+    spans = ft.compare(fit).fails_at
+    figures = [
+        slides[0].plot(),
+        fit.plot(),
+        diagnosis.plot(),
+        plots.limits(diagnosis),
+        plots.failing(fit, slides, spans, better),
+        plots.modelled(better, slides),
+        plots.friction(slides),
+        plots.loops(fit, slides),
+        plots.routes(fit, better, slides[0]),
+    ]
+    assert all(figure.axes for figure in figures)
+    history = plots.history([fit, better])
+    np.testing.assert_allclose(
+        history.axes[0].lines[0].get_ydata(), [one.errors["heldout_rms_um"] for one in (fit, better)]
+    )
+
+
+def test_a_record_draws_its_columns_in_their_units(slides):
+    figure = slides[1].motion.plot()
+    assert [ax.get_ylabel() for ax in figure.axes] == ["x / mm", "v / (m/s)", "a / (m/s²)"]
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 1e3 * slides[1].motion.x)
+
+
+def test_a_notebook_shows_text_and_figure(slides):
+    page = slides[0]._repr_html_()
+    assert "&lt;Run &quot;coulomb&quot;: 800 frames" in page
+    assert 'src="data:image/png;base64,' in page
 
 
 def test_the_package_lists_its_public_names():

@@ -1,0 +1,84 @@
+"""Convert runs, fits and diagnoses to what figures are drawn from: the results as a study stores them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from frictrack.errors import FrictrackError
+from frictrack.events import happenings
+from frictrack.friction import friction
+from frictrack.motion import low_pass
+from frictrack.records import Friction, Run
+from frictrack.results import ModelResults, RunResults
+
+
+class FittedModel(Protocol):
+    """What can be converted to the results of a model: a fit."""
+
+    def to_results(self) -> ModelResults:
+        """Return the results of the model."""
+        ...
+
+
+class Summarised(Protocol):
+    """What has a JSON summary: a diagnosis."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON."""
+        ...
+
+
+AnyRun = RunResults | Run
+AnyModel = ModelResults | FittedModel
+AnySummary = Mapping[str, Any] | Summarised
+
+
+def as_run(run: AnyRun) -> RunResults:
+    """Convert a run to the results of a run: its events are found, its friction force is computed.
+
+    Parameters
+    ----------
+    run : RunResults or Run
+        Stored results are returned as they are.
+
+    """
+    if isinstance(run, RunResults):
+        return run
+    return RunResults(
+        name=run.name,
+        source="",
+        displacement=run.displacement,
+        filtered=low_pass(run.displacement),
+        motion=run.motion,
+        happenings=happenings(run),
+        friction=_friction_of(run),
+        role=run.role,
+        group=run.group,
+        settings={"mass": None if run.mass is None else (run.mass, run.sigma_mass)},
+    )
+
+
+def as_runs(runs: Sequence[AnyRun]) -> list[RunResults]:
+    """Convert runs; see `as_run`."""
+    return [as_run(run) for run in runs]
+
+
+def as_model(model: AnyModel) -> ModelResults:
+    """Convert a fit to the results of a model; stored results are returned as they are."""
+    return model if isinstance(model, ModelResults) else model.to_results()
+
+
+def as_summary(found: AnySummary) -> Mapping[str, Any]:
+    """Convert a diagnosis to its JSON; JSON is returned as it is."""
+    return found if isinstance(found, Mapping) else found.summary()
+
+
+def _friction_of(run: Run) -> Friction | None:
+    """Friction force of a run; None without a mass, or if it has no free section."""
+    if run.mass is None and run.friction_N is None:
+        return None
+    try:
+        return friction(run)
+    except FrictrackError:
+        return None
