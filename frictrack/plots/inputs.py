@@ -13,7 +13,7 @@ from frictrack.records import Friction, Run
 from frictrack.results import ModelResults, RunResults
 
 
-class FittedModel(Protocol):
+class FitLike(Protocol):
     """What can be converted to the results of a model: a fit."""
 
     def to_results(self) -> ModelResults:
@@ -30,7 +30,7 @@ class Summarised(Protocol):
 
 
 AnyRun = RunResults | Run
-AnyModel = ModelResults | FittedModel
+AnyModel = ModelResults | FitLike
 AnySummary = Mapping[str, Any] | Summarised
 
 
