@@ -80,7 +80,7 @@ def tables(study_file: Path) -> Iterator[Server]:
 def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     page = tab().open(bench)
     for film in sorted(SAMPLES.glob("*.avi")):
-        if film.stem != "double_mass":
+        if film.stem in ("fast", "to_a_stop"):  # enough to name what is missing, and that nothing else is
             page.page.get_by_label(film.name).check()
     for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm/px"}.items():
         page.page.get_by_label(label).fill(value)
