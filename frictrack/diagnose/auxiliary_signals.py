@@ -22,7 +22,7 @@ from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.surrogates import SmoothedSignal, detrend, surrogate_p_value
 from frictrack.distributions import normal_sf
 from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.motion import differentiate, low_pass, noise_level
+from frictrack.motion import derivatives, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 
 MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach
@@ -232,9 +232,8 @@ def _smooth_signal(response: PieceResponse, run: Run, series: Array) -> Smoothed
     t, nan = run.displacement.t, np.full(n, np.nan)
     noise = np.full(n, max(float(noise_level(u, known)[0]), 1e-12))
     measured = Displacement(t, np.where(known, u, np.nan), nan, nan, noise, nan, known)
-    motion = differentiate(low_pass(measured, method="kalman"))
-    both = np.stack([motion.x, motion.v, motion.a], axis=1)[rows]
-    return SmoothedSignal(response.piece.t, response.model_y, detrend(response.piece.t, both))
+    motion = derivatives(low_pass(measured, method="kalman")).T[rows]
+    return SmoothedSignal(response.piece.t, response.model_y, detrend(response.piece.t, motion))
 
 
 def _signal_traces(

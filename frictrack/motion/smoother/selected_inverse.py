@@ -28,34 +28,35 @@ class BlockEquations:
         self.padded = np.zeros((len(equations), equations.shape[1], self.many * block))
         self.padded[:, self.band] = 1.0
         self.padded[:, :, : equations.shape[2]] = equations
-        row, column = np.indices((block, block))
-        self._places = np.clip(self.band + row - column, 0, 2 * self.band), column, np.abs(row - column) <= self.band
         self.before, self.after = self._corners()
 
-    def _diagonal(self, k: int) -> Array:
-        """Equations (F, block, block) within block k."""
-        row, column, inside = self._places
-        return np.asarray(self.padded[:, :, k * self.block : (k + 1) * self.block][:, row, column] * inside)
+    def _diagonals(self) -> Array:
+        """Equations (F, blocks, block, block) within every block."""
+        row, column = np.indices((self.block, self.block))
+        place = np.clip(self.band + row - column, 0, 2 * self.band)
+        of_block = self.block * np.arange(self.many)[:, None, None] + column
+        return np.where(np.abs(row - column) <= self.band, self.padded[:, place, of_block], 0.0)
 
-    def _link(self, k: int) -> Array:
-        """Equations (F, band, band) of the first unknowns of block k + 1 with the last ones of block k."""
+    def _links(self) -> Array:
+        """Equations (F, blocks - 1, band, band) of the first unknowns of a block with the last ones before it."""
         row, column = np.indices((self.band, self.band))
         place = np.minimum(2 * self.band + row - column, 2 * self.band)
-        values = self.padded[:, place, (k + 1) * self.block - self.band + column]
-        return np.where(row <= column, values, 0.0)
+        before = self.block * np.arange(1, self.many)[:, None, None] - self.band + column
+        return np.where(row <= column, self.padded[:, place, before], 0.0)
 
     def _corners(self) -> tuple[Array, Array]:
         """Contributions of all blocks before and after each pair to its corners, two (F, pairs, band, band)."""
         b, pairs, f = self.band, self.many - 1, len(self.padded)
         before, after = np.zeros((2, f, pairs, b, b))
         known = np.zeros((2 * f, self.block, b))
+        diagonals, links = self._diagonals(), self._links()
         for k in range(1, pairs):
-            first, last = self._diagonal(k - 1), self._diagonal(self.many - k)
-            first[:, :b, :b] += before[:, k - 1]
-            last[:, -b:, -b:] += after[:, pairs - k]
-            up, down = self._link(k - 1), self._link(pairs - k)
+            both = np.concatenate([diagonals[:, k - 1], diagonals[:, self.many - k]])
+            both[:f, :b, :b] += before[:, k - 1]
+            both[f:, -b:, -b:] += after[:, pairs - k]
+            up, down = links[:, k - 1], links[:, pairs - k]
             known[:f, -b:], known[f:, :b] = up.swapaxes(1, 2), down
-            found = _solve_symmetric(np.concatenate([first, last]), known)
+            found = _solve_symmetric(both, known)
             before[:, k] = -up @ found[:f, -b:]
             after[:, pairs - k - 1] = -down.swapaxes(1, 2) @ found[f:, :b]
         return before, after
@@ -117,9 +118,9 @@ def selected_variances(equations: Array, block: int, place: Index, weights: Arra
 
 def _solve_banded(band: int, equations: Array, right: Array) -> Array:
     """Solutions (N, columns) of equations (2 band + 1, N)."""
-    bands = np.zeros((3 * band + 1, equations.shape[1]))
+    bands = np.zeros((3 * band + 1, equations.shape[1]), order="F")  # as LAPACK takes them, without another copy
     bands[band:] = equations
-    solved = scipy.linalg.lapack.dgbsv(band, band, bands, right)
+    solved = scipy.linalg.lapack.dgbsv(band, band, bands, right, overwrite_ab=1)
     return np.asarray(solved[2])
 
 
