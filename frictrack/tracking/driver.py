@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,9 @@ from frictrack.tracking.shared_target import adapt_known_target, place_known_tar
 from frictrack.tracking.super_resolution import peak_locking_correction
 from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
-from frictrack.workers import WorkerPool
+
+if TYPE_CHECKING:
+    from frictrack.workers import WorkerPool
 
 Progress = Callable[[int, int, str], None]
 

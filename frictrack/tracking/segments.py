@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -24,7 +24,9 @@ from frictrack.tracking.correlation import correlate
 from frictrack.tracking.fixed_pattern import FixedPattern
 from frictrack.tracking.raw_track import RawTrack, empty_track
 from frictrack.tracking.template import Template
-from frictrack.workers import WorkerPool
+
+if TYPE_CHECKING:
+    from frictrack.workers import WorkerPool
 
 SEGMENT_FRAMES = 1000  # a search of one picture costs as much as following a few dozen frames
 OVERLAP_FRAMES = 8  # that two segments have in common

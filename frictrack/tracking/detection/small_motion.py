@@ -169,14 +169,14 @@ def _cell_sums(scene: SampledScene) -> CellSums:
         mean += frame / len(scene.frames)
     cell = max(MIN_CELL_PX, int(np.ceil(np.sqrt(mean.size / MAX_CELLS))))
     gy, gx = np.gradient(cv2.GaussianBlur(mean, (0, 0), SMOOTHING_PX))
-    columns = [gx, gy, mean - mean.mean(), np.ones_like(mean)]
-    normal = [[_cumulated(one * other, cell) for other in columns] for one in columns]
-    right, power = [], np.zeros(np.array(normal[0][0].shape))
+    columns = np.stack([gx, gy, mean - mean.mean(), np.ones_like(mean)])
+    normal = np.stack([_cumulated(columns * one, cell) for one in columns])
+    right, power = [], np.zeros(normal.shape[2:])
     for frame in _normalised_frames(scene):
         differs = frame - mean
-        right.append([_cumulated(column * differs, cell) for column in columns])
+        right.append(_cumulated(columns * differs, cell))
         power += _cumulated(differs**2, cell)
-    both = np.moveaxis(np.array(normal), (0, 1), (2, 3)), np.moveaxis(np.array(right), (0, 1), (3, 2))
+    both = np.moveaxis(normal, (0, 1), (2, 3)), np.moveaxis(np.array(right), (0, 1), (3, 2))
     return CellSums(cell, *both, power, float(mean.mean()))
 
 
@@ -186,11 +186,13 @@ def _normalised_frames(scene: SampledScene) -> Iterator[Array]:
         yield frame.astype(np.float64) / light
 
 
-def _cumulated(picture: Array, cell: int) -> Array:
-    """Cumulative cell sums (h + 1, w + 1) of a picture (H, W)."""
-    h, w = (side // cell for side in picture.shape)
-    cells = picture[: h * cell, : w * cell].reshape(h, cell, w, cell).sum(axis=(1, 3))
-    return np.pad(np.cumsum(np.cumsum(cells, axis=0), axis=1), ((1, 0), (1, 0)))
+def _cumulated(pictures: Array, cell: int) -> Array:
+    """Cumulative cell sums (..., h + 1, w + 1) of pictures (..., H, W)."""
+    *many, h, w = pictures.shape[:-2] + tuple(side // cell for side in pictures.shape[-2:])
+    rows = pictures[..., : h * cell, : w * cell].reshape(*many, h, cell, w * cell).sum(axis=-2)
+    out = np.zeros((*many, h + 1, w + 1))
+    np.cumsum(np.cumsum(rows.reshape(*many, h, w, cell).sum(axis=-1), axis=-2), axis=-1, out=out[..., 1:, 1:])
+    return out
 
 
 def _boxes(shape: tuple[int, int], sides: Sequence[int] = WINDOW_SIDES) -> NDArray[np.int64]:
