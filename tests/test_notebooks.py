@@ -146,6 +146,21 @@ def test_a_notebook_is_kept_with_its_outputs(name: str, figures: int, claim: str
     assert_tells(kept(NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
 
 
+def test_the_second_paper_runs_with_little_effort(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    code = code_of(NOTEBOOK.with_name("second_paper.ipynb"))
+    quick = code.replace(
+        "seeds=20, identified=2, budget=18_000, lowest=3_000", "seeds=4, identified=1, budget=900, lowest=450"
+    )
+    assert quick != code
+    exec(quick, {})
+    printed = capsys.readouterr().out
+    assert printed.count("<IPython.core.display.SVG object>") >= 2
+    assert PAPERS["second_paper"][1] in printed
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
 def test_a_notebook_runs(name: str, figures: int, claim: str, tmp_path: Path):
