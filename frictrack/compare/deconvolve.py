@@ -86,16 +86,22 @@ class _Process:
         )
         return (exponent - spread) / 2
 
-    def posterior(self, size: float) -> tuple[list[Array], list[Array]]:
-        """Means and variances (n,) of the force for an amplitude."""
-        variances_of_parts, _, inverse, right_side = self._reduced_system(size)
-        law_coefficients = inverse @ right_side
-        means, variances = [], []
-        for shape, k, w, b in zip(self.shape, variances_of_parts, self.law_components, self.projections, strict=True):
-            means.append(shape @ (k * (b + w @ law_coefficients)))
-            law_shape = shape @ (k[:, None] * w)
-            variances.append(shape**2 @ k + np.einsum("np,np->n", law_shape @ inverse, law_shape))
-        return means, variances
+    def posterior_moments(self, sizes: Array, weights: Array) -> tuple[list[Array], list[Array]]:
+        """First and second moments (n,) of the force, summed over amplitudes (S,) with their weights."""
+        systems = [self._reduced_system(size) for size in sizes.tolist()]
+        roots = [np.linalg.cholesky(inverse) for _, _, inverse, _ in systems]
+        firsts, seconds = [], []
+        for i, (shape, w, b) in enumerate(zip(self.shape, self.law_components, self.projections, strict=True)):
+            means, spread, variances = [], [], np.zeros(len(b))
+            for weight, (k, _, inverse, right_side), root in zip(weights, systems, roots, strict=True):
+                means.append(k[i] * (b + w @ (inverse @ right_side)))
+                spread.append(np.sqrt(weight) * k[i][:, None] * (w @ root))  # by the uncertainty of the model
+                variances += weight * k[i]
+            forces = shape @ np.column_stack([*means, *spread])
+            mean, of_model = forces[:, : len(means)], forces[:, len(means) :]
+            firsts.append(mean @ weights)
+            seconds.append(shape**2 @ variances + mean**2 @ weights + np.einsum("nk,nk->n", of_model, of_model))
+        return firsts, seconds
 
     def _reduced_system(self, size: float) -> tuple[list[Array], Array, Array, Array]:
         """Posterior variances (K,), reduced normal matrix of the model (P', P'), its inverse and right side (P',)."""
@@ -168,18 +174,20 @@ def _model_averaged_force(law: ModelProjection, maps: Sequence[ForceTraces]) -> 
     products = [_normal_products(law, rows, m, k) for rows, m, k in zip(law.rows, maps, knots, strict=True)]
     step = max(float(k[1] - k[0]) for k in knots)
     longest = max(float(k[-1] - k[0]) for k in knots)
-    tried = []
-    for length in np.geomspace(2 * step, max(longest / 4, 3 * step), N_CORRELATION_LENGTHS):
-        process = _make_process(law, knots, products, float(length))
-        top = max(float(s.max()) for s in process.squares)
-        sizes = (SIZE_RATIOS / np.sqrt(max(top, 1e-300))).tolist()
-        tried += [(process.log_likelihood(size), process, size) for size in sizes]
-    weight = np.exp(np.array([t[0] for t in tried]) - max(t[0] for t in tried))
+    lengths = np.geomspace(2 * step, max(longest / 4, 3 * step), N_CORRELATION_LENGTHS)
+    processes = [_make_process(law, knots, products, float(length)) for length in lengths]
+    tops = np.array([max(float(s.max()) for s in process.squares) for process in processes])
+    sizes = SIZE_RATIOS / np.sqrt(np.maximum(tops, 1e-300))[:, None]
+    likelihood = np.array([[p.log_likelihood(size) for size in own] for p, own in zip(processes, sizes, strict=True)])
+    weight = np.exp(likelihood - likelihood.max())
     weight[weight < MIN_RELATIVE_WEIGHT] = 0.0
     weight /= weight.sum()
-    kept = [(w, process.posterior(size)) for w, (_, process, size) in zip(weight, tried, strict=True) if w > 0]
-    means = [np.sum([w * m[i] for w, (m, _) in kept], axis=0) for i in range(len(knots))]
-    squares = [np.sum([w * (v[i] + m[i] ** 2) for w, (m, v) in kept], axis=0) for i in range(len(knots))]
+    kept = [(p, s[w > 0], w[w > 0]) for p, s, w in zip(processes, sizes, weight, strict=True) if w.any()]
+    moments = [process.posterior_moments(*of) for process, *of in kept]
+    means, squares = (
+        [np.asarray(np.sum(of_piece, axis=0)) for of_piece in zip(*of_lengths, strict=True)]
+        for of_lengths in zip(*moments, strict=True)
+    )
     return means, [np.maximum(q - m**2, 0.0) for q, m in zip(squares, means, strict=True)]
 
 
