@@ -22,6 +22,7 @@ from frictrack.tracking.template import Template
 STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
 # frames to either side, and from first to last, of a stretch that a parabola follows
 MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
+PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
 MIN_FRAMES = 100  # from which short waves can be learnt
 MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
 # of the differences that show the noise of positions, and the least noise in px
@@ -245,15 +246,37 @@ def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArra
     )
     last = np.maximum(np.searchsorted(travelled, travelled[rows] + STRETCH_PX / 2), rows + MIN_HALF_STRETCH)
     inside = np.flatnonzero((first >= 0) & (last < len(at)))
-    for i in inside[frames[last[inside]] - frames[first[inside]] < MAX_STRETCH_FRAMES]:
-        part = slice(first[i], last[i] + 1)
-        powers = np.vander((frames[part] - frames[rows[i]]) / MAX_STRETCH_FRAMES, 3)
-        parabola = np.linalg.lstsq(powers, series[part], rcond=None)[0]
-        out[i], residuals[i] = parabola[2], np.std(series[part, 0] - powers @ parabola[:, 0])
+    short = inside[frames[last[inside]] - frames[first[inside]] < MAX_STRETCH_FRAMES]
+    for some in np.array_split(short, -(-len(short) // PARABOLAS_AT_ONCE)) if len(short) else ():
+        stretches = rows[some], first[some], last[some]
+        out[some], residuals[some] = _fit_parabolas(frames, series, stretches)
     coefficients = np.isfinite(residuals)
     if coefficients.any():
         out[residuals > MAX_ROUGHNESS_RATIO * np.median(residuals[coefficients])] = np.nan
     return out
+
+
+def _fit_parabolas(
+    frames: NDArray[np.int64], series: Array, stretches: tuple[NDArray[np.int64], ...]
+) -> tuple[Array, Array]:
+    """Fit parabolas in time to series (n, k) in stretches: middle, first and last row, (m,) each.
+
+    Values (m, k) in the middle rows, and standard deviations (m,) of the residuals of the first series.
+    """
+    middle, first, last = stretches
+    places = first[:, None] + np.arange(np.max(last - first) + 1)
+    inside = (places <= last[:, None])[..., None]
+    places = np.minimum(places, last[:, None])
+    time = frames[places] - frames[middle][:, None]
+    # In units of each stretch, so that the normal equations are well conditioned.
+    powers = inside * (time / np.max(np.abs(time), axis=1, keepdims=True))[..., None] ** np.arange(3)
+    values = inside * (series[places] - series[middle][:, None])
+    across = powers.swapaxes(1, 2)
+    parabolas = np.linalg.solve(across @ powers, across @ values)
+    left = values[..., 0] - (powers @ parabolas[..., :1])[..., 0]
+    count = np.sum(inside[..., 0], axis=1)
+    variance = np.sum(left**2, axis=1) / count - (np.sum(left, axis=1) / count) ** 2
+    return series[middle] + parabolas[:, 0], np.sqrt(np.maximum(variance, 0.0))
 
 
 def _pixel_harmonics(at: Array) -> Array:
