@@ -327,7 +327,7 @@ class TestRefinement:
         p = np.ones(len(made.layout.slots))
         p[made.free] = 0.7, 60.5
         state = problem.at(p)
-        _, gradient = problem._normal_equations(state, made.free)
+        gradient = problem.tangent(state, made.free).gradient
         for j, i in enumerate(made.free):
             step = np.zeros_like(p)
             step[i] = 1e-4 * p[i]
@@ -341,8 +341,8 @@ class TestRefinement:
         free = made.free[:2]
         low = problem.low[free]
         state.nonlinear_values[free] = low + np.array([0.1, 5.0])
-        normal, gradient = np.array([[1.0, -0.99], [-0.99, 1.0]]), np.array([-1.0, 0.5])
-        step, promised = problem._step(state, (normal, gradient), free, 0.0)
+        tangent = replace(problem.tangent(state, free), gradient=np.array([-1.0, 0.5]))
+        step, promised = problem._step(state, tangent, np.array([[1.0, -0.99], [-0.99, 1.0]]), 0.0)
         assert step == pytest.approx([-0.1, 0.5 - 0.099])  # the first goes to its side, the second's best beside that
         assert promised > 0
 
@@ -372,11 +372,18 @@ def test_products_with_rows_of_any_size_are_finite_and_right(size):
     )
 
 
-def test_moves_are_those_of_a_model_solved_again_at_every_grid_point():
+@pytest.fixture(scope="module")
+def two_lines():
+    """A search for two sinusoids, its problem and its solution."""
     rng = np.random.default_rng(15)
     made = along("atm1:2", tustin(8, 14, 1.2, 0.4) + line(2.0, 61.0, 0.3) + line(1.0, 130.0, 1.0) + rng.normal(0, 1, N))
     search = VariableProjection(made)
-    problem, state = ProjectedProblem(made, made.data), search()
+    return search, ProjectedProblem(made, made.data), search()
+
+
+def test_moves_without_a_tangent_are_those_of_a_model_solved_again_at_every_grid_point(two_lines):
+    search, problem, state = two_lines
+    made, state = search.separable, problem.solved_again(state)
     for item in search.items:
         mine = search.item_coefficients[item]
         without = problem.without(state, mine)
@@ -388,3 +395,28 @@ def test_moves_are_those_of_a_model_solved_again_at_every_grid_point():
             values[place] = found.grid.values[g, 0]
             moved = problem.at(values, without, {item.g}, mine)
             assert without.misfit - found.gains[g] == pytest.approx(moved.misfit, rel=1e-4)
+
+
+def test_moves_let_the_other_parameters_follow_to_first_order(two_lines):
+    search, problem, state = two_lines
+    made = search.separable
+    for item in search.items:
+        mine, found = search.item_coefficients[item], search.tables.moves(item, state, problem.data)
+        (place,) = [i for i in made.free if made.layout.slots[i].effect == item.effect]
+        for g in range(0, len(found.gains), 40):
+            values = state.nonlinear_values.copy()
+            values[place] = found.grid.values[g, 0]
+            rows = problem.at(values, problem.without(state, mine), {item.g}, mine).rows
+            slopes = [_slope(problem, state, i) for i in made.free if i != place]
+            columns = np.stack([*rows, *slopes], axis=1)
+            columns /= np.linalg.norm(columns, axis=0)
+            left = made.data - columns @ np.linalg.lstsq(columns, made.data, rcond=None)[0]
+            assert state.misfit + found.loss - found.gains[g] == pytest.approx(left @ left, rel=1e-4)
+
+
+def _slope(problem, state, i):
+    """Change of the modelled data (M,) per unit of a parameter, by finite differences at constant coefficients."""
+    step = np.zeros_like(state.nonlinear_values)
+    step[i] = 1e-4
+    two = [problem.at(state.nonlinear_values + d).rows for d in (step, -step)]
+    return state.coefficients @ (two[0] - two[1]) / (2 * step[i])

@@ -15,6 +15,8 @@ from identification import SCENES, Plan, accuracy, laws, machine_fit, screen
 from identification.bound import bound
 from identification.emps import ASYMMETRIC, PUBLISHED, SYMMETRIC, Record, named, regressed
 from identification.estimates import METHODS
+from identification.optima import ours
+from identification.optima.problems import MAX_SSE_RATIO, case
 from identification.scenes import films
 
 EMPS = Path(__file__).parent / "data" / "emps_200Hz.csv"
@@ -168,3 +170,18 @@ def test_a_fit_of_the_displacement_is_told_in_the_same_measure(extract):
     assert least <= row["errors"]["train"] < 1.1 * least
     assert row["parameters"]["mass.m"]["value"] == pytest.approx(95.1, rel=0.02)
     assert " kg " in laws.table([row | {"errors": row["errors"] | {"validation": np.nan}}])
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "why"),
+    [
+        ("ATM1 n=2", 507, "a sinusoid of two periods and the exponential hide a better pair from one another"),
+        ("ATM1 n=2", 2339, "one sinusoid is weaker than what the other leaves"),
+        ("ATM1 n=2", 2982, "a sinusoid that was moved first has to be moved again"),
+        ("ATM1 n=3", 866, "the exponential is at the end of its grid while sinusoids are placed"),
+        ("ATM2 n=2", 364, "slow waves of two sums are confused"),
+    ],
+)
+def test_searches_find_optima_that_simpler_searches_missed(name, seed, why):
+    problem = case(name, seed)
+    assert ours.varpro(name, problem)["sse"] <= MAX_SSE_RATIO * problem.reference, why

@@ -57,7 +57,7 @@ def test_joined_rows_and_derivatives_are_those_of_every_run(linearised, name):
         for i, changes in state.row_derivatives.items():
             for change in changes:
                 slopes[i, change.cut] += state.coefficients[change.at] @ change.rows
-        made.append((state.rows, slopes, state.levels.rows, state.misfit))
+        made.append((state.rows, slopes, state.tangent.rows, state.misfit))
     (rows, slopes, levels, misfit), (joined, joined_slopes, joined_levels, joined_misfit) = made
     np.testing.assert_allclose(joined, rows, atol=1e-10 * np.abs(rows).max())
     np.testing.assert_allclose(joined_slopes, slopes, atol=1e-5 * max(np.abs(slopes).max(), 1e-300))
@@ -84,10 +84,12 @@ def test_noise_of_one_series_does_not_reach_the_next():
 def test_products_with_the_responses_to_the_levels_are_those_of_their_matrix(linearised):
     layout, p = with_effect(linearised, "patch")
     separable = SeparableModel(layout, linearised.blocks, linearised.stacks)
-    state = ProjectedProblem(separable, separable.data).at(p)
-    assert np.count_nonzero(state.levels.rows.any(axis=1)) > 1
-    np.testing.assert_allclose(state.levels.products(state.rows), state.levels.rows @ state.rows.T, rtol=1e-12)
-    np.testing.assert_allclose(state.levels.squares, np.sum(state.levels.rows**2, axis=1), rtol=1e-12)
+    problem = ProjectedProblem(separable, separable.data)
+    state = problem.at(p)
+    tangent = problem.tangent(state, separable.free)
+    assert np.count_nonzero(tangent.rows.any(axis=1)) > 1 + len(separable.free)
+    np.testing.assert_allclose(tangent.products(state.rows), state.rows @ tangent.rows.T, rtol=1e-10)
+    np.testing.assert_allclose(tangent.normal - tangent.precision, tangent.rows @ tangent.rows.T, rtol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["patch", "texture"])
@@ -98,7 +100,7 @@ def test_normal_equations_are_those_of_differences_of_the_residual(linearised, n
     problem = ProjectedProblem(separable, separable.data)
     state = problem.at(p)
     free = sorted({i for g in separable.groups for i in g.nonlinear_slots}) + problem.levels
-    _, gradient = problem._normal_equations(state, free)
+    gradient = problem.tangent(state, free[: len(free) - len(problem.levels)]).gradient
     for position, i in enumerate(free):
         h = 1e-5 * max(abs(p[i]), 1e-3)
         low, high = (problem.at(p + sign * h * np.eye(len(p))[i]).misfit for sign in (-1, 1))

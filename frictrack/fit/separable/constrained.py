@@ -172,7 +172,8 @@ class _RunSearch:
         while better is not None:
             again = WaveSet(self._full_vector(best), best.misfit, self._fast_periods(best))
             searches = [self._fast_search(i) for i in {*self._first_places(), self._place_of(best)}]
-            sets = [fast.refined(f, problem.data) for f in self._assignments(best, tried) for fast in searches]
+            mixed = MAX_MIXED_PERIODS / self.separable.layout.span.duration
+            sets = [fast.refined(f, problem.data, mixed) for f in self._assignments(best, tried) for fast in searches]
             better = None
             for waves in [again, *self._promising(sets, 2 * MAX_WAVE_SETS)]:
                 if waves is not again and any(waves.resembles(other, SAME_WAVE_PERIODS / 5) for other in refined):

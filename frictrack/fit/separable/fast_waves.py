@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.fit.separable.blocks import DataBlock, Forward
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.newton import SeparableSolution
 from frictrack.fit.separable.relaxed import RelaxedWaves, Wave
 from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.records import Array
@@ -61,21 +61,27 @@ class FastWaves:
         """Return the best waves for data (M,)."""
         outside = self._outside(data)
         state = self.search(outside)
-        misses = self.search.misses_effect(ProjectedProblem(self.separable, outside), state)
+        misses = self.search.misses_effect(self.search.problem(outside), state)
         return replace(self._wave_set(state), misses_wave=misses)
 
     def first_found(self, data: Array) -> WaveSet:
         """Return the waves for data (M,) as found one after the other, without any exchange."""
-        return self._wave_set(self.search.start_solution(ProjectedProblem(self.separable, self._outside(data))))
+        return self._wave_set(self.search.start_solution(self.search.problem(self._outside(data))))
 
-    def refined(self, frequencies: Sequence[float], data: Array) -> WaveSet:
-        """Return the waves for data (M,) refined from given frequencies, Hz, one per wave."""
-        problem, values = ProjectedProblem(self.separable, self._outside(data)), self.search.start_values()
+    def refined(self, frequencies: Sequence[float], data: Array, fastest_hidden: float) -> WaveSet:
+        """Return the waves for data (M,) refined from given frequencies, Hz, one per wave.
+
+        Waves up to the frequency `fastest_hidden`, Hz, are hardly seen beside anything slow. They stay where they are.
+        """
+        problem, values = self.search.problem(self._outside(data)), self.search.start_values()
         for w, frequency in zip(self.waves, frequencies, strict=True):
             for i, slot in enumerate(self.separable.layout.slots):
                 if slot.effect == w.part and self.relaxed.full_name(w.part, slot.parameter) == w.frequency:
                     values[i] = frequency
-        return self._wave_set(problem.refine(problem.at(values), steps=REFINE_STEPS, enough=ENOUGH))
+        groups = self.separable.groups
+        seen = {w.part for w, f in zip(self.waves, frequencies, strict=True) if f > fastest_hidden}
+        refined = [g for g, group in enumerate(groups) if group.names[0] in seen]
+        return self._wave_set(problem.refine(problem.at(values), refined, steps=REFINE_STEPS, enough=ENOUGH))
 
     def _outside(self, data: Array) -> Array:
         """The part of data (M,) that nothing slow explains."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,11 @@ class Segment:
     inside: slice
     cut: slice
     members: tuple[int, ...]
+
+    @cached_property
+    def kept(self) -> Indices:
+        """Which of the columns have a coefficient."""
+        return np.flatnonzero(self.at >= 0)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from frictrack.effects import Effect, Path, Tie, is_library
-from frictrack.fit.parameters import ParameterLayout, apply_constraints
+from frictrack.fit.parameters import ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.groups import (
     QUADRATURES,
@@ -82,8 +82,6 @@ class SeparableModel:
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
         self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
         self._fixed_and_free_cache: dict[tuple[int, tuple[int, ...]], tuple[Values, list[FreeValue]]] = {}
-        self._segments_cache: dict[tuple[int, tuple[int, ...]], list[Segment]] = {}
-        self._places_cache: dict[tuple[int, tuple[int, ...]], Indices] = {}
 
     # --- positions of parameters
 
@@ -165,43 +163,24 @@ class SeparableModel:
 
     # --- evaluation
 
-    def stacks_of(self, g: int) -> Sequence[BlockStack]:
-        """Return the blocks as one group is evaluated along them.
-
-        Blocks stay alone for effects that depend on the motion before, and for effects of the user.
-        """
+    def is_stackable(self, g: int) -> bool:
+        """Return whether a group consists of effects of the library that do not depend on the motion before."""
         effects = self.groups[g].model.effects
-        together = all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
-        return self.stacks if together and self.stacks else self._single_blocks
+        return all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
+
+    def stacks_of(self, g: int) -> Sequence[BlockStack]:
+        """Return the blocks as one group is evaluated along them; if it cannot be stacked, each alone."""
+        return self.stacks if self.stacks and self.is_stackable(g) else self._single_blocks
 
     def segments(self, g: int, stack: BlockStack) -> list[Segment]:
         """Return the parts of a stack in which the columns of a group belong to the same coefficients."""
-        key = g, stack.members
-        if key not in self._segments_cache:
-            at = [self.column_positions[g][run] for run in stack.runs]
-            cuts = [self.slices[b] for b in stack.members]
-            if all(np.array_equal(at[0], other) for other in at):
-                whole = slice(cuts[0].start, cuts[-1].stop)
-                self._segments_cache[key] = [Segment(at[0], slice(0, sum(stack.lengths)), whole, tuple(range(len(at))))]
-            else:
-                parts = zip(at, stack.slices, cuts, range(len(at)), strict=True)
-                self._segments_cache[key] = [Segment(own, inside, cut, (m,)) for own, inside, cut, m in parts]
-        return self._segments_cache[key]
-
-    def places(self, g: int, stack: BlockStack) -> Indices:
-        """Return the non-linear parameters of a group in every block of a stack, (q, B), common ones first.
-
-        They are positions in the layout; -1 where a block has fewer.
-        """
-        key = g, stack.members
-        if key not in self._places_cache:
-            slots, mine = self.layout.slots, self.groups[g].nonlinear_slots
-            common = [i for i in mine if slots[i].run is None]
-            each = [common + [i for i in mine if slots[i].run == run] for run in stack.runs]
-            longest = max(len(own) for own in each)
-            padded = np.array([own + [-1] * (longest - len(own)) for own in each], dtype=int)
-            self._places_cache[key] = padded.reshape(len(each), longest).T
-        return self._places_cache[key]
+        at = [self.column_positions[g][run] for run in stack.runs]
+        cuts = [self.slices[b] for b in stack.members]
+        if all(np.array_equal(at[0], other) for other in at):
+            whole = slice(cuts[0].start, cuts[-1].stop)
+            return [Segment(at[0], slice(0, sum(stack.lengths)), whole, tuple(range(len(at))))]
+        parts = zip(at, stack.slices, cuts, range(len(at)), strict=True)
+        return [Segment(own, inside, cut, (m,)) for own, inside, cut, m in parts]
 
     def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Compute the forwarded rows of one group in one block.
@@ -398,7 +377,8 @@ class SeparableModel:
         Returns
         -------
         array of shape (P,)
-            All unknowns. A sinusoid has its amplitude (the mean over runs where it is shared) and phases.
+            All unknowns, phases within their bounds. A sinusoid has its amplitude (the mean over runs where it is
+            shared) and phases.
 
         """
         p = np.array(nonlinear_values, dtype=float)
@@ -418,7 +398,7 @@ class SeparableModel:
                     estimates_by_slot.setdefault(i, []).append(float(value))
         for i, each in estimates_by_slot.items():
             p[i] = np.mean(each)
-        return p
+        return canonical_form(self.layout, p)
 
 
 def _joined(parts: list[Array]) -> Array:

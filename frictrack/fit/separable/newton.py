@@ -13,7 +13,8 @@ Kaufman, L. (1975). A variable projection method for solving separable nonlinear
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -22,7 +23,7 @@ import numpy as np
 
 from frictrack.fit.parameters import LEVEL, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, bounded_step, solve_positive
-from frictrack.fit.separable.derivatives import RELATIVE_STEP, EvaluatedStack, RowChange
+from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator
 from frictrack.fit.separable.groups import NO_INDICES, Indices
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array, Mask
@@ -33,48 +34,71 @@ MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit m
 
 
 @dataclass(frozen=True, eq=False)
-class LevelSlopes:
-    """The response of a model to the friction levels of R runs.
+class Tangent:
+    """The response of a solution to d non-linear parameters and R friction levels, at constant coefficients.
 
     A datum belongs to one run, hence responds to one level only.
 
     Attributes
     ----------
+    positions : array of int, shape (d + R,)
+        Positions of the parameters in the layout, the levels last.
+    slopes : array of shape (d, M)
+        Change of the modelled data per unit of every parameter.
     per_datum : array of shape (M,)
         Change of every modelled datum per unit of the level of its run.
     run : array of int, shape (M,)
         The run of every datum.
-    precision : array of shape (R, R)
-        Precision of the penalty on the levels.
-    gradient : array of shape (R,)
+    precision : array of shape (d + R, d + R), optional
+        Precision of the penalties on them.
+    gradient : array of shape (d + R,)
         Half the downward slope of the misfit.
+    is_inside : array of bool, shape (d + R,)
+        Which of them are inside their bounds.
 
     """
 
+    positions: Indices
+    slopes: Array
     per_datum: Array
-    run: Array
-    precision: Array
+    run: Indices
+    precision: Array | None
     gradient: Array
+    is_inside: Mask
+
+    @property
+    def n_levels(self) -> int:
+        """Number of friction levels."""
+        return len(self.positions) - len(self.slopes)
 
     @cached_property
     def rows(self) -> Array:
-        """Change of the modelled data per unit of every level, (R, M)."""
-        out = np.zeros((len(self.gradient), len(self.run)))
-        if len(out):
-            out[self.run, np.arange(len(self.run))] = self.per_datum
+        """Change of the modelled data per unit of everything, (d + R, M)."""
+        if not self.n_levels:
+            return self.slopes
+        out = np.zeros((len(self.positions), self.slopes.shape[1]))
+        out[: len(self.slopes)] = self.slopes
+        out[len(self.slopes) + self.run, np.arange(len(self.run))] = self.per_datum
         return out
 
     def products(self, others: Array) -> Array:
-        """Multiply the responses to the levels with other data (K, M); gives (R, K)."""
-        out = np.zeros((len(self.gradient), len(others)))
-        for column, other in enumerate(others):
-            out[:, column] = np.bincount(self.run, self.per_datum * other, len(self.gradient))
-        return out
+        """Multiply other data (K, M) with the responses; gives (K, d + R)."""
+        own = others @ self.slopes.T
+        return np.hstack([own, self._level_products(others)]) if self.n_levels else own
 
-    @property
-    def squares(self) -> Array:
-        """Sum of squares of the response to every level, (R,)."""
-        return self.products(self.per_datum[None])[:, 0]
+    def _level_products(self, others: Array) -> Array:
+        """Products of other data (K, M) with the responses to the levels, (K, R)."""
+        return np.stack([np.bincount(self.run, self.per_datum * other, self.n_levels) for other in others])
+
+    @cached_property
+    def normal(self) -> Array:
+        """Inner products of the responses, with the precision of the penalties, (d + R, d + R)."""
+        d, out = len(self.slopes), np.zeros((len(self.positions), len(self.positions)))
+        out[:d, :d] = self.slopes @ self.slopes.T
+        if self.n_levels:
+            across = self._level_products(np.concatenate([self.slopes, self.per_datum[None]]))
+            out[:d, d:], out[d:, :d], out[d:, d:] = across[:d], across[:d].T, np.diag(across[d])
+        return out if self.precision is None else out + self.precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +111,8 @@ class SeparableSolution:
         Parameter vector; linear entries are not used.
     rows : array of shape (K, M)
         Data per unit coefficient.
+    gram : array of shape (K, K)
+        Gram matrix of the rows; zero where coefficients are excluded.
     coefficients : array of shape (K,)
         Least-squares coefficients within their bounds.
     unconstrained : array of bool, shape (K,)
@@ -99,8 +125,8 @@ class SeparableSolution:
         Coefficients that take no part.
     versions : tuple of int
         Evaluation number of every group's rows.
-    levels : LevelSlopes
-        Response to the friction levels.
+    tangent : Tangent
+        Response to the parameters that were refined last; of a solution that was not refined, to the friction levels.
     row_derivatives : dict
         Derivatives of the rows by the position of the non-linear parameter.
 
@@ -108,13 +134,14 @@ class SeparableSolution:
 
     nonlinear_values: Array
     rows: Array
+    gram: Array
     coefficients: Array
     unconstrained: Mask
     residual: Array  # (M,)
     misfit: float
     excluded: Mask
     versions: tuple[int, ...]
-    levels: LevelSlopes
+    tangent: Tangent
     row_derivatives: dict[int, list[RowChange]] = field(default_factory=dict)
 
 
@@ -136,18 +163,26 @@ class ProjectedProblem:
         self._prior_rows, self._prior_target = self._prior_equations(tau)
         width = self.high - self.low
         self._min_step = RELATIVE_STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
+        self._evaluate = RowEvaluator(separable, self._min_step)
         self._loaded = np.array([c.loaded for c in separable.coefficients], dtype=bool)
-        self._level_precision = self._prior_rows[:, self.levels].T @ self._prior_rows[:, self.levels]
+
+    def for_data(self, data: Array) -> ProjectedProblem:
+        """Return the same problem for other data (M,)."""
+        out = copy(self)
+        out.data = data
+        return out
+
+    def solved_again(self, state: SeparableSolution) -> SeparableSolution:
+        """Return a solution of other data with the coefficients of these data."""
+        return self._solution_of(
+            state.nonlinear_values, state.rows, state.excluded, (state.versions, state.row_derivatives)
+        )
 
     @cached_property
-    def _no_levels(self) -> LevelSlopes | None:
-        """The response of a model without friction levels; None if there are levels."""
-        if self.levels:
-            return None
-        return self._level_slopes_of(np.zeros(self.separable.size), np.zeros(0))
-
-    def _level_slopes_of(self, per_datum: Array, gradient: Array) -> LevelSlopes:
-        return LevelSlopes(per_datum, self.separable.run_of_datum, self._level_precision, gradient)
+    def _no_tangent(self) -> Tangent:
+        """The response to no parameter."""
+        none, empty = np.zeros(0), np.zeros((0, self.separable.size))
+        return Tangent(NO_INDICES, empty, none, NO_INDICES, None, none, none.astype(bool))
 
     def _prior_equations(self, tau: float) -> tuple[Array, Array]:
         """Rows (m, P) and targets (m,) of the penalties, in standard deviations, without priors of coefficients."""
@@ -166,18 +201,18 @@ class ProjectedProblem:
         k = len(self.separable.coefficients)
         zero = np.zeros((k, self.separable.size))
         no_coefficient = np.zeros(k, dtype=bool)
-        level_slopes = self._level_slopes_of(np.zeros(self.separable.size), np.zeros(len(self.levels)))
         versions = (0,) * len(self.separable.groups)
         return SeparableSolution(
             nonlinear_values,
             zero,
+            np.zeros((k, k)),
             np.zeros(k),
             no_coefficient,
             self.data,
             np.inf,
             ~no_coefficient,
             versions,
-            level_slopes,
+            self._no_tangent,
         )
 
     def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
@@ -217,10 +252,14 @@ class ProjectedProblem:
         row_derivatives, versions = dict(base.row_derivatives), list(base.versions)
         if self.levels:
             self._rescale_levels(base.nonlinear_values, nonlinear_values, rows, (row_derivatives, versions))
-        for g in range(len(self.separable.groups)) if groups is None else groups:
-            self._evaluate(g, nonlinear_values, rows, row_derivatives)
+        chosen = list(range(len(self.separable.groups)) if groups is None else groups)
+        for g in chosen:
             versions[g] = next(self._versions)
             excluded[self.separable.coefficients_of(g) if taking_part is None else taking_part] = False
+            for i in self.separable.groups[g].nonlinear_slots:
+                row_derivatives[i] = [c for c in row_derivatives.get(i, ()) if c.g != g]
+        for i, change in self._evaluate(chosen, nonlinear_values, rows):
+            row_derivatives[i].append(change)
         return self._solution_of(nonlinear_values, rows, excluded, (tuple(versions), row_derivatives))
 
     def _rescale_levels(
@@ -239,19 +278,6 @@ class ProjectedProblem:
             if self._loaded[separable.coefficients_of(g)].any():
                 versions[g] = next(self._versions)
 
-    def _evaluate(
-        self, g: int, nonlinear_values: Array, rows: Array, row_derivatives: dict[int, list[RowChange]]
-    ) -> None:
-        """Rows of one group and their derivatives, from one evaluation per stack."""
-        separable = self.separable
-        for i in separable.groups[g].nonlinear_slots:
-            row_derivatives[i] = [c for c in row_derivatives.get(i, []) if c.g != g]
-        for stack in separable.stacks_of(g):
-            made = EvaluatedStack.of(separable, (g, stack), nonlinear_values, self._min_step)
-            made.write_rows(rows)
-            for i, change in made.changes():
-                row_derivatives[i].append(change)
-
     def _solution_of(
         self,
         nonlinear_values: Array,
@@ -268,27 +294,66 @@ class ProjectedProblem:
         c, unconstrained = bounded_coefficients(gram, right, self.separable.low, self.separable.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
-        departure = self._prior_rows @ nonlinear_values - self._prior_target
-        misfit += float(departure @ departure)
-        levels = self._no_levels or self._level_slopes(nonlinear_values, rows, c, (residual, departure))
-        return SeparableSolution(
-            nonlinear_values, rows, c, unconstrained, residual, misfit, excluded, kept[0], levels, kept[1]
+        if len(self._prior_target):
+            departure = self._prior_rows @ nonlinear_values - self._prior_target
+            misfit += float(departure @ departure)
+        state = SeparableSolution(
+            nonlinear_values,
+            rows,
+            gram,
+            c,
+            unconstrained,
+            residual,
+            misfit,
+            excluded,
+            kept[0],
+            self._no_tangent,
+            kept[1],
         )
+        return replace(state, tangent=self.tangent(state, ())) if self.levels else state
 
-    def _level_slopes(self, nonlinear_values: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
-        """Response to the levels; `left` is the residual and the deviation from the penalties' targets."""
-        residual, departure = left
-        level = nonlinear_values[self.levels][self.separable.run_of_datum]
-        response = self._level_slopes_of(c[self._loaded] @ rows[self._loaded] / level, np.zeros(len(self.levels)))
-        gradient = response.products(residual[None])[:, 0] - self._prior_rows[:, self.levels].T @ departure
-        return replace(response, gradient=gradient)
+    def tangent(self, state: SeparableSolution, parameters: Sequence[int]) -> Tangent:
+        """Compute the response of a solution to non-linear parameters.
+
+        Parameters
+        ----------
+        state : SeparableSolution
+            The solution.
+        parameters : sequence of int
+            Positions of the parameters in the layout, without friction levels. These are added at the end.
+
+        Returns
+        -------
+        Tangent
+            The response at constant coefficients.
+
+        """
+        positions = np.array([*parameters, *self.levels], dtype=int)
+        own = state.nonlinear_values[positions]
+        is_inside = (own > self.low[positions]) & (own < self.high[positions])
+        slopes, per_datum, run = np.zeros((len(parameters), self.separable.size)), np.zeros(0), NO_INDICES
+        c = np.append(state.coefficients, 0.0)  # the last one for columns without a coefficient
+        for slope, i in zip(slopes, parameters, strict=True):
+            for change in state.row_derivatives.get(i, ()):
+                slope[change.cut] += c[change.at] @ change.rows
+        if self.levels:
+            run = self.separable.run_of_datum
+            dry = state.coefficients[self._loaded] @ state.rows[self._loaded]
+            per_datum = dry / state.nonlinear_values[self.levels][run]
+        tangent = Tangent(positions, slopes, per_datum, run, None, np.zeros(0), is_inside)
+        gradient = tangent.products(state.residual[None])[0]
+        if not len(self._prior_target):
+            return replace(tangent, gradient=gradient)
+        prior_rows = self._prior_rows[:, positions]
+        gradient -= prior_rows.T @ (self._prior_rows @ state.nonlinear_values - self._prior_target)
+        return replace(tangent, gradient=gradient, precision=prior_rows.T @ prior_rows)
 
     def refine(
         self,
         state: SeparableSolution,
         groups: Iterable[int] | None = None,
         *,
-        steps: int = 12,
+        steps: int = 24,
         enough: float = 1e-5,
         below: float = np.inf,
     ) -> SeparableSolution:
@@ -314,70 +379,45 @@ class ProjectedProblem:
 
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
-        free = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots}) + self.levels
+        parameters = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots})
+        if not parameters and not self.levels:
+            return state
         changed_groups = [g for g in chosen if self.separable.groups[g].nonlinear_slots]
-        damping = FIRST_DAMPING
-        normal_equations = self._normal_equations(state, free) if free else None
-        for _ in range(steps if free else 0):
-            assert normal_equations is not None
-            step, predicted_fall = self._step(state, normal_equations, free, damping)
+        tangent, damping = self.tangent(state, parameters), FIRST_DAMPING
+        normal = self._normal_matrix(state, tangent)
+        for _ in range(steps):
+            step, predicted_fall = self._step(state, tangent, normal, damping)
             hopeless = state.misfit - MAX_PROMISE_FACTOR * predicted_fall > below
             if predicted_fall < enough * state.misfit or damping > MAX_DAMPING or hopeless:
                 break
             nonlinear_values = state.nonlinear_values.copy()
-            nonlinear_values[free] += step
+            nonlinear_values[tangent.positions] += step
             trial = self.at(nonlinear_values, state, changed_groups, NO_INDICES)
             if trial.misfit < state.misfit:
-                state, normal_equations, damping = (
-                    trial,
-                    self._normal_equations(trial, free),
-                    max(0.1 * damping, MIN_DAMPING),
-                )
+                state, tangent, damping = trial, self.tangent(trial, parameters), max(0.1 * damping, MIN_DAMPING)
+                normal = self._normal_matrix(state, tangent)
             else:
                 damping = max(30 * damping, MIN_DAMPING_AFTER_FAILURE)
-        return state
+        return replace(state, tangent=tangent)
 
-    def _normal_equations(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:
-        """Normal matrix (d, d) and gradient (d,) of the free non-linear parameters, coefficients projected out."""
-        n_own = len(free) - len(self.levels)
-        slope, levels = self._slopes(state, free[:n_own]), state.levels
-        normal, gradient = np.zeros((len(free), len(free))), np.zeros(len(free))
-        normal[:n_own, :n_own], gradient[:n_own] = slope @ slope.T, slope @ state.residual
-        rows = state.rows if state.unconstrained.all() else state.rows[state.unconstrained]
-        products = rows @ slope.T
-        if self.levels:
-            mixed = levels.products(np.concatenate([slope, state.residual[None], rows]))
-            normal[n_own:, :n_own], gradient[n_own:] = mixed[:, :n_own], mixed[:, n_own]
-            normal[:n_own, n_own:], normal[n_own:, n_own:] = mixed[:, :n_own].T, np.diag(levels.squares)
-            products = np.hstack([products, mixed[:, n_own + 1 :].T])
-        if len(rows):
-            gram = rows @ rows.T
-            size = np.sqrt(gram.diagonal())
-            unit = gram / (size * size[:, None])
-            unit.flat[:: len(size) + 1] += RIDGE
-            products /= size[:, None]
-            normal -= products.T @ solve_positive(unit, products)
-        if len(self._prior_target):
-            prior_rows = self._prior_rows[:, free]
-            normal += prior_rows.T @ prior_rows
-            gradient = gradient - prior_rows.T @ (self._prior_rows @ state.nonlinear_values - self._prior_target)
-        return normal, gradient
+    def _normal_matrix(self, state: SeparableSolution, tangent: Tangent) -> Array:
+        """Normal matrix (R, R) of the parameters of a tangent, coefficients projected out."""
+        normal, products, gram = tangent.normal, tangent.products(state.rows), state.gram
+        if not state.unconstrained.all():
+            products, gram = products[state.unconstrained], gram[np.ix_(state.unconstrained, state.unconstrained)]
+        if not len(gram):
+            return normal
+        size = np.sqrt(gram.diagonal())
+        unit = gram / (size * size[:, None])
+        unit.flat[:: len(size) + 1] += RIDGE
+        products /= size[:, None]
+        return np.asarray(normal - products.T @ solve_positive(unit, products))
 
-    def _slopes(self, state: SeparableSolution, free: list[int]) -> Array:
-        """Change of the modelled data (d, M) per unit of the non-linear parameters of groups."""
-        slope = np.zeros((len(free), self.separable.size))
-        for row, i in zip(slope, free, strict=True):
-            for change in state.row_derivatives.get(i, []):
-                row[change.cut] += np.where(change.at >= 0, state.coefficients[change.at], 0.0) @ change.rows
-        return slope
-
-    def _step(
-        self, state: SeparableSolution, normal_equations: tuple[Array, Array], free: list[int], damping: float
-    ) -> tuple[Array, float]:
-        """Damped step (d,) within the bounds, and the predicted fall of the misfit."""
-        normal, gradient = normal_equations
-        own = normal.diagonal()
-        low, high = self.low[free] - state.nonlinear_values[free], self.high[free] - state.nonlinear_values[free]
+    def _step(self, state: SeparableSolution, tangent: Tangent, normal: Array, damping: float) -> tuple[Array, float]:
+        """Damped step (R,) within the bounds, and the predicted fall of the misfit."""
+        gradient, own = tangent.gradient, normal.diagonal()
+        values = state.nonlinear_values[tangent.positions]
+        low, high = self.low[tangent.positions] - values, self.high[tangent.positions] - values
         fixed_steps = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
         size = np.sqrt(np.where(own > 0, own, 1.0))
         unit = normal / (size * size[:, None])

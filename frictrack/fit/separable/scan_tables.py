@@ -5,6 +5,7 @@ Tables depend only on the motion, so they serve every data set along it. Instanc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -15,11 +16,14 @@ from numpy.typing import NDArray
 from frictrack.effects import Effect
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import SeparableSolution
-from frictrack.fit.separable.table_scan import ProjectedTable, ScanGrid, TableScan
+from frictrack.fit.separable.table_scan import FreeRows, ProjectedTable, ScanGrid, TableScan
 from frictrack.records import Array
 
 MAX_CACHED_VALUES = 2**19  # values of a table that fits into the cache; products with it are made two at a time
 MAX_SINGLE_PRECISION = 1e15  # sums of products of larger rows could leave the range of single precision, 3e38
+MIN_NEXT_GAIN_SHARE = (
+    0.02  # of the largest gain; a position between grid points is known to about a fiftieth of its gain
+)
 MAX_AT_ONCE = 64  # grid points evaluated at once
 
 
@@ -64,33 +68,40 @@ class ScanTable:
         separable : SeparableModel
             The model.
         state : SeparableSolution
-            The solution, with K coefficients and R friction levels.
+            The solution, with K coefficients and a tangent of R parameters.
         data : array of shape (M,)
             The data.
 
         Returns
         -------
         products : array of shape (K + R, G, C)
-            With the rows of the solution and of its levels.
+            With the rows of the solution and of its tangent.
         residual_products : array of shape (G, C)
             With its residual.
 
         """
         k = len(state.coefficients)
-        out = np.zeros((k + len(state.levels.rows), *self.gram.shape[:2]))
-        for g, stamp in enumerate(state.versions):
-            mine = separable.coefficients_of(g)
-            if stamp == 0 and not state.rows[mine].any():
-                continue
-            if self.law_products.get(g, (None,))[0] != stamp:
-                self.law_products[g] = stamp, self._products(separable.slices, state.rows[mine])
-            out[mine] = self.law_products[g][1]
+        out = np.zeros((k + len(state.tangent.rows), *self.gram.shape[:2]))
+        self._renew_products(separable, state)
+        for g, (_, products) in self.law_products.items():
+            out[separable.coefficients_of(g)] = products
         if not self.data_products or self.data_products[0] is not data:
-            self.data_products[:] = [data, self._products(separable.slices, data[None])[0]]
-        if len(state.levels.rows):
-            out[k:] = self._products(separable.slices, state.levels.rows)
+            self.data_products[:] = [data, self.products(separable.slices, data[None])[0]]
+        if len(state.tangent.rows):
+            out[k:] = self.products(separable.slices, state.tangent.rows)
         explained = state.coefficients @ out[:k].reshape(k, -1)
         return out, self.data_products[1] - explained.reshape(self.gram.shape[:2])
+
+    def _renew_products(self, separable: SeparableModel, state: SeparableSolution) -> None:
+        """Renew the products with the rows of all groups that have changed, all at once."""
+        kept = self.law_products
+        changed = [g for g, version in enumerate(state.versions) if kept.get(g, (None,))[0] != version]
+        if not changed:
+            return
+        mine = [separable.coefficients_of(g) for g in changed]
+        products = self.products(separable.slices, state.rows[np.concatenate(mine)])
+        for g, part in zip(changed, np.split(products, np.cumsum([len(own) for own in mine])[:-1]), strict=True):
+            kept[g] = state.versions[g], part
 
     def neighbours(self) -> Array:
         """Return the Gram matrices (G - 1, 2 C, 2 C) of every point and the next one on the grid."""
@@ -105,8 +116,17 @@ class ScanTable:
             self.neighbour_gram.append(np.concatenate([upper, lower], axis=1))
         return self.neighbour_gram[0]
 
-    def _products(self, slices: list[slice], rows: Array) -> Array:
-        """Inner products (k, G, C) of the table with rows (k, M)."""
+    def rows_at(self, slices: list[slice], points: NDArray[np.int_], weights: Array) -> Array:
+        """Compute the weighted sum (C, M) of the rows of some points."""
+        g, c = self.gram.shape[:2]
+        out = np.zeros((c, slices[-1].stop))
+        for mine, at, cut, scale in zip(self.rows, self.at, slices, self.scales, strict=True):
+            cube = mine.reshape(g, len(at), mine.shape[-1])
+            out[at, cut] = scale * np.tensordot(weights, cube[points], 1)
+        return out
+
+    def products(self, slices: list[slice], rows: Array) -> Array:
+        """Compute inner products (k, G, C) of the table with rows (k, M)."""
         g, c = self.gram.shape[:2]
         out = np.zeros((len(rows), g, c))
         single_rows, size = _single_precision(rows)
@@ -207,19 +227,28 @@ def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _CurrentSolution:
+    """The last solution and data, and the tables beside them by table and whether its points are paired."""
+
+    state: SeparableSolution
+    data: Array
+    free_rows: FreeRows
+    projected: dict[tuple[int, bool], tuple[ScanTable, ProjectedTable]] = field(default_factory=dict)
+
+
 class ScanTables:
     """The tables of a layout along its blocks, created on first use."""
 
     def __init__(self, separable: SeparableModel) -> None:
         self.separable = separable
         self._grids: dict[tuple[str, int | None], ScanGrid] = {}
-        self._made: dict[tuple[object, ...], ScanTable] = {}
+        self._made: dict[tuple[int, tuple[float, ...]], ScanTable] = {}
+        self._numbers: dict[tuple[object, ...], int] = {}
+        self._kinds: dict[ScanItem, tuple[int, list[int]]] = {}
         self._mine: dict[ScanItem, NDArray[np.int_]] = {}
-        # the last solution and data, and the tables beside them
-        self._last: tuple[
-            SeparableSolution | None, Array | None, dict[tuple[int, bool], tuple[ScanTable, ProjectedTable]]
-        ]
-        self._last = None, None, {}
+        self._slots: dict[ScanItem, list[list[int]]] = {}
+        self._last: _CurrentSolution | None = None
 
     def grid(self, item: ScanItem) -> ScanGrid:
         """Return the grid of an item."""
@@ -228,37 +257,102 @@ class ScanTables:
             self._grids[key] = scan_grid(self.separable, *key)
         return self._grids[key]
 
+    def slots(self, item: ScanItem) -> list[list[int]]:
+        """Return the positions in the layout that each scanned parameter of an item sets."""
+        if item not in self._slots:
+            slots = list(enumerate(self.separable.layout.slots))
+            self._slots[item] = [
+                [i for i, s in slots if (s.effect, s.parameter) == (item.effect, name) and _in_run(s.run, item.run)]
+                for name in self.grid(item).names
+            ]
+        return self._slots[item]
+
     def table(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """Return the table of an item. It is kept, unless it depends on the current solution."""
-        separable = self.separable
-        group = separable.groups[item.g]
-        if len(group.model.effects) > 1:
+        if len(self.separable.groups[item.g].model.effects) > 1:
             return self._build(item, state)
-        effect = group.model.effects[0]
-        grid = self.grid(item)
-        rest = [
-            float(state.nonlinear_values[i])
-            for i in group.nonlinear_slots
-            if separable.layout.slots[i].parameter not in grid.names
-            and separable.layout.slots[i].run in (None, item.run)
-        ]
-        key = (effect.columns, effect.parameters, item.run, *rest)
+        kind, others = self._kind_of(item)
+        key = kind, tuple(float(state.nonlinear_values[i]) for i in others)
         if key not in self._made:
             self._made[key] = self._build(item, state)
         return self._made[key]
+
+    def _kind_of(self, item: ScanItem) -> tuple[int, list[int]]:
+        """A number for the effect and the run of an item, and the positions of its parameters that are not scanned."""
+        if item not in self._kinds:
+            group, slots = self.separable.groups[item.g], self.separable.layout.slots
+            effect, names = group.model.effects[0], self.grid(item).names
+            number = self._numbers.setdefault((effect.columns, effect.parameters, item.run), len(self._numbers))
+            others = [
+                i for i in group.nonlinear_slots if slots[i].parameter not in names and slots[i].run in (None, item.run)
+            ]
+            self._kinds[item] = number, others
+        return self._kinds[item]
 
     def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of every grid point of one more effect like an item beside a solution."""
         return self._projected_table(item, state, data).one_more(self._box(item))
 
+    def best_positions(self, items: Sequence[ScanItem], state: SeparableSolution, data: Array) -> dict[ScanItem, Array]:
+        """Find missing effects beside a solution, one after the other, without any refinement.
+
+        Parameters
+        ----------
+        items : sequence of ScanItem
+            The effects that are missing, at least one.
+        state : SeparableSolution
+            The solution.
+        data : array of shape (M,)
+            The data.
+
+        Returns
+        -------
+        dict of ScanItem to array of shape (d,)
+            Scanned parameters of the effects found, the first one gains most. It ends before an effect that what is
+            left of a larger one could hide or imitate.
+
+        """
+        tables = {id(table): table for table in (self.table(i, state) for i in items)}
+        waiting: dict[int, list[ScanItem]] = {key: [] for key in tables}
+        for item in items:
+            waiting[id(self.table(item, state))].append(item)
+        beside = {key: self._projected_table(own[0], state, data) for key, own in waiting.items()}
+        found: dict[ScanItem, Array] = {}
+        largest = 0.0
+        while beside:
+            scans = {key: table.one_more(self._box(waiting[key][0])) for key, table in beside.items()}
+            key, scan = max(scans.items(), key=lambda one: one[1].largest)
+            if found and scan.largest < MIN_NEXT_GAIN_SHARE * largest:
+                return found
+            largest = max(largest, scan.largest)
+            found[waiting[key].pop(0)] = values = scan.summit(scan.best)
+            points, weights = scan.grid.weights(scan.best, values)
+            if not len(points):
+                return found
+            rows = tables[key].rows_at(self.separable.slices, points, weights)
+            placed = beside[key].placed(points, weights, rows @ rows.T)
+            beside = {
+                k: table.reduced(placed, tables[k].products(self.separable.slices, rows))
+                for k, table in beside.items()
+                if waiting[k]
+            }
+        return found
+
     def moves(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of every grid point of an item of a solution, which leaves its own position."""
-        return self._projected_table(item, state, data).moved(self._coefficients(item), self._box(item))
+        return self._projected_table(item, state, data).moved(self._leaving(item, state), self._box(item))
 
     def pair_moves(self, pair: tuple[ScanItem, ScanItem], state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of two neighbouring grid points together: two lines too close to be resolved."""
-        own = np.concatenate([self._coefficients(item) for item in pair])
+        own = [i for item in pair for i in self._leaving(item, state)]
         return self._projected_table(pair[0], state, data, in_pairs=True).moved(own, (-np.inf, np.inf))
+
+    def _leaving(self, item: ScanItem, state: SeparableSolution) -> list[int]:
+        """Which of the coefficients, and after them of the parameters of the tangent, belong to an item alone."""
+        first, slots = len(state.coefficients), self.separable.layout.slots
+        places = enumerate(slots[i] for i in state.tangent.positions)
+        own = [first + k for k, s in places if s.effect == item.effect and item.run in (None, s.run)]
+        return [*self._coefficients(item).tolist(), *own]
 
     def _coefficients(self, item: ScanItem) -> NDArray[np.int_]:
         if item not in self._mine:
@@ -274,28 +368,27 @@ class ScanTables:
     ) -> ProjectedTable:
         """The table of an item beside a solution, or of its neighbouring grid points; items share it."""
         table = self.table(item, state)
+        last = self._last
+        if last is None or last.state is not state or last.data is not data:
+            last = self._last = _CurrentSolution(state, data, FreeRows.of(state))
         key = id(table), in_pairs
-        if self._last[0] is not state or self._last[1] is not data:
-            self._last = state, data, {}
-        if key not in self._last[2]:
-            self._last[2][key] = table, self._project(table, state, data, in_pairs)
-        return self._last[2][key][1]
+        if key not in last.projected:
+            last.projected[key] = table, self._project(table, last, in_pairs)
+        return last.projected[key][1]
 
-    def _project(self, table: ScanTable, state: SeparableSolution, data: Array, in_pairs: bool) -> ProjectedTable:
-        cross, right = table.inner_products(self.separable, state, data)
+    def _project(self, table: ScanTable, current: _CurrentSolution, in_pairs: bool) -> ProjectedTable:
+        cross, right = table.inner_products(self.separable, current.state, current.data)
         if not in_pairs:
-            return ProjectedTable(table.grid, table.gram, state, (cross, right))
+            return ProjectedTable(table.grid, table.gram, current.free_rows, (cross, right))
         both = np.concatenate([cross[:, :-1], cross[:, 1:]], axis=2), np.concatenate([right[:-1], right[1:]], axis=1)
-        return ProjectedTable(table.grid.shortened(), table.neighbours(), state, both)
+        return ProjectedTable(table.grid.shortened(), table.neighbours(), current.free_rows, both)
 
     def _build(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """Evaluate the rows of an item at all grid points."""
         separable, grid = self.separable, self.grid(item)
         nonlinear_values = np.tile(state.nonlinear_values, (len(grid.values), 1))
-        for name, values in zip(grid.names, grid.values.T, strict=True):
-            for i, s in enumerate(separable.layout.slots):
-                if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
-                    nonlinear_values[:, i] = values
+        for slots, values in zip(self.slots(item), grid.values.T, strict=True):
+            nonlinear_values[:, slots] = values[:, None]
         mine = coefficients_of(separable, item)
         rows, at, scales = [], [], []
         gram = np.zeros((len(nonlinear_values), len(mine), len(mine)))
@@ -315,6 +408,11 @@ class ScanTables:
             scales.append(scale)
             at.append(a)
         return ScanTable(grid, rows, at, gram, scales)
+
+
+def _in_run(run: int | None, wanted: int | None) -> bool:
+    """Whether a parameter of one run (None: of all) belongs to a wanted run (None: any)."""
+    return wanted is None or run in (None, wanted)
 
 
 def _chunks(nonlinear_values: Array) -> list[Array]:

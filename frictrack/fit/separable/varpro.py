@@ -13,7 +13,8 @@ Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from itertools import permutations
 
 import numpy as np
@@ -29,6 +30,7 @@ MAX_PAIR_PLACES = 2  # pairs of neighbouring lines that are refined
 ROUGH_STEPS = 3  # steps while effects are still missing
 MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
 MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
+MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
 MIN_COUPLING = 0.1  # least shared variance of two effects that are searched again together
 LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
 SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
@@ -71,13 +73,34 @@ class VariableProjection:
             The best solution found.
 
         """
-        problem = ProjectedProblem(self.separable, self.separable.data if data is None else data, self.tau)
+        problem = self.problem(self.separable.data if data is None else data)
         return self._exchange_until_no_gain(problem, self.start_solution(problem, nonlinear_values))
 
+    def problem(self, data: Array) -> ProjectedProblem:
+        """Return the projected problem of data (M,)."""
+        return self._problem.for_data(data)
+
+    @cached_property
+    def _problem(self) -> ProjectedProblem:
+        """The projected problem of the blocks' own data."""
+        return ProjectedProblem(self.separable, self.separable.data, self.tau)
+
+    @cached_property
+    def _start(self) -> SeparableSolution:
+        """The solution without any scanned effect, for the blocks' own data."""
+        return self._unscanned(self._problem, self.start_values())
+
+    def _unscanned(self, problem: ProjectedProblem, nonlinear_values: Array) -> SeparableSolution:
+        """The solution without any scanned effect."""
+        return problem.at(nonlinear_values, problem.empty_solution(nonlinear_values), self.unscanned_groups)
+
     def start_solution(self, problem: ProjectedProblem, nonlinear_values: Array | None = None) -> SeparableSolution:
-        """Return the solution with every effect at the position that gained most when it was added, refined roughly."""
-        start_values = self.start_values() if nonlinear_values is None else nonlinear_values
-        state = problem.at(start_values, problem.empty_solution(start_values), self.unscanned_groups)
+        """Return the solution with every effect at the position that gained most when it was added, refined."""
+        state = (
+            problem.solved_again(self._start)
+            if nonlinear_values is None
+            else self._unscanned(problem, nonlinear_values)
+        )
         if problem.levels:
             state = problem.refine(state, self.unscanned_groups, steps=ROUGH_STEPS)
         return self._add_items(problem, state)
@@ -98,7 +121,7 @@ class VariableProjection:
             Pairs (effect, run).
 
         """
-        problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
+        problem = self._problem
         without_item = {i: problem.without(state, self.item_coefficients[i]) for i in self.items if i.run is not None}
         if problem.levels:  # friction levels may explain part of it
             without_item = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in without_item.items()}
@@ -114,7 +137,7 @@ class VariableProjection:
         self.items = [
             i for i in all_items if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS
         ]
-        state = self._exchange_until_no_gain(problem, state)
+        state = self._exchange_until_no_gain(problem, problem.refine(state))
         self.items = all_items
         return state
 
@@ -139,57 +162,53 @@ class VariableProjection:
         return out
 
     def _add_items(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-        """Add one effect after the other, largest gain first."""
+        """Add the effects that gain most together, refine them, and go on until none is missing."""
         remaining = list(self.items)
         while remaining:
-            scans = self._scans(problem, state, remaining)
-            item = max(scans, key=lambda i: float(scans[i].gains.max()))
-            remaining.remove(item)
-            state = self._with_item_at(problem, state, item, scans[item], int(np.argmax(scans[item].gains)))
-            state = problem.refine(state, self._groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
-        return state
+            added = self.tables.best_positions(remaining, state, problem.data)
+            remaining = [i for i in remaining if i not in added]
+            state = self._with_items_at(problem, state, added)
+            if remaining:
+                state = problem.refine(state, self._groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
+        return problem.refine(state)
 
     def _groups_without(self, remaining: list[ScanItem]) -> set[int]:
         """Groups without those of the remaining items."""
         return set(range(len(self.separable.groups))) - {i.g for i in remaining}
 
-    def _with_item_at(
-        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem, found: TableScan, g: int
+    def _with_items_at(
+        self, problem: ProjectedProblem, state: SeparableSolution, values: Mapping[ScanItem, Array]
     ) -> SeparableSolution:
-        """The solution with an item at one point of its scan."""
+        """The solution with the scanned parameters of some items at some values (d,)."""
         nonlinear_values = state.nonlinear_values.copy()
-        for name, value in zip(found.grid.names, found.grid.values[g], strict=True):
-            for i, s in enumerate(self.separable.layout.slots):
-                if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
-                    nonlinear_values[i] = value
-        return problem.at(nonlinear_values, state, {item.g}, self.item_coefficients[item])
+        for item, own in values.items():
+            for slots, value in zip(self.tables.slots(item), own, strict=True):
+                nonlinear_values[slots] = value
+        taking_part = np.concatenate([self.item_coefficients[item] for item in values])
+        return problem.at(nonlinear_values, state, {item.g for item in values}, taking_part)
 
     def _exchange_until_no_gain(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Try other positions of every effect, then of pairs of effects, until none helps."""
-        state = problem.refine(state)
-        waiting = list(self.items)
-        while True:
-            item, better = self._try_other_positions(problem, state, waiting)
-            if better is None:
-                better = self._try_pairs(problem, state)
-            if better is None:
-                return state
+        better: SeparableSolution | None = state
+        while better is not None:
             state = better
-            waiting = [i for i in self.items if i != item] or list(self.items)
+            better = self._try_other_positions(problem, state) or self._try_pairs(problem, state)
+        return state
 
     def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
-        shares = self._explained_shares(state)
+        if len(self.items) < 2:
+            return None
+        shares, losses = self._shares_and_losses(state)
         misses_effect = self.misses_effect(problem, state)
-        for one, other in permutations(self.items, 2):
-            same_kind = self._are_same_kind(one, other)
-            better = (
-                self._try_neighbouring_lines(problem, state, one, other)
-                if same_kind and self.items.index(one) < self.items.index(other)
-                else None
-            )
+        for (i, one), (j, other) in permutations(enumerate(self.items), 2):
+            better = None
+            if i < j and self._are_same_kind(one, other):
+                gain = float(self.tables.scan(one, state, problem.data).gains.max())
+                if min(losses[i], losses[j]) < MAX_PAIR_GAIN_RATIO * gain:
+                    better = self._try_neighbouring_lines(problem, state, one, other)
             may_exchange = misses_effect and not _are_in_different_runs(one, other)
-            if better is None and (may_exchange or shares(one, other) > MIN_COUPLING):
+            if better is None and (may_exchange or shares[i, j] > MIN_COUPLING):
                 better = self._try_both_again(problem, state, one, other)
             if better is not None:
                 return better
@@ -207,23 +226,24 @@ class VariableProjection:
         kinds = {(self.separable.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
         return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
 
-    def _try_other_positions(
-        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScanItem]
-    ) -> tuple[ScanItem | None, SeparableSolution | None]:
-        """The first item that is better at another position, and that solution; None if there is none."""
-        for item in items:
-            found = self.tables.moves(item, state, problem.data)
-            max_misfit = self._max_promising_misfit(state, state.misfit + found.loss)
-            for g in found.best_distinct(MAX_PLACES):
-                misfit = state.misfit + found.loss - found.gains[g]
-                if misfit > max_misfit or self._is_current_position(item, state, found, g):
-                    continue
-                without_item = problem.without(state, self.item_coefficients[item])
-                trial = self._with_item_at(problem, without_item, item, found, g)
-                better = self._refine_if_better(problem, state, trial)
-                if better is not None:
-                    return item, better
-        return None, None
+    def _try_other_positions(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
+        """A better solution with one effect at another position, the most promising first; None if there is none."""
+        places = [place for item in self.items for place in self._other_places(problem, state, item)]
+        for _, item, values in sorted(places, key=lambda place: place[0]):
+            better = self._refine_if_better(problem, state, self._with_items_at(problem, state, {item: values}))
+            if better is not None:
+                return better
+        return None
+
+    def _other_places(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
+    ) -> Iterator[tuple[float, ScanItem, Array]]:
+        """Other positions of an effect that are worth a refinement: misfit on the grid, effect and scanned values."""
+        found = self.tables.moves(item, state, problem.data)
+        without_item = state.misfit + found.loss
+        for g in found.peaks(without_item - self._max_promising_misfit(state, without_item))[:MAX_PLACES]:
+            if not self._is_current_position(item, state, found.grid, int(g)):
+                yield without_item - float(found.gains[g]), item, found.summit(g)
 
     def _max_promising_misfit(self, state: SeparableSolution, without_item: float) -> float:
         """Largest misfit on the grid that is worth a refinement."""
@@ -238,14 +258,12 @@ class VariableProjection:
     ) -> SeparableSolution | None:
         """A better solution with two lines at neighbouring grid points."""
         found = self.tables.pair_moves((one, other), state, problem.data)
-        positions = self._slot_positions(one, found.grid.names), self._slot_positions(other, found.grid.names)
+        slots = self.tables.slots(one)[0], self.tables.slots(other)[0]
         values = self.tables.grid(one).values
-        for g in found.best_distinct(MAX_PAIR_PLACES):
-            without_both = state.misfit + found.loss
-            if without_both - found.gains[g] > self._max_promising_misfit(state, without_both):
-                break
+        without_both = state.misfit + found.loss
+        for g in found.peaks(without_both - self._max_promising_misfit(state, without_both))[:MAX_PAIR_PLACES]:
             nonlinear_values = state.nonlinear_values.copy()
-            nonlinear_values[positions[0]], nonlinear_values[positions[1]] = values[g], values[g + 1]
+            nonlinear_values[slots[0]], nonlinear_values[slots[1]] = values[g], values[g + 1]
             better = self._refine_if_better(problem, state, problem.at(nonlinear_values, state, {one.g, other.g}))
             if better is not None:
                 return better
@@ -258,14 +276,15 @@ class VariableProjection:
         without_both = problem.without(
             state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
         )
-        start_values = self.tables.scan(one, without_both, problem.data)
-        with_one = self._with_item_at(problem, without_both, one, start_values, int(np.argmax(start_values.gains)))
+        first = self.tables.scan(one, without_both, problem.data)
+        with_one = self._with_items_at(problem, without_both, {one: first.summit(first.best)})
         without_item = problem.without(with_one, self.item_coefficients[other])
         second = self.tables.scan(other, without_item, problem.data)
-        g = int(np.argmax(second.gains))
-        if without_item.misfit - second.gains[g] > self._max_promising_misfit(state, without_both.misfit):
+        best_misfit = without_item.misfit - second.gains[second.best]
+        if best_misfit > self._max_promising_misfit(state, without_both.misfit):
             return None
-        return self._refine_if_better(problem, state, self._with_item_at(problem, with_one, other, second, g))
+        trial = self._with_items_at(problem, with_one, {other: second.summit(second.best)})
+        return self._refine_if_better(problem, state, trial)
 
     def _refine_if_better(
         self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
@@ -280,37 +299,29 @@ class VariableProjection:
         a, b = (self.separable.groups[i.g].model.effects[0] for i in (one, other))
         return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
 
-    def _explained_shares(self, state: SeparableSolution) -> Callable[[ScanItem, ScanItem], float]:
-        """Function that returns which share of each other's rows two items explain, all others projected out."""
-        rows = np.where(state.excluded[:, None], 0.0, state.rows)
-        gram = rows @ rows.T
-        size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
-        inverse = np.linalg.inv(gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
+    def _shares_and_losses(self, state: SeparableSolution) -> tuple[Array, Array]:
+        """Which share of each other's rows two of N items explain beside all others, (N, N), and what each gains (N,).
 
-        def share(one: ScanItem, other: ScanItem) -> float:
-            a, b = self.item_coefficients[one], self.item_coefficients[other]
-            across = inverse[np.ix_(a, b)]
-            ahead = np.linalg.solve(inverse[np.ix_(a, a)], across)
-            return float(np.trace(ahead @ np.linalg.solve(inverse[np.ix_(b, b)], across.T)))
+        All of it stands in the inverse Gram matrix, whose blocks are the covariances of the items' coefficients.
+        """
+        size = np.sqrt(np.maximum(state.gram.diagonal(), 1e-300))
+        covariance = np.linalg.inv(state.gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
+        c, parts, losses = state.coefficients * size, [], []
+        for own in self.item_coefficients.values():
+            precision = np.linalg.inv(covariance[np.ix_(own, own)])
+            parts.append(precision @ covariance[own])
+            losses.append(float(c[own] @ precision @ c[own]))
+        coefficients = list(self.item_coefficients.values())
+        shares = [
+            [float(np.sum(a[:, theirs] * b[:, mine].T)) for b, theirs in zip(parts, coefficients, strict=True)]
+            for a, mine in zip(parts, coefficients, strict=True)
+        ]
+        return np.array(shares), np.array(losses)
 
-        return share
-
-    def _slot_positions(self, item: ScanItem, names: tuple[str, ...]) -> list[int]:
-        """Positions in the layout of the scanned parameters of an item."""
-        found = (self.separable.position(item.effect, name, item.run) for name in names)
-        return [i for i in found if i is not None]
-
-    @staticmethod
-    def _nearest_point(grid: ScanGrid, state: SeparableSolution, positions: list[int]) -> int:
-        """Grid point nearest to the current values."""
-        axis_range = np.ptp(grid.values, axis=0)
-        distance = (grid.values - state.nonlinear_values[positions]) / np.where(axis_range > 0, axis_range, 1.0)
-        return int(np.argmin(np.sum(distance**2, axis=1)))
-
-    def _is_current_position(self, item: ScanItem, state: SeparableSolution, found: TableScan, g: int) -> bool:
+    def _is_current_position(self, item: ScanItem, state: SeparableSolution, grid: ScanGrid, g: int) -> bool:
         """Whether the item is within one grid step of this point already."""
-        nearest = self._nearest_point(found.grid, state, self._slot_positions(item, found.grid.names))
-        return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))
+        nearest = grid.nearest(state.nonlinear_values[[slots[0] for slots in self.tables.slots(item)]])
+        return bool(np.all(np.abs(grid.steps[nearest] - grid.steps[g]) <= 1))
 
 
 def _are_in_different_runs(one: ScanItem, other: ScanItem) -> bool:
