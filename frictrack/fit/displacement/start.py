@@ -255,7 +255,7 @@ def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
     Returns
     -------
     Solution
-        The fit to the shorter pieces.
+        The fit to the shorter pieces; the given one if the motion cannot be integrated along these.
 
     """
     for _ in range(2):
@@ -265,11 +265,16 @@ def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
             break
         shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
         problem = LeastSquaresProblem(solution.problem.model, solution.problem.layout, shorter)
-        if free is None:
-            solution = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
-        else:
-            solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
+        with suppress(FrictrackError):  # the motion under a law that lacks much cannot be integrated everywhere
+            solution = _refitted(problem, solution, free)
     return solution
+
+
+def _refitted(problem: LeastSquaresProblem, solution: Solution, free: Mask | None) -> Solution:
+    """The fit of a problem from a solution of another one."""
+    if free is None:
+        return fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+    return refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
 
 
 def _frames_before_stop(response: PieceResponse) -> int:
