@@ -16,7 +16,7 @@ from frictrack.diagnose.auxiliary_signals import (
 )
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.review import review_found
-from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.rounds import RefinedCandidate, TestedModel
 from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
@@ -58,7 +58,11 @@ class ResidualKind(ABC):
 
     @abstractmethod
     def review(
-        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self,
+        tested: Sequence[TestedModel],
+        found: list[RefinedCandidate],
+        own: Sequence[Effect],
+        notify: Callable[[str], None],
     ) -> list[RefinedCandidate]:
         """Return the effects that are still needed once the last one is in the model."""
 
@@ -116,10 +120,14 @@ class DisplacementResiduals(ResidualKind):
         return assess_auxiliary_signals(start, runs, rng, auxiliary, findings)
 
     def review(
-        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self,
+        tested: Sequence[TestedModel],
+        found: list[RefinedCandidate],
+        own: Sequence[Effect],
+        notify: Callable[[str], None],
     ) -> list[RefinedCandidate]:
         """Return the effects that are still needed once the last one is in the model."""
-        return review_found(first, found, own, notify)
+        return review_found(tested, found, own, notify)
 
     def noise(self, fit: Fit) -> tuple[float, float]:
         """Return the root mean square noise of a frame, m, and the reduced chi-squared of the fit."""
@@ -187,7 +195,11 @@ class FrictionResiduals(ResidualKind):
         return []
 
     def review(
-        self, first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Callable[[str], None]
+        self,
+        tested: Sequence[TestedModel],
+        found: list[RefinedCandidate],
+        own: Sequence[Effect],
+        notify: Callable[[str], None],
     ) -> list[RefinedCandidate]:
         """Return all that was found: no pieces of a motion compete for it."""
         return found

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, MIN_CHI2_SEPARATED, information_criterion
-from frictrack.diagnose.rounds import Notify, RefinedCandidate, Round, find_rivals, simulate_promising
+from frictrack.diagnose.rounds import Notify, RefinedCandidate, TestedModel, find_rivals, simulate_promising
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -31,7 +31,7 @@ MIN_SCAN_SHARE = 0.25  # of the evidence to exceed; the nearest grid point of an
 
 
 def review_found(
-    first: Round, found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
+    tested: Sequence[TestedModel], found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
 ) -> list[RefinedCandidate]:
     """Test every effect found again beside all others.
 
@@ -41,8 +41,8 @@ def review_found(
 
     Parameters
     ----------
-    first
-        The test of the model before the search.
+    tested
+        The models that were tested so far; first the one before the search.
     found
         Effects found, in order; the last one's fit contains them all.
     own
@@ -65,47 +65,59 @@ def review_found(
             break
         notify(f"testing {name} again")
         try:
-            reduced = _without(full, [name], first)
+            reduced = _without(full, [name], tested)
         except FrictrackError:  # without it there is no law that could be followed
             continue
         # it has more to explain with: it has run away
-        if reduced.objective > first.solution.objective + MIN_CHI2_SEPARATED:
+        if reduced.objective > tested[0].solution.objective + MIN_CHI2_SEPARATED:
             continue
         evidence = information_criterion(reduced) - information_criterion(full)
         if evidence <= 0 and len(remaining) > 1:
             remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
         elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
-            remaining = _exchange_effect(remaining, same_kind, (reduced, first), own)
+            remaining = _exchange_effect(remaining, same_kind, (reduced, tested), own)
     return remaining
 
 
-def _without(full: Solution, names: Sequence[str], first: Round) -> Solution:
-    """The model without some effects; the one before the search if all that was found is removed."""
-    if set(full.problem.model.names) - set(names) == set(first.solution.problem.model.names):
-        return first.solution
+def _without(full: Solution, names: Sequence[str], tested: Sequence[TestedModel]) -> Solution:
+    """The model without some effects: the one before the search, one to which the effect was added, or a new fit."""
+    if set(full.problem.model.names) - set(names) == set(tested[0].solution.problem.model.names):
+        return tested[0].solution
     for name in names:
-        full = remove_effect(full, name)
+        known = next((t.solution for t in tested if _leads_to(t, full, name)), None)
+        full = known or remove_effect(full, name)
     return full
 
 
+def _leads_to(test: TestedModel, full: Solution, name: str) -> bool:
+    """Whether a model was fitted by adding one effect to a model that was tested."""
+    if {*test.solution.problem.model.names, name} != set(full.problem.model.names):
+        return False
+    fits = [t.solution for t in test.tried if t.effect.name == name and t.solution is not None]
+    return any(abs(fit.objective - full.objective) < MIN_CHI2_SEPARATED for fit in fits)
+
+
 def _exchange_effect(
-    kept: list[RefinedCandidate], same_kind: list[str], without: tuple[Solution, Round], own: Sequence[Effect]
+    kept: list[RefinedCandidate],
+    same_kind: list[str],
+    without: tuple[Solution, Sequence[TestedModel]],
+    own: Sequence[Effect],
 ) -> list[RefinedCandidate]:
     """Try every effect in place of one, or of several of its kind.
 
-    `without` is the model without the last of them, and the test of the model before the search.
+    `without` is the model without the last of them, and the models that were tested.
     """
     full, old = kept[-1].law, next(k for k in kept if k.effect.name == same_kind[0])
-    reduced, first = without
+    reduced, tested = without
     try:
         if len(same_kind) > 1:
-            reduced = _without(reduced, same_kind[:-1], first)
+            reduced = _without(reduced, same_kind[:-1], tested)
     except FrictrackError:
         return kept
     evidence = information_criterion(reduced) - information_criterion(full)
     tried_again = (
-        _alternatives_at_first(first, old, evidence)
-        if reduced is first.solution
+        _alternatives_tested(known_test, old, evidence)
+        if (known_test := next((t for t in tested if t.solution is reduced), None)) is not None
         else _alternatives(reduced, own, old, min_evidence=evidence, known=full)
     )
     best = tried_again[0] if tried_again else old
@@ -183,14 +195,13 @@ def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandi
     return [*found[:-1], replace(found[-1], solution=law)]
 
 
-def _alternatives_at_first(first: Round, old: RefinedCandidate, min_evidence: float) -> list[RefinedCandidate]:
-    """The candidates of the first round again, best first, where the model before the search is left."""
-    trials = [t.linear_trial[1] for t in first.tried if t.linear_trial is not None]
-    simulated = {t.effect.name: t.solution for t in first.tried if t.solution is not None}
-    p = dict.fromkeys((t.effect.name for t in trials), old.p)
-    return simulate_promising(
-        first.draws.law, first.solution, trials, p, min_evidence=min_evidence, simulated=simulated
-    )
+def _alternatives_tested(test: TestedModel, old: RefinedCandidate, min_evidence: float) -> list[RefinedCandidate]:
+    """The candidates of an earlier test again, best first, where the model that it tested is left."""
+    pairs = [t.linear_trial for t in test.tried if t.linear_trial is not None]
+    simulated = {t.effect.name: t.solution for t in test.tried if t.solution is not None}
+    p = dict.fromkeys((trial.effect.name for _, trial in pairs), old.p)
+    trials = [trial for _, trial in pairs]
+    return simulate_promising(pairs[0][0], test.solution, trials, p, min_evidence=min_evidence, simulated=simulated)
 
 
 def _alternatives(

@@ -91,6 +91,14 @@ class RefinedCandidate:
         return self.solution
 
 
+@dataclass(frozen=True, eq=False)
+class TestedModel:
+    """A model that was tested, and its refined candidates, best first."""
+
+    solution: Solution
+    tried: list[RefinedCandidate]
+
+
 @dataclass(frozen=True)
 class Round:
     """One test of one model.
@@ -120,6 +128,11 @@ class Round:
     def leaves_misfit(self) -> bool:
         """Whether the misfit is significant."""
         return self.tests.p_lack_of_fit < ALPHA / 2
+
+    @property
+    def tested(self) -> TestedModel:
+        """The model and its candidates, without the draws."""
+        return TestedModel(self.solution, self.tried)
 
     @property
     def unrefined(self) -> list[str]:

@@ -128,7 +128,7 @@ def _search(
     kind = residual_kind(start.problem)
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
     first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what))
-    unrefined, found = first.unrefined, list[RefinedCandidate]()
+    tested, unrefined, found = [first.tested], first.unrefined, list[RefinedCandidate]()
     for done in range(1, MAX_ROUNDS + 1):
 
         def notify_round(what: str, done: int = done) -> None:
@@ -141,13 +141,13 @@ def _search(
             )
         else:
             before = [t.effect.name for t in found]
-            found = kind.review(first, found, own, notify_round)
+            found = kind.review(tested, found, own, notify_round)
             if [t.effect.name for t in found] == before:
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
         last = run_later_round(kind.before_round(law), own, rng, notify_round)
-        unrefined += last.unrefined
+        tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     cut = describe_cut(budget, unrefined, found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
