@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -101,7 +102,12 @@ class Solution:
     @property
     def few_rows(self) -> Array:
         """Few rows (M, P) with the normal matrix, singular values and right singular vectors of `jac`."""
-        return triangular(self.responses, len(self.p))[0]
+        return self.few_rows_and_residual[0]
+
+    @cached_property
+    def few_rows_and_residual(self) -> tuple[Array, Array]:
+        """The linearised model in few rows: Jacobian (M, P) and residual (M,)."""
+        return triangular(self.responses, len(self.p))
 
     def _basis_of(self, rows: Array) -> JacobianBasis:
         layout = self.problem.layout
@@ -117,7 +123,7 @@ class Solution:
 
     def level_scatter(self) -> float:
         """Estimate tau, the relative standard deviation of the friction levels."""
-        rows, residual = triangular(self.responses, len(self.p))
+        rows, residual = self.few_rows_and_residual
         basis, data = self._basis_of(rows), residual + rows @ self._departure()
         return basis.spread(basis.u.T @ data, float(data @ data))
 
@@ -125,7 +131,9 @@ class Solution:
         """Return the same unknowns and responses with another scatter of the levels."""
         penalty = penalty_residual(self.problem.layout, self.p, tau)
         objective = sum(float(r.r_full @ r.r_full) for r in self.responses) + float(penalty @ penalty)
-        return replace(self, tau=tau, objective=objective)
+        scattered = replace(self, tau=tau, objective=objective)
+        vars(scattered)["few_rows_and_residual"] = self.few_rows_and_residual  # of the same responses
+        return scattered
 
     @property
     def levels_are_random(self) -> bool:
@@ -346,7 +354,7 @@ def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], ta
 def _step(state: Solution, region: TrustRegion, bounds: tuple[Array, Array]) -> DampedStep:
     """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
     layout = state.problem.layout
-    rows, right = triangular(state.responses, len(state.p))
+    rows, right = state.few_rows_and_residual
     rows = np.vstack([rows, penalty_jacobian(layout, state.tau, state.p)])
     right = np.concatenate([right, -penalty_residual(layout, state.p, state.tau)])
     rows[:, bounds[1] <= bounds[0]] = 0.0
