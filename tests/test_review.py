@@ -10,7 +10,7 @@ from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import effects, models
 from frictrack.diagnose.review import _without
-from frictrack.diagnose.rounds import RefinedCandidate, TestedModel
+from frictrack.diagnose.rounds import RefinedCandidate, RoundOutcome
 from frictrack.fit import fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.stepwise import add_effect
@@ -30,10 +30,10 @@ def grown() -> tuple[Solution, Solution, Solution]:
 
 
 @pytest.fixture
-def tested(grown: tuple[Solution, Solution, Solution]) -> list[TestedModel]:
+def tested(grown: tuple[Solution, Solution, Solution]) -> list[RoundOutcome]:
     bare, one, two = grown
     drag = RefinedCandidate(effects.get("drag"), two, 5.0, 0.001)
-    return [TestedModel(bare, []), TestedModel(one, [drag])]
+    return [RoundOutcome(bare, []), RoundOutcome(one, [drag])]
 
 
 def test_a_model_from_which_the_effect_was_added_is_not_fitted_again(grown, tested) -> None:

@@ -16,7 +16,7 @@ from frictrack.diagnose.auxiliary_signals import (
 )
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.review import review_found
-from frictrack.diagnose.rounds import RefinedCandidate, TestedModel
+from frictrack.diagnose.rounds import RefinedCandidate, RoundOutcome
 from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
@@ -59,7 +59,7 @@ class ResidualKind(ABC):
     @abstractmethod
     def review(
         self,
-        tested: Sequence[TestedModel],
+        tested: Sequence[RoundOutcome],
         found: list[RefinedCandidate],
         own: Sequence[Effect],
         notify: Callable[[str], None],
@@ -121,7 +121,7 @@ class DisplacementResiduals(ResidualKind):
 
     def review(
         self,
-        tested: Sequence[TestedModel],
+        tested: Sequence[RoundOutcome],
         found: list[RefinedCandidate],
         own: Sequence[Effect],
         notify: Callable[[str], None],
@@ -196,7 +196,7 @@ class FrictionResiduals(ResidualKind):
 
     def review(
         self,
-        tested: Sequence[TestedModel],
+        tested: Sequence[RoundOutcome],
         found: list[RefinedCandidate],
         own: Sequence[Effect],
         notify: Callable[[str], None],

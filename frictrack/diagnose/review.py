@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, MIN_CHI2_SEPARATED, information_criterion
-from frictrack.diagnose.rounds import Notify, RefinedCandidate, TestedModel, find_rivals, simulate_promising
+from frictrack.diagnose.rounds import Notify, RefinedCandidate, RoundOutcome, find_rivals, simulate_promising
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -31,7 +31,7 @@ MIN_SCAN_SHARE = 0.25  # of the evidence to exceed; the nearest grid point of an
 
 
 def review_found(
-    tested: Sequence[TestedModel], found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
+    tested: Sequence[RoundOutcome], found: list[RefinedCandidate], own: Sequence[Effect], notify: Notify
 ) -> list[RefinedCandidate]:
     """Test every effect found again beside all others.
 
@@ -79,7 +79,7 @@ def review_found(
     return remaining
 
 
-def _without(full: Solution, names: Sequence[str], tested: Sequence[TestedModel]) -> Solution:
+def _without(full: Solution, names: Sequence[str], tested: Sequence[RoundOutcome]) -> Solution:
     """The model without some effects: the one before the search, one to which the effect was added, or a new fit."""
     if set(full.problem.model.names) - set(names) == set(tested[0].solution.problem.model.names):
         return tested[0].solution
@@ -89,7 +89,7 @@ def _without(full: Solution, names: Sequence[str], tested: Sequence[TestedModel]
     return full
 
 
-def _leads_to(test: TestedModel, full: Solution, name: str) -> bool:
+def _leads_to(test: RoundOutcome, full: Solution, name: str) -> bool:
     """Whether a model was fitted by adding one effect to a model that was tested."""
     if {*test.solution.problem.model.names, name} != set(full.problem.model.names):
         return False
@@ -100,7 +100,7 @@ def _leads_to(test: TestedModel, full: Solution, name: str) -> bool:
 def _exchange_effect(
     kept: list[RefinedCandidate],
     same_kind: list[str],
-    without: tuple[Solution, Sequence[TestedModel]],
+    without: tuple[Solution, Sequence[RoundOutcome]],
     own: Sequence[Effect],
 ) -> list[RefinedCandidate]:
     """Try every effect in place of one, or of several of its kind.
@@ -195,7 +195,7 @@ def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandi
     return [*found[:-1], replace(found[-1], solution=law)]
 
 
-def _alternatives_tested(test: TestedModel, old: RefinedCandidate, min_evidence: float) -> list[RefinedCandidate]:
+def _alternatives_tested(test: RoundOutcome, old: RefinedCandidate, min_evidence: float) -> list[RefinedCandidate]:
     """The candidates of an earlier test again, best first, where the model that it tested is left."""
     pairs = [t.linear_trial for t in test.tried if t.linear_trial is not None]
     simulated = {t.effect.name: t.solution for t in test.tried if t.solution is not None}

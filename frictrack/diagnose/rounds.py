@@ -92,7 +92,7 @@ class RefinedCandidate:
 
 
 @dataclass(frozen=True, eq=False)
-class TestedModel:
+class RoundOutcome:
     """A model that was tested, and its refined candidates, best first."""
 
     solution: Solution
@@ -130,9 +130,9 @@ class Round:
         return self.tests.p_lack_of_fit < ALPHA / 2
 
     @property
-    def tested(self) -> TestedModel:
+    def tested(self) -> RoundOutcome:
         """The model and its candidates, without the draws."""
-        return TestedModel(self.solution, self.tried)
+        return RoundOutcome(self.solution, self.tried)
 
     @property
     def unrefined(self) -> list[str]:
