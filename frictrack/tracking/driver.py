@@ -60,8 +60,7 @@ def track(
     target : list, array, path or Areas, optional
         Rectangle [x, y, w, h], outline [[x, y], [x, y], [x, y], ...] or click [x, y], px in frame `template`; or a
         picture of the target (a path or a 2-D array). `Areas` adds parts to exclude and obstacles. By default the
-        moving
-        body is found automatically.
+        moving body is found automatically.
     template : int
         Number of the frame in which `target` is given.
     known : TargetModel, optional
@@ -161,12 +160,10 @@ def track_same_target(
     ----------
     recording : Recording
         Film.
-    target, template, progress
-        As in `track`.
+    target, template, progress, pool
+        As in `track_in_parallel`.
     known : TargetModel
         Model of the target, learnt from another film.
-    pool : WorkerPool, optional
-        Processes that take over segments of a long uncompressed film.
 
     Returns
     -------
@@ -257,10 +254,8 @@ def learn_target(
     ----------
     recording : Recording
         Film of the target.
-    target, template, progress
-        As in `track`.
-    pool : WorkerPool, optional
-        Processes that take over segments of a long uncompressed film.
+    target, template, progress, pool
+        As in `track_in_parallel`.
 
     Returns
     -------
