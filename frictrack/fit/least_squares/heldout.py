@@ -28,6 +28,7 @@ from frictrack.records import Array, Mask
 
 HIDDEN_SIGMA_FACTOR = 1e9  # factor on sigma that removes a frame from the fit
 MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
+MIN_EVEN_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
 MIN_SINGULAR_VALUE = 1e-7  # relative; parameters keep their values along smaller ones
 
 
@@ -116,7 +117,7 @@ def _residuals_left_out(solution: Solution, runs: dict[int, _LinearRun], run: in
     left_out = runs[run]
     residual = left_out.residual - left_out.jac @ step
     own_columns = np.concatenate([left_out.jac[:, own], left_out.starts], axis=1)
-    residual = residual - own_columns @ _least_squares(own_columns[~left_out.odd], residual[~left_out.odd], own_columns)
+    residual = residual - own_columns @ _from_even_frames(own_columns, residual, left_out.odd)
     return left_out.odd_frame_errors(residual)
 
 
@@ -147,6 +148,23 @@ def _least_squares(rows: Array, right: Array, whole: Array) -> Array:
     norm = np.linalg.norm(whole, axis=0)
     norm[norm == 0] = 1.0
     return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm)
+
+
+def _from_even_frames(columns: Array, residual: Array, odd: Mask) -> Array:
+    """Coefficients (k,) of a run's own columns (n, k) from its even frames.
+
+    Directions along which the even frames hold nearly none of the information stay 0: the time of an event that lies
+    between two frames may show in one frame alone, and linear extrapolation from the others means nothing.
+    """
+    norm = np.linalg.norm(columns, axis=0)
+    norm[norm == 0] = 1.0
+    _, size, vt = np.linalg.svd(columns / norm, full_matrices=False)
+    kept = size > MIN_SINGULAR_VALUE * size[0]
+    to_columns = vt[kept].T / size[kept]  # directions of unit information in all frames
+    u, share, wt = np.linalg.svd((columns[~odd] / norm) @ to_columns, full_matrices=False)
+    seen = share**2 > MIN_EVEN_SHARE
+    found = wt[seen].T @ ((u[:, seen].T @ residual[~odd]) / share[seen])
+    return np.asarray(to_columns @ found / norm)
 
 
 def _rms(parts: Sequence[Array]) -> float:
