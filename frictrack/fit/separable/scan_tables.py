@@ -7,16 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.effects import Effect
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import SeparableSolution
-from frictrack.fit.separable.table_scan import FreeRows, ProjectedTable, ScanGrid, TableScan
+from frictrack.fit.separable.scan_items import ScanItem, coefficients_of, scan_grid
+from frictrack.fit.separable.table_scan import Box, FreeRows, ProjectedTable, ScanGrid, TableScan
 from frictrack.records import Array
 
 MAX_CACHED_VALUES = 2**19  # values of a table that fits into the cache; products with it are made two at a time
@@ -158,75 +157,6 @@ def _in_pairs(rows: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[
     return np.concatenate([rows[i : i + 2] @ table.T for i in range(0, len(rows), 2)])
 
 
-def scan_grid(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
-    """Create the grid of an effect's scanned parameters, without frequencies above the band of the data."""
-    effect_rows = next(e for e in separable.layout.model.effects if e.name == effect)
-    span = separable.layout.span if run is None else separable.layout.spans[run]
-    highest = max(b.highest for b in separable.blocks)
-    scanned = [p for p in effect_rows.nonlinear if p.scan is not None and p.free]
-    axes = []
-    for p in scanned:
-        assert p.scan is not None
-        axis = np.asarray(p.scan(span), dtype=float)
-        axis = axis[(axis >= p.bounds[0]) & (axis <= p.bounds[1])]
-        if p.unit == "Hz" and np.any(axis < highest):
-            axis = axis[axis < highest]
-        axes.append(axis)
-    values = np.array(list(product(*axes)))
-    steps = np.array(list(product(*[range(len(a)) for a in axes])))
-    return ScanGrid(tuple(p.name for p in scanned), values, steps)
-
-
-@dataclass(frozen=True)
-class ScanItem:
-    """An effect to scan, in group `g`; in one `run` if its scan belongs to single runs."""
-
-    effect: str
-    g: int
-    run: int | None = None
-
-
-MAX_SCAN_AXES = 3  # parameters of one effect that are scanned together
-
-
-def is_scannable(effect: Effect) -> bool:
-    """Return whether an effect can be scanned on a grid: it modifies no other and has few scanned parameters.
-
-    An effect with relaxed parts is scanned part by part.
-    """
-    scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-    return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MAX_SCAN_AXES)
-
-
-def scanned_effects(separable: SeparableModel) -> list[ScanItem]:
-    """Return the effects of a model that are scanned, in its order."""
-    out = []
-    for effect in separable.layout.model.effects:
-        g = next(k for k, group in enumerate(separable.groups) if effect.name in group.names)
-        scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-        if not is_scannable(effect) or effect.relaxed:
-            continue
-        if effect.single:
-            out += [
-                ScanItem(effect.name, g, r) for r in separable.runs if (effect.name, r) not in separable.layout.absent
-            ]
-        elif scanned and effect.linear:
-            out.append(ScanItem(effect.name, g))
-    return out
-
-
-def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int_]:
-    """Return the coefficients of the model that belong to an item."""
-    return np.array(
-        [
-            i
-            for i, c in enumerate(separable.coefficients)
-            if c.effect == item.effect and (item.run is None or c.run in (None, item.run))
-        ],
-        dtype=int,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class _CurrentSolution:
     """The last solution and data, and the tables beside them by table and whether its points are paired."""
@@ -248,6 +178,7 @@ class ScanTables:
         self._kinds: dict[ScanItem, tuple[int, list[int]]] = {}
         self._mine: dict[ScanItem, NDArray[np.int_]] = {}
         self._slots: dict[ScanItem, list[list[int]]] = {}
+        self._boxes: dict[ScanItem, Box] = {}
         self._last: _CurrentSolution | None = None
 
     def grid(self, item: ScanItem) -> ScanGrid:
@@ -327,7 +258,7 @@ class ScanTables:
             largest = max(largest, scan.largest)
             found[waiting[key].pop(0)] = values = scan.summit(scan.best)
             points, weights = scan.grid.weights(scan.best, values)
-            if not len(points):
+            if not len(points) or len(found) == len(items):
                 return found
             rows = tables[key].rows_at(self.separable.slices, points, weights)
             placed = beside[key].placed(points, weights, rows @ rows.T)
@@ -345,7 +276,7 @@ class ScanTables:
     def pair_moves(self, pair: tuple[ScanItem, ScanItem], state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of two neighbouring grid points together: two lines too close to be resolved."""
         own = [i for item in pair for i in self._leaving(item, state)]
-        return self._projected_table(pair[0], state, data, in_pairs=True).moved(own, (-np.inf, np.inf))
+        return self._projected_table(pair[0], state, data, in_pairs=True).moved(own, None)
 
     def _leaving(self, item: ScanItem, state: SeparableSolution) -> list[int]:
         """Which of the coefficients, and after them of the parameters of the tangent, belong to an item alone."""
@@ -359,9 +290,13 @@ class ScanTables:
             self._mine[item] = coefficients_of(self.separable, item)
         return self._mine[item]
 
-    def _box(self, item: ScanItem) -> tuple[Array, Array]:
-        mine = self._coefficients(item)
-        return self.separable.low[mine], self.separable.high[mine]
+    def _box(self, item: ScanItem) -> Box:
+        """Bounds of the coefficients of an item."""
+        if item not in self._boxes:
+            mine = self._coefficients(item)
+            low, high = self.separable.low[mine], self.separable.high[mine]
+            self._boxes[item] = (low, high) if np.isfinite([low, high]).any() else None
+        return self._boxes[item]
 
     def _projected_table(
         self, item: ScanItem, state: SeparableSolution, data: Array, in_pairs: bool = False

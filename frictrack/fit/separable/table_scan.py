@@ -25,7 +25,7 @@ from frictrack.records import Array, Mask
 
 RIDGE = 1e-12  # relative; keeps nearly equal rows solvable
 MIN_UNEXPLAINED_SHARE = 1e-6  # smallest share of a column outside the model
-Box = tuple[Array | float, Array | float]
+Box = tuple[Array, Array] | None  # None without bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +301,7 @@ def _outer_sum(left: Array, right: Array) -> Array:
 def _best_coefficients(schur: Array, right: Array, full: Array, box: Box) -> tuple[Array, Array]:
     """Coefficients (G, C) within a box, and the gains (G,) with them."""
     c = _solve(schur, right, full)
-    if np.any((c < box[0]) | (c > box[1])):
+    if box is not None and np.any((c < box[0]) | (c > box[1])):
         c = np.clip(c, *box)
         return c, np.einsum("gc,gc->g", c, 2 * right - np.einsum("gij,gj->gi", schur, c))
     return c, np.einsum("gc,gc->g", c, right)

@@ -16,13 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan_tables import ScanItem, ScanTables, coefficients_of, scanned_effects
-from frictrack.fit.separable.table_scan import ScanGrid, TableScan
+from frictrack.fit.separable.scan_items import ScanItem, coefficients_of, scanned_effects
+from frictrack.fit.separable.scan_tables import ScanTables
+from frictrack.fit.separable.table_scan import ScanGrid
 from frictrack.records import Array
 
 MAX_PLACES = 3  # grid points of one scan that are refined
@@ -200,13 +202,13 @@ class VariableProjection:
         if len(self.items) < 2:
             return None
         shares, losses = self._shares_and_losses(state)
-        misses_effect = self.misses_effect(problem, state)
+        gains = self._gains_of_one_more(problem, state)
+        misses_effect = self._is_large(max(gains.values()), state)
         for (i, one), (j, other) in permutations(enumerate(self.items), 2):
             better = None
-            if i < j and self._are_same_kind(one, other):
-                gain = float(self.tables.scan(one, state, problem.data).gains.max())
-                if min(losses[i], losses[j]) < MAX_PAIR_GAIN_RATIO * gain:
-                    better = self._try_neighbouring_lines(problem, state, one, other)
+            pays = min(losses[i], losses[j]) < MAX_PAIR_GAIN_RATIO * gains[self._kind(one)]
+            if i < j and pays and self._are_same_kind(one, other):
+                better = self._try_neighbouring_lines(problem, state, one, other)
             may_exchange = misses_effect and not _are_in_different_runs(one, other)
             if better is None and (may_exchange or shares[i, j] > MIN_COUPLING):
                 better = self._try_both_again(problem, state, one, other)
@@ -216,15 +218,20 @@ class VariableProjection:
 
     def misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
-        best = max((float(s.gains.max()) for s in self._scans(problem, state, self.items).values()), default=0.0)
-        return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
+        return self._is_large(max(self._gains_of_one_more(problem, state).values(), default=0.0), state)
 
-    def _scans(
-        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScanItem]
-    ) -> dict[ScanItem, TableScan]:
-        """Scans of one more effect of every kind."""
-        kinds = {(self.separable.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
-        return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
+    def _is_large(self, gain: float, state: SeparableSolution) -> bool:
+        """Whether an effect gains far more than by chance."""
+        return gain > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
+
+    def _gains_of_one_more(self, problem: ProjectedProblem, state: SeparableSolution) -> dict[tuple[Any, ...], float]:
+        """The largest gain of one more effect of every kind."""
+        kinds = {self._kind(i): i for i in reversed(self.items)}
+        return {kind: self.tables.scan(i, state, problem.data).largest for kind, i in kinds.items()}
+
+    def _kind(self, item: ScanItem) -> tuple[Any, ...]:
+        """What items have in common that are instances of one effect in one run."""
+        return self.separable.groups[item.g].model.effects[0].columns, item.run
 
     def _try_other_positions(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better solution with one effect at another position, the most promising first; None if there is none."""
