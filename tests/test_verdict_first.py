@@ -105,7 +105,7 @@ def test_the_command_prints_the_verdict_then_the_rest_and_each_once(
             main([*arguments, str(study_file)])
     assert order == ["verdict False", "diagnosis_rest True", "diagnose True", "diagnose True"]
     steps = [line for line in capsys.readouterr().err.splitlines() if line]
-    assert steps[0] == f"study {study_file.parent.name}, 3 runs"
+    assert steps[:2] == [f"reading {study_file}", f"study {study_file.parent.name}, 3 runs"]
     assert steps.count("diagnosing 1_coulomb+viscous") == 1
     assert len(steps) < 12
 
