@@ -36,6 +36,7 @@ N_DRAWS = 199
 N_KNOTS = {"x": 120, "t": 80, "v": 40}
 CORRELATION_LENGTHS_KNOTS = (2.0, 6.0, 20.0)  # in knots
 PRIOR_SIZES = (0.3, 3.0, 30.0)  # amplitudes over the smallest that the runs show
+MIN_SHARED_NORM = 1e-9  # of a column of the model, below which it lies within what each run has of its own
 MIN_MODEL_WEIGHT = 0.03  # weight of all runs' information on the model in predictions from other runs
 
 
@@ -192,7 +193,7 @@ def _axis_evidence(forces: ResidualForces) -> tuple[dict[str, float], float]:
 def _project_own_columns(law: ModelProjection, maps: list[ForceTraces], series: Array) -> _Runs:
     """Project out of every run what belongs to it alone."""
     layout, runs = law.solution.problem.layout, sorted({r.piece.run for r in law.responses})
-    own_columns, shared, residuals = [], [], []
+    own_columns, shared, residuals, norms = [], [], [], []
     for rows, response in zip(law.rows, law.responses, strict=True):
         slots = [layout.slots[i] for i in response.active]
         per_run = np.array([s.run is not None for s in slots], dtype=bool)
@@ -201,8 +202,10 @@ def _project_own_columns(law: ModelProjection, maps: list[ForceTraces], series: 
         own_columns.append(q)
         shared.append(response.jac[:, ~per_run] - q @ (q.T @ response.jac[:, ~per_run]))
         residuals.append(series[rows] - q @ (q.T @ series[rows]))
-    norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
-    shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
+        norms.append([np.linalg.norm(c, axis=0) for c in (response.jac[:, ~per_run], shared[-1])])
+    whole, norm = np.linalg.norm(norms, axis=0)
+    kept = norm > MIN_SHARED_NORM * whole  # the others are rounding errors, such as a coefficient beside its levels
+    shared = [c[:, kept] / norm[kept] for c in shared]
     return _Runs(law, maps, [runs.index(r.piece.run) for r in law.responses], own_columns, shared, residuals)
 
 
