@@ -110,9 +110,17 @@ def slides():
     return [ft.Run.from_arrays(T, noisy(one), mass=MASS, name=name) for name, one in positions.items()]
 
 
-def test_every_result_prints_in_a_few_lines(slides):
-    fit = ft.fit("coulomb", slides)
-    diagnosis = ft.diagnose(fit, quick=True)
+@pytest.fixture(scope="module")
+def fit(slides):
+    return ft.fit("coulomb", slides)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(fit):
+    return ft.diagnose(fit, quick=True)
+
+
+def test_every_result_prints_in_a_few_lines(slides, fit, diagnosis):
     shown = {
         'Run "drag": 800 frames, 0 to 0.19975 s': slides[1],
         "Motion: 800 frames": slides[0].motion,
@@ -127,8 +135,7 @@ def test_every_result_prints_in_a_few_lines(slides):
         assert len(repr(result)) < 600
 
 
-def test_results_turn_into_dataframes(slides):
-    fit = ft.fit("coulomb", slides)
+def test_results_turn_into_dataframes(slides, fit, diagnosis):
     table = fit.to_dataframe()
     assert table.loc["coulomb.F_c", ["value", "unit"]].tolist() == [fit.parameters["coulomb.F_c"].value, "N"]
     motion = slides[0].to_dataframe()
@@ -137,14 +144,11 @@ def test_results_turn_into_dataframes(slides):
     assert motion.attrs["units"]["a"] == "m/s^2"
     assert set(motion.attrs["units"]) == set(motion.columns)
     assert ft.compare(fit).to_dataframe()["model"].tolist() == ["coulomb"]
-    diagnosis = ft.diagnose(fit, quick=True)
     assert diagnosis.to_dataframe().index.tolist() == [c.effect for c in diagnosis.candidates]
 
 
-def test_every_figure_takes_runs_fits_and_diagnoses(slides):
-    fit = ft.fit("coulomb", slides)
+def test_every_figure_takes_runs_fits_and_diagnoses(slides, fit, diagnosis):
     better = ft.fit("coulomb,drag", slides)
-    diagnosis = ft.diagnose(fit, quick=True)
     spans = ft.compare(fit).fails_at
     figures = [
         slides[0].plot(),
