@@ -20,6 +20,7 @@ from frictrack.fit.linearised.series import ScannedSeries
 from frictrack.records import Array
 
 MAX_COLUMNS_SMALL = 200  # grid points times coefficients of a small grid
+MAX_COLUMNS_TOGETHER = 1000  # of all grids of one product; effects with a coefficient per run have many in many runs
 
 Indices = NDArray[np.int_]
 
@@ -27,6 +28,20 @@ Indices = NDArray[np.int_]
 def is_small(grid: CandidateGrid) -> bool:
     """Return whether a grid is small enough to be evaluated at every scatter of the levels."""
     return len(grid.values) * grid.size <= MAX_COLUMNS_SMALL
+
+
+def in_batches(grids: Sequence[CandidateGrid]) -> list[list[CandidateGrid]]:
+    """Divide grids, in their order, into batches of at most `MAX_COLUMNS_TOGETHER` columns."""
+    batches: list[list[CandidateGrid]] = []
+    columns = MAX_COLUMNS_TOGETHER
+    for grid in grids:
+        own = len(grid.values) * grid.size
+        if columns + own > MAX_COLUMNS_TOGETHER:
+            batches.append([])
+            columns = 0
+        batches[-1].append(grid)
+        columns += own
+    return batches
 
 
 @dataclass(frozen=True, eq=False)
