@@ -21,6 +21,7 @@ from itertools import count
 
 import numpy as np
 
+from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.parameters import LEVEL, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, bounded_step, solve_positive
 from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator
@@ -31,6 +32,7 @@ from frictrack.records import Array, Mask
 
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
 MIN_DAMPING_AFTER_FAILURE = 1e-3  # larger ones end in other minima: two of 1000 searches for ATM2 missed their optimum
+COST_OF_EVALUATION = 0.1  # in a budget, where a simulation of all runs costs 1 (2 and 18 ms)
 MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
 
 
@@ -79,12 +81,18 @@ class SeparableSolution:
 
 
 class ProjectedProblem:
-    """The projected problem of one data set (M,), with the scatter `tau` of the friction levels."""
+    """The projected problem of one data set (M,), with the scatter `tau` of the friction levels.
+
+    Its evaluations count in `budget`; once that is spent, nothing is refined further.
+    """
 
     _versions = count(1)
 
-    def __init__(self, separable: SeparableModel, data: Array, tau: float = 0.03) -> None:
+    def __init__(
+        self, separable: SeparableModel, data: Array, tau: float = 0.03, budget: EvaluationBudget | None = None
+    ) -> None:
         self.separable, self.data, self.tau = separable, data, tau
+        self.budget = budget or EvaluationBudget()
         self.layout = separable.layout
         self.levels = self.layout.levels
         self.low, self.high = self.layout.bounds
@@ -180,6 +188,7 @@ class ProjectedProblem:
             Coefficients, residual and misfit.
 
         """
+        self.budget.spend(COST_OF_EVALUATION)
         base = known or self.empty_solution(nonlinear_values)
         rows, excluded = base.rows.copy(), base.excluded.copy()
         row_derivatives, versions = dict(base.row_derivatives), list(base.versions)
@@ -292,6 +301,8 @@ class ProjectedProblem:
     ) -> SeparableSolution:
         """Refine the non-linear parameters of some groups and the friction levels by Levenberg-Marquardt.
 
+        A solution stays as it is once the budget is spent.
+
         Parameters
         ----------
         state : SeparableSolution
@@ -313,7 +324,7 @@ class ProjectedProblem:
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
         parameters = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots})
-        if not parameters and not self.levels:
+        if self.budget.stops() or not (parameters or self.levels):
             return state
         changed_groups = [g for g in chosen if self.separable.groups[g].nonlinear_slots]
         tangent, damping = self.tangent(state, parameters), FIRST_DAMPING

@@ -10,11 +10,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter
-from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout, Slot
@@ -32,7 +30,6 @@ MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps for every grid point, and for the best two
 ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # predicted fall of a step, share of the misfit
-COST_ALONG_MOTION = 0.1  # of a simulation of all runs: an evaluation along the measured motion (2 and 18 ms)
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
@@ -160,43 +157,10 @@ class TiedSeparableModel(SeparableModel):
         return super().is_sinusoid(effect) and (len(own) == 1 or len(self.runs) == 1)
 
 
-class BudgetedProblem(ProjectedProblem):
-    """A projected problem whose evaluations count in a budget; once that is spent nothing is refined further."""
-
-    def __init__(self, separable: SeparableModel, data: Array, tau: float, budget: EvaluationBudget) -> None:
-        super().__init__(separable, data, tau)
-        self.budget = budget
-
-    def at(
-        self,
-        nonlinear_values: Array,
-        known: SeparableSolution | None = None,
-        groups: Iterable[int] | None = None,
-        taking_part: NDArray[np.intp] | None = None,
-    ) -> SeparableSolution:
-        """Evaluate the solution for given non-linear values."""
-        self.budget.spend(COST_ALONG_MOTION)
-        return super().at(nonlinear_values, known, groups, taking_part)
-
-    def refine(
-        self,
-        state: SeparableSolution,
-        groups: Iterable[int] | None = None,
-        *,
-        steps: int = 12,
-        enough: float = 1e-5,
-        below: float = np.inf,
-    ) -> SeparableSolution:
-        """Refine the non-linear parameters of some groups, if evaluations are left."""
-        if self.budget.stops():
-            return state
-        return super().refine(state, groups, steps=steps, enough=enough, below=below)
-
-
 def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
     separable = TiedSeparableModel(layout, linearised.blocks, linearised.stacks)
     tau, budget = linearised.solution.tau or 0.03, linearised.solution.problem.budget
-    return BudgetedProblem(separable, separable.data, tau, budget)
+    return ProjectedProblem(separable, separable.data, tau, budget)
 
 
 def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
