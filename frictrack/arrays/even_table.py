@@ -99,7 +99,11 @@ def displacement_of_table(
     np.float64(0.198)
 
     """
-    table = with_even_clock(data, fps)
+    return displacement_of_even_table(with_even_clock(data, fps), scale=scale, x_offset=x_offset)
+
+
+def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_offset: float = 0.0) -> Displacement:
+    """Compute the displacement of a table whose clock is even; see `displacement_of_table`."""
     data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)

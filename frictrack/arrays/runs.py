@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.arrays.even_table import displacement_of_table, with_even_clock
+from frictrack.arrays.even_table import displacement_of_even_table, with_even_clock
 from frictrack.errors import raise_faults
 from frictrack.motion import differentiate, low_pass
 from frictrack.plausibility import EnteredValues, implausible_clocks, implausible_entries, implausible_slide
@@ -93,9 +93,9 @@ def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
 def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, Any]) -> Run:
     """Make a run of a table in SI units, and warn of values that are likely in another unit."""
     weighed, sigma_mass = (None, 0.0) if mass is None else parse_quantity(mass, "kg", "mass")
-    displacement = displacement_of_table(data)
-    even = with_even_clock(data).data
-    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": even.drive, "friction_N": even.friction, **settings}
+    table = with_even_clock(data)
+    displacement, forces = displacement_of_even_table(table), table.data
+    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction, **settings}
     run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
     _warn_of_other_units(run, has_unit=isinstance(mass, str))
     return run

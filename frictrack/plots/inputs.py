@@ -8,8 +8,7 @@ from typing import Any, Protocol
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
 from frictrack.friction import friction
-from frictrack.motion import low_pass
-from frictrack.records import Friction, Run
+from frictrack.records import Filtered, Friction, Run
 from frictrack.results import ModelResults, RunResults
 
 
@@ -49,7 +48,7 @@ def as_run(run: AnyRun) -> RunResults:
         name=run.name,
         source="",
         displacement=run.displacement,
-        filtered=low_pass(run.displacement),
+        filtered=_smoothed(run),
         motion=run.motion,
         happenings=happenings(run),
         friction=_friction_of(run),
@@ -72,6 +71,12 @@ def as_model(model: AnyModel) -> ModelResults:
 def as_summary(found: AnySummary) -> Mapping[str, Any]:
     """Convert a diagnosis to its JSON; JSON is returned as it is."""
     return found if isinstance(found, Mapping) else found.summary()
+
+
+def _smoothed(run: Run) -> Filtered:
+    """The smoothed displacement that the motion of a run was made from, whatever smoothed it."""
+    measured, motion = run.displacement, run.motion
+    return Filtered(motion.t, motion.x, measured.y, measured.sigma_x, measured.sigma_y)
 
 
 def _friction_of(run: Run) -> Friction | None:
