@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from frictrack.diagnose.auxiliary_signals import Evidence
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeatability import Repeatability
-from frictrack.lazy import imported
+from frictrack.notebook_view import NotebookView
 from frictrack.records import Array
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
 
@@ -129,7 +128,7 @@ class Importance:
 
 
 @dataclass(frozen=True, repr=False)
-class Diagnosis:
+class Diagnosis(NotebookView):
     """Result of a diagnosis.
 
     Parameters
@@ -171,6 +170,7 @@ class Diagnosis:
 
     """
 
+    drawn_by: ClassVar[str] = "frictrack.plots:candidates"
     model: list[str]
     verdict: str
     missing: list[str]
@@ -207,15 +207,6 @@ class Diagnosis:
         numbers = {name: float for name in names if name != "acts_on"}
         frame = pd.DataFrame.from_dict(rows, orient="index", columns=list(names))
         return frame.astype(numbers).rename_axis("effect")
-
-    def plot(self) -> Figure:
-        """Draw the evidence of all candidates, the best on top."""
-        figure: Figure = imported("frictrack.plots:candidates")(self)
-        return figure
-
-    def _repr_html_(self) -> str:
-        page: str = imported("frictrack.plots:html")(self)
-        return page
 
     @property
     def best(self) -> Candidate | None:

@@ -18,6 +18,7 @@ from frictrack.fit.uncertainty import Estimate, Estimates, Misfit, UncertaintyAn
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
+from frictrack.notebook_view import NotebookView
 from frictrack.records import Array, Curve, ModelledMotion
 from frictrack.results import ModelResults
 
@@ -29,7 +30,7 @@ MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(FittedRuns):
+class Fit(FittedRuns, NotebookView):
     """A model fitted to runs: parameters, errors and curves, each computed when it is first asked for.
 
     Attributes
@@ -79,10 +80,6 @@ class Fit(FittedRuns):
         """Draw per run the modelled and the measured friction force over time, and the residual below."""
         figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
         return figure
-
-    def _repr_html_(self) -> str:
-        page: str = imported("frictrack.plots:html")(self)
-        return page
 
     @property
     def compared(self) -> Solution:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError, raise_faults
-from frictrack.lazy import imported
+from frictrack.notebook_view import NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -65,7 +64,7 @@ def scalar(unit: str, **options: Any) -> Any:
     return field(metadata={"unit": unit}, **options)
 
 
-class FrameTable:
+class FrameTable(NotebookView):
     """Base of the records with one row per frame; checks the columns when a record is built.
 
     All columns have the same length, are finite unless NaN is allowed, and become read-only; time rises.
@@ -78,6 +77,7 @@ class FrameTable:
     """
 
     min_rows: ClassVar[int] = 2
+    drawn_by = "frictrack.plots:table"
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -127,15 +127,6 @@ class FrameTable:
             return ""
         low, high = f"{known.min():.4g}", f"{known.max():.4g}"
         return f"{f.name} {low if low == high else f'{low} to {high}'} {f.metadata['unit']}"
-
-    def plot(self) -> Figure:
-        """Draw the columns over time, each with its standard deviation as a band."""
-        figure: Figure = imported("frictrack.plots:table")(self)
-        return figure
-
-    def _repr_html_(self) -> str:
-        page: str = imported("frictrack.plots:html")(self)
-        return page
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the columns as a pandas DataFrame, one row per frame; ``attrs["units"]`` holds their units.

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from frictrack.errors import raise_faults
 from frictrack.lazy import imported
+from frictrack.notebook_view import NotebookView
 from frictrack.records.frame_table import Array, scalar
 from frictrack.records.measured import Displacement, Motion
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 GRAVITY = 9.80665  # m/s^2, standard
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run:
+class Run(NotebookView):
     """One recorded slide: its motion and the properties of the slider.
 
     The run covers the frames of `motion`; other frames of `displacement`, `drive` and `friction_N` are cut off.
@@ -62,6 +62,7 @@ class Run:
 
     """
 
+    drawn_by: ClassVar[str] = "frictrack.plots:motion"
     displacement: Displacement
     motion: Motion
     mass: float | None = scalar("kg", default=None)
@@ -247,15 +248,6 @@ class Run:
                 frame[name], units[name] = force, unit
         frame.attrs["units"] = {**frame.attrs["units"], **units}
         return frame
-
-    def plot(self) -> Figure:
-        """Draw position, velocity and acceleration over time with their bands."""
-        figure: Figure = imported("frictrack.plots:motion")(self)
-        return figure
-
-    def _repr_html_(self) -> str:
-        page: str = imported("frictrack.plots:html")(self)
-        return page
 
     @property
     def pixel_pitch(self) -> float | None:
