@@ -1,0 +1,43 @@
+"""Configuration of the documentation (Sphinx). Build it with `sphinx-build -W docs docs/_build`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from frictrack.version import __version__
+
+sys.path.insert(0, str(Path(__file__).resolve().parent / "generators"))
+
+project = "frictrack"
+author = "The frictrack developers"
+copyright = "2026, the frictrack developers"  # noqa: A001 - the name that Sphinx reads
+release = version = __version__
+
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+myst_enable_extensions = ["colon_fence", "deflist", "fieldlist"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"
+exclude_patterns = ["_build", "generators"]
+
+autosummary_generate = True
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "frictrack"
+html_show_sourcelink = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
