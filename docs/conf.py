@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "generators"))
 
 project = "frictrack"
 author = "The frictrack developers"
-copyright = "2026, the frictrack developers"  # noqa: A001 - the name that Sphinx reads
+copyright = "2026, the frictrack developers"
 release = version = __version__
 
 extensions = [
