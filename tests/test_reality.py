@@ -23,7 +23,7 @@ from frictrack.fit.measured_friction.noise import strokes
 from frictrack.fit.segments.swings import join_swings
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
-from frictrack.samples import screened
+from frictrack.sampling import screened
 from frictrack.verdicts import describe_verdict
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]

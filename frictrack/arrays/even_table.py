@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frictrack.calibration import parse_scale
 from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask
-from frictrack.samples import (
+from frictrack.sampling import (
     EvenClock,
     SampledPath,
     Slip,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.records import Displacement
-from frictrack.samples import copies
+from frictrack.sampling import copies
 
 
 def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:

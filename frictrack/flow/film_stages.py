@@ -17,7 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import RecordingInfo
-from frictrack.samples import screened
+from frictrack.sampling import screened
 
 if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap

@@ -15,7 +15,7 @@ from frictrack.records import MEASURED, Array, Track
 from frictrack.results import RecordingInfo
 
 if TYPE_CHECKING:
-    from frictrack.samples import Slip
+    from frictrack.sampling import Slip
 
 Rows = NDArray[np.int64]
 MIN_STRETCHED_SHARE = 0.3  # of the frames that repeat the frame before; from here on the film was stretched

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.records import Track
-from frictrack.samples import SampledPath, Slip, correct_ticks, describe_frames, find_slips
+from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips
 
 __all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
 

@@ -14,8 +14,8 @@ from frictrack.flow import Session, open_study
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
-from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
-from frictrack.samples.uneven_samples import common_unevenness, unevenness
+from frictrack.sampling import copies, outliers, quantum, rounding_noise, screened
+from frictrack.sampling.uneven_samples import common_unevenness, unevenness
 from frictrack.study import TableData
 from frictrack.tracking.checks.timing import correct_ticks, slips
 from tests.test_timing import a_track

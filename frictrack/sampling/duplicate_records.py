@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from frictrack.records import Array, Displacement
-from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
 MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
 MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold

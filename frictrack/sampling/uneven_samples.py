@@ -12,8 +12,8 @@ import numpy as np
 
 from frictrack.distributions import student_sf
 from frictrack.records import Array
-from frictrack.samples.even_clock import robust_speed
-from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.even_clock import robust_speed
+from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
 ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
 MIN_BINS = 4  # bins of speed that can show a trend

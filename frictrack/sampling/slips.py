@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.samples.missing_frames import missing_frames
-from frictrack.samples.repeated_frames import RepeatedFrames, repeats
+from frictrack.sampling.missing_frames import missing_frames
+from frictrack.sampling.repeated_frames import RepeatedFrames, repeats
 
 WINDOWS = ((8, 3), (4, 2))  # frames on either side and degree of the curve; short ones where faults crowd
 MAX_JUMP_ERROR = 0.12  # frames: a jump whose standard deviation is larger cannot be counted in whole frames

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.samples.outlier_search import MEDIAN_TO_SIGMA
-from frictrack.samples.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
+from frictrack.sampling.outlier_search import MEDIAN_TO_SIGMA
+from frictrack.sampling.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
 SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes over one interval
 MAX_MULTIPLE_SIGMAS = 4.0  # standard deviations within which a step is a whole multiple

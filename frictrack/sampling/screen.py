@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Displacement
-from frictrack.samples.outlier_search import MEDIAN_TO_SIGMA, Outliers, outliers
-from frictrack.samples.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
+from frictrack.sampling.outlier_search import MEDIAN_TO_SIGMA, Outliers, outliers
+from frictrack.sampling.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
 
 MAX_LISTED_FRAMES = 8  # frames that a finding names
 MIN_ROWS = 8  # known rows that can be checked

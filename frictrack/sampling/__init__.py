@@ -1,0 +1,32 @@
+"""Check the samples of a displacement: outliers, rounding, repeated and missing frames, clock, copies of a record."""
+
+from frictrack.sampling.duplicate_records import copies
+from frictrack.sampling.even_clock import EvenClock, is_even, jittered_clock, robust_speed, rounded_clock
+from frictrack.sampling.outlier_search import Outliers, outliers
+from frictrack.sampling.quantisation import quantum, rounding_noise
+from frictrack.sampling.screen import describe_frames, describe_length, frame_numbers, screened
+from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips
+from frictrack.sampling.uneven_samples import common_unevenness, unevenness
+
+__all__ = [
+    "EvenClock",
+    "Outliers",
+    "SampledPath",
+    "Slip",
+    "common_unevenness",
+    "copies",
+    "correct_ticks",
+    "describe_frames",
+    "describe_length",
+    "find_slips",
+    "frame_numbers",
+    "is_even",
+    "jittered_clock",
+    "outliers",
+    "quantum",
+    "robust_speed",
+    "rounded_clock",
+    "rounding_noise",
+    "screened",
+    "unevenness",
+]
