@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Mapping
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -103,11 +105,24 @@ def _parameters_table(results: Results) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415
 
     rows = [
-        {"model": model.name, "parameter": name, **values}
+        {"model": model.name, "parameter": name, **_flat(values)}
         for model in results.models
         for name, values in model.summary["parameters"].items()
     ]
     return pd.DataFrame(rows)
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a parameter as cells: ``mu`` and ``mu_std``, ``interval_low`` and ``interval_high``."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= {key if part == "value" else f"{key}_{part}": one for part, one in value.items()}
+        elif key == "interval":
+            flat |= dict(zip(("interval_low", "interval_high"), value or (None, None), strict=True))
+        else:
+            flat[key] = value if isinstance(value, (str, int, float, type(None))) else json.dumps(value)
+    return flat
 
 
 def _errors_table(results: Results) -> pd.DataFrame:

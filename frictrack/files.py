@@ -20,6 +20,8 @@ _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
 _HOST = re.sub(r"\W", "", platform.node()) or "here"
 DAY_S = 86400.0
+INTERNAL_FOLDER = ".frictrack"  # in a folder of results: what only frictrack reads
+_FORMER_LOCKS = (".lock", ".work")  # of earlier versions, among the results
 LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fraction of a second
 
 
@@ -56,9 +58,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
         If the folder cannot be written, or another process does not release it within `LOCK_TIMEOUT_S`.
 
     """
+    inside = make_internal_folder(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
+        lock = FileLock(inside / "lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
         lock.acquire()
     except Timeout as e:
         raise FrictrackError(f"another frictrack holds {folder}; wait for it or stop it") from e
@@ -82,9 +84,9 @@ def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
         Called once if another process has the lock.
 
     """
-    lock = FileLock(folder / ".work", is_singleton=True)
-    with suppress(OSError):  # a folder that cannot be written is reported when something is written
-        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / INTERNAL_FOLDER / "work", is_singleton=True)
+    with suppress(OSError, FrictrackError):  # a folder that cannot be written is reported when something is written
+        make_internal_folder(folder)
         try:
             lock.acquire(timeout=0)
         except Timeout:
@@ -98,7 +100,31 @@ def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
 
 def is_busy(folder: Path) -> bool:
     """Return whether another process is writing into a folder of results, or computing for it."""
-    return any(_is_held(folder / name) for name in (".lock", ".work"))
+    return any(_is_held(folder / INTERNAL_FOLDER / name) for name in ("lock", "work"))
+
+
+def make_internal_folder(folder: Path) -> Path:
+    """Create the hidden folder in a folder of results, for locks, logs and jobs; return its path.
+
+    Locks that earlier versions left among the results are removed.
+
+    Parameters
+    ----------
+    folder
+        The folder of results; it is created if it does not exist.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be created, or there is a link of its name.
+
+    """
+    inside = make_subfolder(folder, INTERNAL_FOLDER)
+    for name in _FORMER_LOCKS:
+        with suppress(OSError):
+            if (folder / name).is_file() and not (folder / name).is_symlink():
+                (folder / name).unlink()
+    return inside
 
 
 def _is_held(path: Path) -> bool:

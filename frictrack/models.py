@@ -488,35 +488,58 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
     Parameters
     ----------
     text : str or sequence of str
-        Name of a model ("tustin", "atm1:2"), effects separated by commas, or a list of effects.
+        Name of a model ("tustin", "atm1:2"), or names of effects and models separated by commas or in a list: a model
+        stands for its effects.
     extra : iterable of Effect
         Effects that are not in the library, such as the formulas of a study.
 
     Raises
     ------
     FrictrackError
-        If a name is neither that of a model nor that of an effect.
+        If a name is neither that of a model nor that of an effect; the message tells its place.
 
     Examples
     --------
     >>> parse("coulomb, viscous").names
     ['coulomb', 'viscous']
+    >>> parse("tustin, texture").names
+    ['coulomb', 'stribeck', 'viscous', 'texture']
 
     """
     extra = list(extra)
-    if not isinstance(text, str):
-        return of(text, extra)
-    kind, _, _ = text.partition(":")
-    if kind in ("atm1", "atm2") and "," not in text:
-        model: Model = NAMED[kind](effects.order(text))
-        return model
-    if text in NAMED:
-        named: Model = NAMED[text]()
-        return named
-    near = difflib.get_close_matches(text, NAMED, 1)
-    if near and "," not in text and kind not in effects.known(extra):
-        raise FrictrackError(f'expected the name of a model but got "{text}"; did you mean "{near[0]}"?', usage=True)
-    return of([part.strip() for part in text.split(",") if part.strip()], extra)
+    words = [part.strip() for part in text.split(",") if part.strip()] if isinstance(text, str) else list(text)
+    _check_words(words, extra)
+    whole = isinstance(text, str) and len(words) == 1
+    return Model(tuple(effect for word in words for effect in _effects_of(word, extra, whole=whole)))
+
+
+def _check_words(words: Sequence[str | Effect], extra: Sequence[Effect]) -> None:
+    """Raise one error with every word that is neither a model nor an effect, its place and the nearest name."""
+    known = list(dict.fromkeys([*NAMED, *effects.known(extra)]))
+    unknown = [
+        (f'"{word[:40]}"' + (f" (name {i} of {len(words)})" if len(words) > 1 else ""), word.partition(":")[0])
+        for i, word in enumerate(words, 1)
+        if isinstance(word, str) and word.partition(":")[0] not in known
+    ]
+    if not unknown:
+        return
+    nearest = [difflib.get_close_matches(kind, known, 1) for _, kind in unknown]
+    named = " and ".join(place for place, _ in unknown)
+    meant = " and ".join(f'"{near[0]}"' for near in nearest if near)
+    hint = f"did you mean {meant}?" if meant else f"known are {', '.join(known)}"
+    raise FrictrackError(f"expected names of models or effects but got {named}; {hint}", usage=True)
+
+
+def _effects_of(word: str | Effect, extra: Sequence[Effect], *, whole: bool) -> tuple[Effect, ...]:
+    """Return the effects of a name; "lugre", a model and an effect, is the model if it is the whole text."""
+    if not isinstance(word, str):
+        return (word,)
+    kind = word.partition(":")[0]
+    if kind in ("atm1", "atm2"):
+        return tuple(NAMED[kind](effects.order(word)).effects)
+    if word in NAMED and (whole or word not in effects.known(extra)):
+        return tuple(NAMED[word]().effects)
+    return (effects.get(word, extra),)
 
 
 def from_toml(source: str | FilePath) -> Model:

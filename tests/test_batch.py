@@ -355,5 +355,6 @@ def test_a_cluster_that_loses_a_worker_comes_to_the_same_as_this_machine(tmp_pat
     found = batch([str(ours)], ours / "all", workers=2)
     assert not found["failed"]
     assert results(there) == results(ours)
-    told = [json.loads((folder / "all.jsonl").read_text().splitlines()[-1])["version"] for folder in (there, ours)]
+    journals = [(folder / ".frictrack" / "all.jsonl").read_text().splitlines() for folder in (there, ours)]
+    told = [json.loads(lines[-1])["version"] for lines in journals]
     assert told[0] == told[1]

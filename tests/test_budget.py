@@ -248,7 +248,15 @@ def test_the_step_that_would_halve_the_error_does(scale, mass, says):
         sigma_mass=mass / (2 if mass > 1e-3 else 1),
     )
     assert budget(better, filtered).mean_N == pytest.approx(found.mean_N / 2, rel=0.02)
-    assert "neither a higher frame rate nor more pixels per mm would help" in found.summary()["says"]
+    assert "neither a higher sampling rate nor less noise would help" in found.summary()["says"]
+    filmed = replace(found, filmed=True).summary()["says"]
+    assert "neither a higher frame rate nor more pixels per mm would help" in filmed
+
+
+def test_a_table_is_not_told_to_use_more_pixels():
+    found = budget(*smoothed(seen()))
+    assert not any("pixels per mm" in sentence for sentence in found.summary()["says"])
+    assert any("pixels per mm" in sentence for sentence in replace(found, filmed=True).summary()["says"])
 
 
 def test_finer_pixels_help_as_much_as_is_said():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import shutil
 import subprocess
@@ -17,8 +18,9 @@ import pandas as pd
 import pytest
 import tifffile
 from film import block_film
+from rich.console import Console
 
-from frictrack.cli import main
+from frictrack.cli import fit_output, main, measurement_output
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, film_stages
 from frictrack.number_format import format_plus_minus
@@ -105,9 +107,9 @@ def test_track_says_how_well_each_film_was_measured(capsys: pytest.CaptureFixtur
     code, out, _ = run(capsys, "track", "film.toml", "--overlay")
     assert code == 0
     for words in (
-        "60 of 60",
+        "60/60",
         "σ / µm",
-        "peak locking / px",
+        "locking / px",
         "time base: frame rate, given 4000 fps (used)",
         "target = [",
     ):
@@ -297,7 +299,10 @@ def test_export_writes_plain_tables(
     assert {"t_s", "x_measured_m", "v_ms", "a_ms2", "F_N", "sigma_F_N", "free"} <= set(sheets["slow"])
     assert {"run", "source", "size", "unit", "frame_N", "mean_N", "share_mean", "common"} <= set(sheets["budget"])
     assert len(sheets["slow"]) == 500
-    assert set(sheets["parameters"]["parameter"]) == {"coulomb.F_c", "viscous.F_v"}
+    parameters = sheets["parameters"]
+    assert set(parameters["parameter"]) == {"coulomb.F_c", "viscous.F_v"}
+    assert {"mu", "mu_std"} <= set(parameters)
+    assert parameters["mu"].dtype == parameters["mu_std"].dtype == float
 
 
 def test_the_demo_tells_the_whole_story(
@@ -330,3 +335,29 @@ def test_the_demo_tells_the_whole_story(
     assert code == 0
     assert "an effect is missing: drag" in out
     assert "2_coulomb+viscous+drag" in out
+
+
+NUMBERS = {"rms_displacement_um": 12.58, "heldout_rms_um": 12.64, "free_run_rms_um": 0.6432, "rms_acceleration": 0.6112,
+           "relative_force_error": 0.0571, "reduced_chi2": 483.7}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["2_tustin+texture", "4_tustin+texture+viscous_modulation+decaying_vibration"])
+def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None:
+    out = Console(width=80, file=io.StringIO())
+    fit_output.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
+    lines = out.file.getvalue().splitlines()
+    assert all(len(line.rstrip()) <= 80 for line in lines)
+    first = [line.split()[0] for line in lines if "_" in line or "+" in line]
+    assert "".join(first) == name
+    assert all(any(word in part for part in first) for word in name.split("+"))
+    for number in ("12.58", "12.64", "0.6432", "0.6112", "5.71", "483.7"):
+        assert number in out.file.getvalue()
+
+
+def test_a_table_of_films_breaks_no_name_at_80_columns(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
+    result = answer(capsys, "track", "film.toml")
+    result["runs"][0]["run"] = "double_mass_2"
+    out = Console(width=80, file=io.StringIO())
+    measurement_output.track(out, result)
+    (line,) = (line for line in out.file.getvalue().splitlines() if line.startswith("double_mass_2  60"))
+    assert "60/60" in line

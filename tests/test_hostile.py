@@ -121,7 +121,8 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     output.mkdir()
     victim = outside / "victim"
     victim.write_text("mine")
-    for name in ("log.jsonl", ".lock", "parameters.csv", "study.xlsx"):
+    (output / ".frictrack").mkdir()
+    for name in ("log.jsonl", ".frictrack/lock", "parameters.csv", "study.xlsx"):
         (output / name).symlink_to(victim)
     (output / "csv").symlink_to(outside)
     results = Results("a", tmp_path / "study.toml", output, "0", runs=(), models=())
@@ -129,7 +130,7 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
         export.write(results, "csv")
     with pytest.raises(FrictrackError, match=r"cannot write results into .*results"), lock_folder(output):
         pass
-    (output / ".lock").unlink()
+    (output / ".frictrack" / "lock").unlink()
     with pytest.raises(FrictrackError, match="it is a link to another place"), CommandHistory(output).record("fit"):
         pass
     export.write(results, "xlsx")  # takes the link's place
@@ -144,7 +145,8 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
 def test_a_lock_that_is_none(tmp_path: Path, make: object) -> None:
-    make(tmp_path / ".lock")
+    (tmp_path / ".frictrack").mkdir()
+    make(tmp_path / ".frictrack" / "lock")
     if make is os.mkdir:
         with pytest.raises(FrictrackError, match="cannot write results into"), lock_folder(tmp_path):
             pass
@@ -156,7 +158,8 @@ def test_a_lock_that_is_none(tmp_path: Path, make: object) -> None:
 def test_a_log_that_cannot_be(tmp_path: Path) -> None:
     line = '{"rev": 1, "at": "", "who": "", "do": "undo"%s}\n'
     for text in (line % "", line % ', "before": 3', "[" * 100_000 + "\n", "3\n"):
-        (tmp_path / "log.jsonl").write_text(text)
+        (tmp_path / ".frictrack").mkdir(exist_ok=True)
+        (tmp_path / ".frictrack" / "log.jsonl").write_text(text)
         with pytest.raises(FrictrackError, match="is damaged; move it away"):
             CommandHistory(tmp_path).undo_stacks()
 

@@ -27,6 +27,10 @@ TUSTIN = ["coulomb", "stribeck", "viscous"]
         ("coulomb", ["coulomb"]),
         ("coulomb,viscous", ["coulomb", "viscous"]),
         (" coulomb , texture ", ["coulomb", "texture"]),
+        ("tustin, texture", [*TUSTIN, "texture"]),
+        (["tustin", "texture"], [*TUSTIN, "texture"]),
+        ("lugre", ["lugre", "viscous"]),
+        (["lugre"], ["lugre"]),
         (["coulomb", "texture"], ["coulomb", "texture"]),
         (("coulomb", "vibration", "vibration:2"), ["coulomb", "vibration", "vibration:2"]),
     ],
@@ -46,8 +50,11 @@ def test_tustin_holds_the_exponent_that_the_stribeck_model_frees():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("tustn", 'expected the name of a model but got "tustn"'),
-        ("coulomb,viscos", 'did you mean "viscous"?'),
+        ("tustn", 'expected names of models or effects but got "tustn"; did you mean "tustin"?'),
+        ("coulomb,viscos", 'but got "viscos" (name 2 of 2); did you mean "viscous"?'),
+        ("tustin,foo", 'but got "foo" (name 2 of 2); known are tustin'),
+        ("tustin,texure,patsh", 'got "texure" (name 2 of 3) and "patsh" (name 3 of 3); did you mean "texture"'),
+        (["tustin", "foo"], 'but got "foo" (name 2 of 2)'),
         ("atm1", 'expected an order from 1 to 20 after the colon, as in "atm1:2", but got "atm1"'),
         ("atm1:0", "expected an order from 1 to 20 after the colon"),
         ("atm2:x", "expected an order from 1 to 20 after the colon"),
@@ -250,7 +257,7 @@ def test_a_model_file_is_read_by_its_path(tmp_path):
         ("model = [", "expected a model in TOML but got a text that cannot be read"),
         ("gone.toml", "expected a model in TOML but got gone.toml that cannot be read"),
         ("name = 1", 'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]'),
-        ('model = ["colomb"]', 'expected the name of an effect but got "colomb"; did you mean "coulomb"?'),
+        ('model = ["colomb"]', 'expected names of models or effects but got "colomb"; did you mean "coulomb"?'),
         (
             'model = "tustin"\n[[effect]]\nfix = {a = 1}',
             "[[effect]]: expected effect = the name of an effect but got None",

@@ -120,7 +120,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path) -> Non
     with pytest.raises(TypeError):
         store.write(path, {"b": GroupContent({"n": object()})})
     assert path.read_bytes() == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "v3.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".frictrack", "v3.h5"]
 
 
 def test_the_same_content_makes_the_same_bytes(tmp_path: Path) -> None:

@@ -212,7 +212,7 @@ def test_what_a_killed_writer_left_is_said_and_swept(study: Path) -> None:
 def test_a_writer_at_work_is_told_and_its_files_left(study: Path) -> None:
     results = study.parent / "study_results"
     (results / ".slow_abc.part.h5").write_bytes(b"half")
-    with FileLock(results / ".lock"):
+    with FileLock(results / ".frictrack" / "lock"):
         found = verify([study])
     assert found["faults"] == []
     assert found["at_work"] == [str(results)]
@@ -226,7 +226,7 @@ def test_an_attempt_of_the_page_is_sound_whatever_came_after(study: Path) -> Non
 
 
 def test_a_damaged_log_is_said(study: Path) -> None:
-    log = study.parent / "study_results" / "log.jsonl"
+    log = study.parent / "study_results" / ".frictrack" / "log.jsonl"
     log.write_bytes(log.read_bytes() + b'{"rev": 2')
     assert faults(study) == [("leftover", "log.jsonl", "")]
     log.write_bytes(b"{nothing}\n")

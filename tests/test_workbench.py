@@ -39,7 +39,7 @@ SAMPLES = Path(__file__).parent.parent / "sample_videos"
 def held(study: Path, words: str) -> Iterator[None]:
     """As soon as the work of a study has said these words, its process stands still: no machine is too quick."""
     until = time.monotonic() + SLOW / 1000
-    while not (said := [p for p in study.parent.glob("*/jobs/*/progress.jsonl") if words in p.read_text()]):
+    while not (said := [p for p in study.parent.glob("*/.frictrack/jobs/*/progress.jsonl") if words in p.read_text()]):
         assert time.monotonic() < until
         time.sleep(0.02)
     folder = os.fsencode(said[0].parent)
@@ -207,7 +207,7 @@ def test_work_is_cancelled_and_found_again_after_a_reload(tables: Server, tab: O
         page.sees(re.compile("sga: misfit"))
         page.picture("9_search")
         page.click("Cancel")
-        page.until(lambda: any(tables.study.parent.glob("*/jobs/*/cancel")))
+        page.until(lambda: any(tables.study.parent.glob("*/.frictrack/jobs/*/cancel")))
     page.hears("fit tustin sga all 0: cancelled")
     page.click("Run everything").hears("run: done")
 

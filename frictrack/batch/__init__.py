@@ -8,7 +8,7 @@ changed since is not computed again.
 
     frictrack_batch.csv, .parquet    one row per run
     frictrack_batch.html             the page
-    frictrack_batch.jsonl            the journal of finished studies
+    .frictrack/frictrack_batch.jsonl the journal of finished studies
 """
 
 from frictrack.batch.driver import batch

@@ -6,6 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends
+from frictrack.files import make_internal_folder
 from frictrack.report import write_campaign
 from frictrack.results import to_builtins
 from frictrack.workers import cluster_workers, local_workers
@@ -58,7 +60,7 @@ def batch(
     """
     paths = find_studies(patterns)
     labels = {path.resolve(): path for path in paths}
-    journal = Journal(stem.with_name(f"{stem.name}.jsonl"))
+    journal = Journal(_journal_path(stem))
     outcomes = journal.finished(labels, seed)
     state = BatchState(len(labels), kept=len(outcomes))
     todo = [path for path in labels if path not in outcomes]
@@ -70,6 +72,15 @@ def batch(
                 outcomes[Path(one.study)] = one
                 output.write_if_due()
     return output.write_all(state)
+
+
+def _journal_path(stem: Path) -> Path:
+    """Return the path of the journal, in a hidden folder; the journal of an earlier version is moved there."""
+    path, former = make_internal_folder(stem.parent) / f"{stem.name}.jsonl", stem.with_name(f"{stem.name}.jsonl")
+    if former.is_file() and not path.exists():
+        with suppress(OSError):  # its studies are then run again
+            former.replace(path)
+    return path
 
 
 @dataclass

@@ -42,6 +42,8 @@ class Budget:
         All sources of error.
     noise_reduction
         By factor of noise reduction: the factors on the frame and the mean error from noise and filter.
+    filmed
+        Whether the positions come from a film; those of a table have no pixels.
 
     """
 
@@ -49,6 +51,7 @@ class Budget:
     force_N: float
     rows: tuple[Contribution, ...]
     noise_reduction: dict[float, tuple[float, float]] = field(default_factory=dict)
+    filmed: bool = True
 
     @property
     def frame_N(self) -> float:
@@ -134,7 +137,7 @@ def _how_to_halve(budget: Budget) -> str:
         return f"to halve the error of the mean: {' or '.join(steps)}"
     first, second, *_ = sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0))
     if not second.mean_N:
-        return f"even {max(budget.noise_reduction):.0f} times the pixels per mm would not halve the error of the mean"
+        return f"even {_finer(budget, max(budget.noise_reduction))} would not halve the error of the mean"
     return (
         "no single step would halve the error of the mean: "
         f"{_source_text(first.source)} and {_source_text(second.source)} both count"
@@ -150,19 +153,25 @@ def _halving_steps(budget: Budget) -> Iterator[str]:
             yield IMPROVEMENTS[row.source](row, row.mean_N / float(np.sqrt(half**2 - others**2)))
     for times in sorted(budget.noise_reduction):
         if times > NOISE_FACTOR_TWICE_FRAMES and _errors_after(budget, times)[1] <= half:
-            yield f"{times:.0f} times the pixels per mm"
+            yield _finer(budget, times)
             return
 
 
+def _finer(budget: Budget, times: float) -> str:
+    """Name the step that lowers the noise by a factor: more pixels in a film, more precise positions in a table."""
+    if budget.filmed:
+        return f"{times:.0f} times the pixels per mm" if times != 2.0 else "twice the pixels per mm"
+    return f"positions {times:.0f} times as precise" if times != 2.0 else "positions twice as precise"
+
+
 def _effect_of_better_camera(budget: Budget) -> str:
-    """Say what twice the frame rate, and twice the pixels per mm, would do."""
-    steps = (
-        ("twice the frame rate (at the same noise per frame)", NOISE_FACTOR_TWICE_FRAMES),
-        ("twice the pixels per mm", 2.0),
-    )
+    """Say what twice the frame rate, and noise of half the size, would do."""
+    rate = "frame rate (at the same noise per frame)" if budget.filmed else "sampling rate (at the same noise per row)"
+    steps = ((f"twice the {rate}", NOISE_FACTOR_TWICE_FRAMES), (_finer(budget, 2.0), 2.0))
     after = {what: _errors_after(budget, times) for what, times in steps}
     if all(_is_no_help(budget, errors) for errors in after.values()):
-        return "neither a higher frame rate nor more pixels per mm would help"
+        rate, finer = ("frame rate", "more pixels per mm") if budget.filmed else ("sampling rate", "less noise")
+        return f"neither a higher {rate} nor {finer} would help"
     return "; ".join(
         f"{what} would not help"
         if _is_no_help(budget, (frame, mean))

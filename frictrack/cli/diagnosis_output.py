@@ -93,7 +93,6 @@ def candidates(found: list[dict[str, Any]]) -> Table:
 
     """
     table = _table("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from")
-    table.columns[0].no_wrap = True
     for c in found:
         shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
         values = (f"{name} {_with_unit(p)}" for name, p in shared.items())

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frictrack.cli.tables import break_name
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus, format_share
 
@@ -185,7 +186,7 @@ def history(out: Console, result: dict[str, Any]) -> None:
     cells = _errors([model["errors"] for model in result["models"]])
     table = _table("model", *(ERRORS[key][1] for key in cells))
     for model, *values in zip(result["models"], *cells.values(), strict=True):
-        name = "\n  ".join([model["name"], *model.get("settings", [])])
+        name = "\n  ".join([break_name(model["name"]), *model.get("settings", [])])
         table.add_row(escape(name), *values)
     out.print(table)
 

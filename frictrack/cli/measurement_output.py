@@ -12,6 +12,7 @@ from frictrack.cli.tables import cell
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain
 
+MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
 NOT_IN_TABLE = (
     "reason",
     "smoothing",
@@ -96,15 +97,17 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    heads = ("run", "found", "σ / px", "σ / µm", "score", "peak locking / px", "backward / px", "reference / px",
-             "shake / px", "blur / px")  # fmt: skip
-    table = _table(*heads)
-    for row in result["runs"]:
-        table.add_row(*_measured(row))
+    heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
+             "blur / px")  # fmt: skip
+    rows = [_measured(row) for row in result["runs"]]
+    measured = [i for i in range(len(heads)) if any(row[i] != "-" for row in rows)]  # blur only of some films, ...
+    table = _table(*(heads[i] for i in measured))
+    for row in rows:
+        table.add_row(*(row[i] for i in measured))
     out.print(table)
     out.print(
-        "σ: standard deviation per frame; backward: rms difference to tracking from the last frame; reference: noise "
-        "of the fixed reference",
+        "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
+        "fixed: noise of the fixed reference",
         style="dim",
     )
     for row in result["runs"]:
@@ -115,19 +118,25 @@ def track(out: Console, result: dict[str, Any]) -> None:
 
 def _measured(row: dict[str, Any]) -> tuple[str, ...]:
     """Return the cells of one film."""
-    locking = (row["peak_locking_px"], row["peak_locking_std_px"])
     shaking = "none" if row["shake_px"] == 0 else format_plain(row["shake_px"], 2)
     return (
         escape(row["run"]),
-        f"{row['found']} of {row['frames']}",
-        *(format_plain(row[key], 3) for key in ("sigma_px", "sigma_um")),
+        f"{row['found']}/{row['frames']}",
+        *(format_plain(row[key], 2) for key in ("sigma_px", "sigma_um")),
         format_plain(row["score"], 3),
-        "-" if locking[0] is None else f"{locking[0]:.1g} ± {locking[1]:.1g}",
+        _locking(row["peak_locking_px"], row["peak_locking_std_px"]),
         format_plain(row["forward_backward_px"], 2),
         format_plain(row["noise_floor_px"], 2),
         shaking,
         format_plain(row["blur_px"], 2),
     )
+
+
+def _locking(size: float | None, std: float) -> str:
+    """Format the amplitude of peak locking; "none" if it is not significant."""
+    if size is None:
+        return "-"
+    return f"{size:.1g} ± {std:.1g}" if size > MIN_SIGMAS_LOCKING * std else "none"
 
 
 def _behind(row: dict[str, Any]) -> list[str]:

@@ -103,6 +103,7 @@ def batch(out: Console, result: dict[str, Any]) -> None:
 
     """
     table = _table("study", "runs", "verdict", "missing", "failed because")
+    table.columns[0].no_wrap = False  # a path may be longer than the terminal
     for row in result["studies"][:MAX_STUDIES]:
         table.add_row(*(cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(table)

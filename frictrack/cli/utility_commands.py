@@ -26,7 +26,7 @@ def batch(
 ) -> None:
     """Run many studies in parallel.
 
-    Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv, .html and .jsonl
+    Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv and .html
     with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
     """
     from frictrack.batch import batch as run_all  # noqa: PLC0415

@@ -1,8 +1,8 @@
 """Record every change of a study in a log, one line of JSON each; lock the study while it is being changed.
 
-The log is ``log.jsonl`` in the folder of the results. Every line holds the command and the state before and after it,
-so that a change can be undone. The number of lines is the revision of the study: a user whose page shows an older
-revision is refused instead of overwriting the change of another user.
+The log is ``.frictrack/log.jsonl`` in the folder of the results. Every line holds the command and the state before
+and after it, so that a change can be undone. The number of lines is the revision of the study: a user whose page shows
+an older revision is refused instead of overwriting the change of another user.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.errors import FrictrackError
-from frictrack.files import lock_folder
+from frictrack.files import INTERNAL_FOLDER, lock_folder
 
 FILE_NAME = "log.jsonl"
 _KEYS = {  # key of a line in the log -> field of `Change`
@@ -104,9 +104,14 @@ class CommandHistory:
 
     def __init__(self, folder: Path, author: str = "python", expected_revision: int | None = None) -> None:
         self.folder = folder
-        self.path = folder / FILE_NAME
         self.author = author
         self.expected_revision = expected_revision
+
+    @property
+    def path(self) -> Path:
+        """The log; that of earlier versions lies among the results, until the next change moves it."""
+        path, former = self.folder / INTERNAL_FOLDER / FILE_NAME, self.folder / FILE_NAME
+        return former if former.exists() and not path.exists() else path
 
     @property
     def changes(self) -> list[Change]:
@@ -190,20 +195,29 @@ class CommandHistory:
         """
         with lock_folder(self.folder):
             self.check_revision()
+            path = self._move_former_log()
             self._cut_incomplete_line()
             time = datetime.now().astimezone().isoformat(timespec="seconds")
             change = Change(self.revision + 1, time, self.author, command, arguments)
             yield change
-            with self.path.open("ab") as log:
+            with path.open("ab") as log:
                 log.write(change.to_json().encode() + b"\n")
                 log.flush()
                 os.fsync(log.fileno())
             self.expected_revision = None if self.expected_revision is None else change.revision
 
+    def _move_former_log(self) -> Path:
+        """Move the log of an earlier version to its place; return the place."""
+        path, former = self.folder / INTERNAL_FOLDER / FILE_NAME, self.folder / FILE_NAME
+        for place in (path, former):
+            if place.is_symlink():
+                raise FrictrackError(f"expected the log in {place} but it is a link to another place; remove the link")
+        if former.exists() and not path.exists():
+            former.replace(path)
+        return path
+
     def _cut_incomplete_line(self) -> None:
         """Remove what a power cut left of a line."""
-        if self.path.is_symlink():
-            raise FrictrackError(f"expected the log in {self.path} but it is a link to another place; remove the link")
         if self.path.exists() and not (text := self.path.read_bytes()).endswith(b"\n") and text:
             with self.path.open("r+b") as log:
                 log.truncate(text.rfind(b"\n") + 1)

@@ -64,7 +64,8 @@ are in SI units, pixels and grey values apart; NaN means "not measured in this f
   An unknown value or column is an empty attribute. A text above 16000 characters is a dataset.
 - The file itself has the attributes `schema` ({schema}), `version` (of frictrack, last to write) and `sha256`.
 - A file is never changed in place. The new file replaces it in one step: a reader keeps the version that it opened, and
-  opens the file again to see the new one. Reading needs no lock; frictrack locks the folder (`.lock`) to write.
+  opens the file again to see the new one. Reading needs no lock; frictrack locks the folder
+  (`.frictrack/lock`) to write.
 
 ## Checksums
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.files import is_busy
-from frictrack.flow.command_history import FILE_NAME, CommandHistory
+from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
 from frictrack.flow.stages import FILM, TABLE, run_pipeline
 from frictrack.flow.summaries import Verification
@@ -236,14 +236,14 @@ def _history_has_models(folder: Path) -> bool:
 
 def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
     """Check what lies beside the HDF5 files: the log, the report, and leftovers of writers that were killed."""
+    changes = CommandHistory(folder)
     try:
-        changes = CommandHistory(folder)
         changes.undo_stacks()
         if changes.path.exists() and (text := changes.path.read_bytes()) and not text.endswith(b"\n"):
             yield Fault(changes.path, "", "its last line is half-written", "the next change cuts it off", "leftover")
     except (FrictrackError, IndexError, AttributeError) as e:
-        words, _, _ = str(e).removeprefix(f"{folder / FILE_NAME} ").partition("; ")
-        yield Fault(folder / FILE_NAME, "", words, "move it away; the models tried are not in it")
+        words, _, _ = str(e).removeprefix(f"{changes.path} ").partition("; ")
+        yield Fault(changes.path, "", words, "move it away; the models tried are not in it")
     study = folder / "study.h5"
     if _history_has_models(folder) and not study.exists():
         yield Fault(

@@ -1,5 +1,7 @@
 """Start, list and cancel long jobs. Each runs in a process of its own and reports through files.
 
+The files lie in the hidden folder of the results:
+
 jobs/0007/spec.json       the command, its arguments, and who started it
 jobs/0007/progress.jsonl  progress, one line per step
 jobs/0007/alive           locked by the process while it runs
@@ -22,7 +24,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
-from frictrack.files import lock_folder, make_subfolder, replace_text
+from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
 from frictrack.study import Study
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
@@ -143,7 +145,7 @@ def start(
 
     """
     with lock_folder(study.output):
-        folder = make_subfolder(study.output, "jobs")
+        folder = make_subfolder(make_internal_folder(study.output), "jobs")
         earlier = list_jobs(study)
         busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:
@@ -187,7 +189,8 @@ def list_jobs(study: Study) -> list[Job]:
         The jobs, oldest first.
 
     """
-    folders = (one for one in sorted((study.output / "jobs").glob("[0-9]*")) if one.name.isdecimal())
+    homes = (study.output / "jobs", study.output / INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
+    folders = (one for home in homes for one in sorted(home.glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 
 

@@ -78,7 +78,7 @@ class PageState(param.Parameterized):
     def _fingerprint(self) -> object:
         """Names, times and sizes of the files from which the page is made."""
         folder = self.study.output if self.study else self.path.parent
-        files = [self.path, *sorted(folder.glob("*.h5")), folder / "log.jsonl"]
+        files = [self.path, *sorted(folder.glob("*.h5")), CommandHistory(folder).path]
         return [(str(f), s.st_mtime_ns, s.st_size) for f in files if f.exists() for s in (f.stat(),)]
 
     @property

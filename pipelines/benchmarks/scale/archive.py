@@ -29,7 +29,9 @@ def measure(say: Say) -> dict[str, Any]:
         folder = Path(name)
         line = _one(folder / "one")
         for n in STUDIES:
-            (folder / f"{n}.jsonl").write_text("".join(_copies(folder / "one", folder / str(n), n, line)))
+            (folder / ".frictrack").mkdir(exist_ok=True)
+            lines = "".join(_copies(folder / "one", folder / str(n), n, line))
+            (folder / ".frictrack" / f"{n}.jsonl").write_text(lines)
             start = time.perf_counter()
             _frictrack("batch", folder / str(n), "-o", folder / str(n))
             took = time.perf_counter() - start
@@ -57,7 +59,7 @@ def _one(folder: Path) -> str:
         text += f'[[run]]\ntable = "r{i}.csv"\n'
     (folder / "study.toml").write_text(text)
     _frictrack("batch", folder, "-o", folder.with_name("begun"))
-    return folder.with_name("begun.jsonl").read_text().splitlines()[-1]
+    return (folder.parent / ".frictrack" / "begun.jsonl").read_text().splitlines()[-1]
 
 
 def _copies(one: Path, folder: Path, n: int, line: str) -> list[str]:
