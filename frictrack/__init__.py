@@ -22,7 +22,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from frictrack import effects, models, search, simulate
+    from frictrack import effects, models, samples, search, simulate
     from frictrack.budget import budget
     from frictrack.calibration import calibrate, plane_map
     from frictrack.compare import compare, history
@@ -66,7 +66,7 @@ _MODULE_OF = {
     "FrictrackError": "errors",
     "__version__": "version",
 }
-_MODULES = ("models", "effects", "search", "simulate")
+_MODULES = ("models", "effects", "samples", "search", "simulate")
 
 __all__ = [
     "FrictrackError",
@@ -95,6 +95,7 @@ __all__ = [
     "open_recording",
     "plane_map",
     "profile",
+    "samples",
     "search",
     "simulate",
     "track",

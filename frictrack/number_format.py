@@ -164,6 +164,8 @@ def format_concise(value: float, std: float | None) -> str:
     --------
     >>> format_concise(8.0123, 0.021), format_concise(-0.5, 0.013), format_concise(0.25, None)
     ('8.01(2)', '(-0.500(13))', '0.25')
+    >>> format_concise(0.65, 2.8)
+    '0.7(2.8)'
 
     """
     if not std or not math.isfinite(std):
@@ -172,6 +174,8 @@ def format_concise(value: float, std: float | None) -> str:
     shift = _exponent_outside(max(abs(value), std), -4, 6)
     value, std = value / 10.0**shift, std / 10.0**shift
     places = _decimal_places(std)
+    if 0 < abs(value) < std:  # a value below its deviation keeps a digit: 0.7(2.8), not 1(3)
+        places = min(_decimal_places(abs(value)), places + 2)
     last_digits = f"{std:.{places}f}" if std >= 1 else f"{std * 10.0**places:.0f}"
     text = f"{value:.{places}f}({last_digits})" + (f"e{shift}" if shift else "")
     return f"({text})" if value < 0 else text

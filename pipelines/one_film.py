@@ -13,12 +13,12 @@ from pathlib import Path
 import frictrack as ft
 from frictrack.units import parse_quantity
 
-SAMPLES = Path(__file__).resolve().parents[1] / "sample_videos"
+SAMPLES = ft.samples.films_folder()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("films", nargs="*", type=Path, default=[SAMPLES / "fast.avi", SAMPLES / "to_a_stop.avi"])
+    parser.add_argument("films", nargs="*", type=Path, default=[SAMPLES / "fast.avi", SAMPLES / "slow.avi"])
     parser.add_argument("--mass", default="0.35 kg")
     parser.add_argument("--scale", default="0.5 mm/px")
     parser.add_argument("--fps", type=float, default=4000.0)
@@ -32,7 +32,7 @@ def main() -> None:
         displacement = ft.calibrate(ft.aligned(tracks[-1], tracks[0]), scale=args.scale)
         motion = ft.differentiate(ft.low_pass(displacement))
         runs.append(ft.Run(displacement, motion, mass=mass, sigma_mass=sigma_mass, name=film.stem))
-        print(f"{film.name}: {len(displacement)} frames, v from {motion.v.max():.2f} to {motion.v.min():.2f} m/s")
+        print(f"{film.name}: {len(displacement)} frames, at most {motion.v.max():.2f} m/s")
 
     fit = ft.fit(args.model, runs)
     print(fit.equation)

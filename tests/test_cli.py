@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ import tifffile
 from film import block_film
 from rich.console import Console
 
+from frictrack import samples
 from frictrack.cli import fit_output, main, measurement_output
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, film_stages
@@ -309,9 +309,8 @@ def test_the_demo_tells_the_whole_story(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sample study and the diagnosis stand in; adding, history and the words are real."""
-    scene = ModuleType("frictrack.simulate.scene")
 
-    def sample_study(folder: Path) -> None:
+    def copy_films(folder: Path) -> None:
         shutil.copytree(here, folder, ignore=shutil.ignore_patterns("frictrack_demo"))
 
     def diagnose(session: Session, seed: int = 0) -> dict[str, Any]:
@@ -322,8 +321,7 @@ def test_the_demo_tells_the_whole_story(
     def report(session: Session, seed: int) -> Path:
         return session.study.output / "report.html"
 
-    vars(scene)["sample_study"] = sample_study
-    monkeypatch.setitem(sys.modules, scene.__name__, scene)
+    monkeypatch.setattr(samples, "copy_films", copy_films)
     monkeypatch.setattr(Session, "diagnose", diagnose)
     monkeypatch.setattr(Session, "report", report)
     result = answer(capsys, "demo")

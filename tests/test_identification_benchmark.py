@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from frictrack import samples
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
 from identification import SCENES, Plan, accuracy, laws, machine_fit, screen
@@ -19,7 +21,7 @@ from identification.optima import ours
 from identification.optima.problems import MAX_SSE_RATIO, case
 from identification.scenes import films
 
-EMPS = Path(__file__).parent / "data" / "emps_200Hz.csv"
+EMPS = samples.DATA / "emps_200Hz.csv"
 MASS, RATE = 0.35, 4000.0
 
 

@@ -119,7 +119,7 @@ def test_notebook_says_which_command_is_missing(tmp_path: Path, monkeypatch: pyt
 
 PAPERS = {"first_paper": (14, "MGA needs fewer iterations than GA"), "second_paper": (2, "the sine filter improves")}
 STORIES = {
-    "ten_minutes": (5, "verdict on Tustin + texture: complete"),
+    "ten_minutes": (5, "verdict on Tustin + patch: complete"),
     "real_data": (1, "missing: presliding"),
     "own_effect": (3, "verdict on Coulomb + viscous + magnet: complete"),
 }
@@ -171,4 +171,4 @@ def test_a_notebook_runs(name: str, figures: int, claim: str, tmp_path: Path):
 def test_the_demo_is_kept_with_its_outputs():
     outputs = outputs_of(kept(NOTEBOOK))
     assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= 8
-    assert any("verdict on Tustin + texture: complete" in o.get("text", "") for o in outputs)
+    assert any("verdict on Tustin + patch: complete" in o.get("text", "") for o in outputs)

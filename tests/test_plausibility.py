@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from frictrack import samples
 from frictrack.blind.study_files import write_study
 from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
@@ -463,7 +464,7 @@ def test_a_measured_drive_tells_the_mass():
 
 def test_the_drive_of_a_real_carriage_tells_its_published_mass():
     """EMPS, 95.1 kg (Janot, Gautier, Brunot 2019)."""
-    q, drive = np.loadtxt(Path(__file__).parent / "data" / "emps_200Hz.csv", delimiter=",").T
+    q, drive = np.loadtxt(samples.DATA / "emps_200Hz.csv", delimiter=",").T
     q, drive = q[:1200], drive[:1200]  # six seconds
     t = np.arange(len(q)) / 200.0
     right = run_of(t, q, noise=1e-6, drive=drive, mass=95.1)

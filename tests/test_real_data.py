@@ -1,16 +1,14 @@
 """Measurements made by others: what a diagnosis names in them.
 
-The tribometer's strokes stand in tests/data/tribometer (MIT, see there); the EMPS extract with its citation in
-tests/data (Janot, Gautier, Brunot 2019).
+The strokes of a tribometer and the EMPS extract stand in frictrack/samples/data, with licence and citation.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from frictrack import samples
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.fit.measured_friction import weight_by_noise
@@ -18,14 +16,13 @@ from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table
 
-DATA = Path(__file__).parent / "data"
 COLUMNS = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
 RATE = 200.0  # Hz, of the EMPS extract
 
 
 @pytest.fixture(scope="module")
 def strokes():
-    table = read_table(DATA / "tribometer" / "strokes.txt", COLUMNS)
+    table = read_table(samples.DATA / "tribometer" / "strokes.txt", COLUMNS)
     nan = np.full(len(table.t), np.nan)
     seen = Displacement(table.t, table.x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
     motion = differentiate(low_pass(seen, method="kalman"))
@@ -68,7 +65,7 @@ def test_white_noise_of_a_cell_stays_what_its_differences_say():
 @pytest.fixture(scope="module")
 def carriage():
     """Six seconds of the EMPS at 200 Hz, driven to and fro."""
-    q, drive = np.loadtxt(DATA / "emps_200Hz.csv", delimiter=",").T
+    q, drive = np.loadtxt(samples.DATA / "emps_200Hz.csv", delimiter=",").T
     n = int(6 * RATE)
     t, nan = np.arange(n) / RATE, np.full(n, np.nan)
     seen = Displacement(t, q[:n], nan, nan, nan, nan, np.ones(n, bool))

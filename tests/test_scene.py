@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 import tifffile
 
 import frictrack as ft
+from frictrack import samples
 from frictrack.errors import FrictrackError
 from frictrack.simulate.scene import film_scene, read_scene, render_scene
 
@@ -157,3 +159,22 @@ def test_a_wrong_parameter_or_missing_file_is_told(tmp_path):
         film_scene(read_scene(SCENE.replace("F_c", "F_x")), tmp_path)
     with pytest.raises(FrictrackError, match="expected a scene file but found none"):
         render_scene(tmp_path / "none.toml", tmp_path)
+
+
+def test_the_sample_films_are_those_of_their_scene(tmp_path):
+    render_scene(samples.films_folder() / "scene.toml", tmp_path)
+    truth, stored = (json.loads((folder / "truth.json").read_text()) for folder in (tmp_path, samples.films_folder()))
+    assert truth["law"] == stored["law"]
+    for made, run in zip(truth["runs"], stored["runs"], strict=True):
+        np.testing.assert_allclose(made["x_m"], run["x_m"], rtol=0, atol=1e-9)
+    for run in truth["runs"]:
+        films = [ft.open_recording(folder / f"{run['name']}.avi") for folder in (tmp_path, samples.films_folder())]
+        for made, stored_frame in zip(*(islice(film.frames(), 5) for film in films), strict=True):
+            assert np.abs(made - stored_frame).mean() < 0.5  # grey levels; JPEG coders differ in the last bit
+
+
+def test_the_copied_samples_are_a_study(tmp_path):
+    study = samples.copy_films(tmp_path / "films")
+    assert sorted(path.name for path in study.parent.iterdir()) == [
+        *("double_mass.avi", "fast.avi", "slow.avi", "study.toml", "to_a_stop.avi", "truth.json")
+    ]

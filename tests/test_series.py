@@ -1,7 +1,7 @@
 """Runs whose friction a load cell measured: through the whole loop without a mass, against truths made elsewhere.
 
 Motions and forces are closed forms or brute force; the tribometer's strokes are a measurement of others (see
-tests/data/tribometer). N = 5 N there, gross slip at a friction coefficient near 0.47, and a slope of 40 to 48 N/mm
+frictrack/samples/data). N = 5 N there, gross slip at a friction coefficient near 0.47, and a slope of 40 to 48 N/mm
 after every reversal.
 """
 
@@ -10,12 +10,11 @@ import re
 import shutil
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from frictrack import effects, export, models, plots, report
+from frictrack import effects, export, models, plots, report, samples
 from frictrack.compare import compare
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
@@ -26,7 +25,7 @@ from frictrack.records import Displacement, Motion, Run
 from frictrack.results import to_builtins
 from frictrack.study import read_table
 
-DATA = Path(__file__).parent / "data" / "tribometer"
+DATA = samples.DATA / "tribometer"
 COLUMNS = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
 LAW = {"coulomb.F_c": 8.0, "stribeck.F_s": 11.0, "stribeck.v_s": 0.05, "viscous.F_v": 2.0}
 FPS = 1000.0

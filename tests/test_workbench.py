@@ -80,37 +80,36 @@ def tables(study_file: Path) -> Iterator[Server]:
 def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     page = tab().open(bench)
     for film in sorted(SAMPLES.glob("*.avi")):
-        if film.stem in ("fast", "to_a_stop"):  # enough to name what is missing, and that nothing else is
-            page.page.get_by_label(film.name).check()
+        page.page.get_by_label(film.name).check()
     for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm/px"}.items():
         page.page.get_by_label(label).fill(value)
     page.picture("1_films")
     page.click("Add to the study").hears("study.toml is written")
-    page.sees("frame 0 of 150")
+    page.sees("frame 0 of 200")
     page.click("Run everything").hears("run: done")
     page.sees(re.compile(r"Tustin: reduced chi-squared .*missing"))
     page.picture("2_measured")
     for title in ("2 Motion", "3 Model", "4 Compare"):
         page.to(title).page.wait_for_timeout(700)
         page.picture(title.replace(" ", "_"))
-    page.to("5 What is missing?").sees("An effect is missing: texture")
-    page.click("Try texture").hears("attempt texture: done")
+    page.to("5 What is missing?").sees("An effect is missing: patch")
+    page.click("Try patch").hears("attempt patch: done")
     page.until(lambda: min(page.ink(GHOST, layer=0), default=0) > 50)
     page.picture("5_tried")
-    page.click("Add texture").hears("add texture: done")
+    page.click("Add patch").hears("add patch: done")
     page.click("Find what is missing").hears("diagnose: done")
     page.sees("Complete: no further effect is detectable in these runs")
     page.sees(re.compile("Held-out error falls from"))
     page.picture("6_added")
-    page.to("6 History and report").sees("Tustin + texture (current)")
+    page.to("6 History and report").sees("Tustin + patch (current)")
     page.click("Undo").hears("undo: done")
     page.sees("Tustin (current)")
     page.click("Redo").hears("redo: done")
-    page.sees("Tustin + texture (current)")
+    page.sees("Tustin + patch (current)")
     page.click("Write the report").hears("report: done")
     with page.page.expect_download() as got:
         page.page.get_by_text("Report (HTML)", exact=True).click()
-    assert "texture" in Path(got.value.path()).read_text(encoding="utf-8")
+    assert "patch" in Path(got.value.path()).read_text(encoding="utf-8")
     with page.page.expect_download(timeout=SLOW) as got:
         page.page.get_by_text("Report (PDF)", exact=True).click()
     assert Path(got.value.path()).read_bytes().startswith(b"%PDF-")
@@ -144,7 +143,7 @@ def test_plots_answer_the_keyboard(bench: Server, tab: Open) -> None:
 
 def test_a_target_is_drawn_on_the_film_and_taken_back(bench: Server, tab: Open) -> None:
     page = tab().open(bench)
-    page.sees("frame 0 of 150")
+    page.sees("frame 0 of 200")
     before = bench.study.joinpath("study.toml").read_text(encoding="utf-8")
     page.click("target")
     canvas = page.page.locator(".ft-frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from frictrack import samples
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
@@ -13,7 +14,7 @@ MAX_EFFECTS_ADDED = 4  # effects that may be added before the demo gives up
 
 
 def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoSummary:
-    """Run the sample study in a folder; the study is written there if it is missing.
+    """Run the sample study in a folder; the films are copied there if it has no study.
 
     The best candidate is added until the diagnosis finds nothing more.
 
@@ -34,9 +35,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoS
     """
     path = folder / "study.toml"
     if not path.exists():
-        from frictrack.simulate.scene import sample_study  # noqa: PLC0415
-
-        sample_study(folder)
+        samples.copy_films(folder)
     session = Session(open_study(path), progress)
     session.restart()
     first = found = session.diagnose(seed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +53,6 @@ def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | N
     film_scene(scene, out, seed=seed, progress=progress)
 
 
-def sample_study(folder: Path, progress: Progress | None = None) -> None:
-    """Render the sample study, four short films with a hidden effect, into `folder`."""
-    text = resources.files("frictrack.simulate.scene").joinpath("sample.toml").read_text(encoding="utf-8")
-    film_scene(read_scene(text), folder, progress=progress)
-
-
 def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
     """Simulate, render and write every run of a scene.
 
@@ -86,15 +79,16 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
         if progress:
             progress(i, len(scene.runs), f"rendering {run['name']}")
         level = float(run.get("level", 1 + scene.scatter * rng.standard_normal()))
+        mass = float(run.get("mass", scene.mass))
         camera = _camera(scene, run)
         motion = true_trajectory(scene, run, camera, level)
         film = f"{run['name']}.{scene.format}"
         write_film(_render_frames(scene, run, camera, motion, rng), folder / film, camera.fps)
         if _is_driven(scene, run):
-            drive = push_force(float(run.get("mass", scene.mass)), float(run["v"]), float(run["push"]))(motion.t)
+            drive = push_force(mass, float(run["v"]), float(run["push"]))(motion.t)
             table = np.column_stack([motion.t, drive])
             np.savetxt(folder / f"{run['name']}_drive.csv", table, "%.9g", ",", header="t_s,drive_N", comments="")
-        about = {"name": run["name"], "level": level, "v": run["v"], "camera": asdict(camera)}
+        about = {"name": run["name"], "mass": mass, "level": level, "v": run["v"], "camera": asdict(camera)}
         truth["runs"].append(about | {"x_m": motion.x.tolist()})
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
