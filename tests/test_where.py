@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
-from frictrack import effects, models, plots
-from frictrack.compare import failing_spans
+from frictrack import effects, models, plots, samples
+from frictrack.compare import WaveScan, deconvolve_force, failing_spans
 from frictrack.compare.bump_dictionary import _bumps_in_time
-from frictrack.compare.deconvolve import deconvolve_force
 from frictrack.compare.global_significance import GlobalSignificance, curve_length
 from frictrack.compare.local_forces import bump_columns, find_local_forces, start_search
+from frictrack.diagnose.repeatability import find_failure_pattern
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
 from frictrack.fit import fit
@@ -28,6 +28,12 @@ PATCH = {"F": 2.0, "x_c": 0.2, "w": 0.008}
 BLOW = {"J": 0.02, "width": 4e-4}
 FOUR = (Spec(3.6, 1, 0.11), Spec(4.4, 2, 0.1), Spec(5.0, 1, 0.09), Spec(-5.6, 1, 0.12))
 MOMENTS = (0.031, 0.062, 0.045, 0.052)  # s, of a blow in each run
+
+
+def deconvolved(solution):
+    """The force that a fit lacks, and the strongest line."""
+    found = find_local_forces(solution)
+    return deconvolve_force(found, WaveScan(found.law.solution))
 
 
 def lacking(effect, values, specs=FOUR, sigma=5e-6, seed=1):
@@ -151,7 +157,7 @@ def test_nothing_is_named_where_nothing_is_missing():
 
 def test_the_missing_force_lies_within_its_band(patched):
     runs, solution = patched
-    pieces, _ = deconvolve_force(solution)
+    pieces, _ = deconvolved(solution)
     z, size = [], []
     for p in pieces:
         true = np.sign(p.v) * PATCH["F"] * (runs[p.run].mass / MASS) * np.exp(
@@ -165,7 +171,7 @@ def test_the_missing_force_lies_within_its_band(patched):
 def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
     texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
     runs = lacking("texture", texture, sigma=2e-6)
-    pieces, _ = deconvolve_force(fit(LAW, runs).solution)
+    pieces, _ = deconvolved(fit(LAW, runs).solution)
     z = []
     for p in pieces:
         wave = texture["amplitude"] * np.sin(2 * np.pi * p.x / texture["period"] + texture["phase"])
@@ -176,7 +182,7 @@ def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
 def test_the_missing_force_of_a_line_is_told_with_its_phase():
     vibration = {"amplitude": 1.0, "frequency": 61.3, "phase": 0.7}
     solution = fit(LAW, lacking("vibration", vibration)).solution
-    pieces, line = deconvolve_force(solution)
+    pieces, line = deconvolved(solution)
     assert line.frequency == pytest.approx(61.3, abs=1.5)
     assert line.p < 1e-6
     size = np.sqrt(2 * np.mean(np.concatenate([p.F for p in pieces]) ** 2))
@@ -288,7 +294,7 @@ def test_the_common_curve_is_the_mean_of_runs_and_its_band_knows_their_scatter()
 
 def test_every_span_is_marked_in_its_runs_colour(patched):
     runs, solution = patched
-    pieces, line = deconvolve_force(solution)
+    pieces, line = deconvolved(solution)
     spans = failing_spans(solution, runs)
     looks = style.run_styles(runs)
     found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
@@ -308,3 +314,20 @@ def test_a_piece_of_a_few_frames_has_one_look():
     shortest = min(solution.responses, key=lambda r: len(r.piece.t))
     assert len(_bumps_in_time(1, shortest)) >= 1
     assert find_local_forces(solution).bumps == []
+
+
+def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
+    """Without the patch the fit gives one run a twentieth of its friction; a place then seems to act in few runs."""
+    solution = fit("tustin", samples.runs()).solution
+    levels = [
+        value for slot, value in zip(solution.problem.layout.slots, solution.p, strict=True) if slot.run is not None
+    ]
+    assert min(levels) < 0.5
+    found = find_local_forces(solution)
+    (patch,) = found.bumps
+    assert found.complete
+    assert patch.at_place
+    assert (patch.size, patch.centre, patch.width) == pytest.approx((0.4, 0.1, 0.008), rel=0.1)
+    repeats = find_failure_pattern(solution, np.random.default_rng(0)).repeats
+    assert repeats.best.axis == "x"
+    assert "repeats at the same place in 3 of 4 runs" in repeats.words

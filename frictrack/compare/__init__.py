@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from frictrack.compare.bump_dictionary import course_ends
 from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
 from frictrack.compare.force_traces import ForceTraces, WaveScan, WaveTraces, pair_products
+from frictrack.compare.local_forces import LocalForces, find_local_forces
 from frictrack.compare.spans import failing_spans
 from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
@@ -22,6 +23,7 @@ __all__ = [
     "Comparison",
     "DeconvolvedForce",
     "ForceTraces",
+    "LocalForces",
     "SpectralLine",
     "WaveScan",
     "WaveTraces",
@@ -29,6 +31,7 @@ __all__ = [
     "course_ends",
     "deconvolve_force",
     "failing_spans",
+    "find_local_forces",
     "history",
     "pair_products",
 ]

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.compare.force_traces import ForceTraces, WaveScan
-from frictrack.compare.local_forces import ALPHA, bump_forces, find_local_forces
+from frictrack.compare.local_forces import ALPHA, LocalForces, bump_forces
 from frictrack.compare.spectral_lines import SpectralLine, line_at, strongest_line, strongest_spatial_wave
 from frictrack.fit.least_squares import (
     ModelProjection,
@@ -114,17 +114,15 @@ class _Process:
         return variances_of_parts, normal_matrix, np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64), right_side
 
 
-def deconvolve_force(
-    solution: Solution, waves: WaveScan | None = None
-) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
+def deconvolve_force(found: LocalForces, waves: WaveScan) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
     """Deconvolve the force that a fitted model lacks.
 
     Parameters
     ----------
-    solution
-        The fit.
+    found
+        The local forces in the residual of the fit.
     waves
-        Traces of the waves that are scanned for, if they were computed before.
+        Traces of the waves that are scanned for, along the motion of `found`.
 
     Returns
     -------
@@ -134,10 +132,7 @@ def deconvolve_force(
         The sinusoid that defines the phase: the model's own vibration, else the strongest in the residual.
 
     """
-    found = find_local_forces(solution)
-    known_frequency = _vibration(solution)
-    if waves is None or found.law.solution is not waves.solution:  # refitted beside the local forces
-        waves = WaveScan(found.law.solution)
+    known_frequency = _vibration(found.law.solution)
     line = strongest_line(found.law, waves.in_time) if known_frequency is None else line_at(found.law, known_frequency)
     explained = float(found.law.r @ found.law.r - found.residual.r @ found.residual.r)
     wave = strongest_spatial_wave(found.law, waves.in_place)

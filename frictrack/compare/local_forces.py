@@ -44,6 +44,7 @@ ALPHA = 0.01  # significance level of the whole search
 MAX_ROUNDS = 4  # of adding bumps
 MIN_REDUCED_CHI2_REFITTED = 1.5  # above it the model is refitted beside the bumps
 MAX_REFITS, MAX_REFIT_STEPS = 2, 6
+MIN_LEVEL_SCATTER = 1e-3  # relative, of the friction level from run to run
 MIN_SHARE_PER_BUMP = 0.02  # of the chi-squared that all bumps explain
 MIN_CHI2_GAIN_PLACE = 10.0  # by which one place must gain more than a bump in time of one run
 MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a shorter one
@@ -59,7 +60,8 @@ class LocalForces:
     bumps
         Bumps found so far.
     law
-        The model's residual and directions, without the bumps.
+        The model's residual and directions, without the bumps. Its `solution` is the fit, or the model refitted beside
+        the bumps with their trace put back into its residual.
     residual
         The same with the bumps.
     nodes
@@ -122,6 +124,8 @@ def find_local_forces(solution: Solution) -> LocalForces:
     """Find the local forces in the residual of a fit.
 
     A model with a large misfit is far from its linearisation: it is refitted once or twice beside the forces found.
+    Its friction levels absorb misfit too (a run may seem to have a tenth of the friction); therefore the search starts
+    where all runs have one level, and their scatter is estimated anew beside the forces.
 
     Parameters
     ----------
@@ -134,13 +138,29 @@ def find_local_forces(solution: Solution) -> LocalForces:
         The finished search.
 
     """
-    found = continue_search(start_search(model_projection(solution)))
+    law = model_projection(solution)
+    if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
+        return continue_search(start_search(law))
+    found = continue_search(start_search(model_projection(_at_one_level(solution))))
     for _ in range(MAX_REFITS):
-        much = float(found.law.r @ found.law.r) > MIN_REDUCED_CHI2_REFITTED * len(found.law.r)
-        if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
+        if not found.bumps or _misfit(found.law) <= MIN_REDUCED_CHI2_REFITTED:
             break
         found = continue_search(_refit(found, solution.problem))
     return found
+
+
+def _misfit(law: ModelProjection) -> float:
+    """Reduced chi-squared of the residual."""
+    return float(law.r @ law.r) / len(law.r)
+
+
+def _at_one_level(solution: Solution) -> Solution:
+    """Fit with the same friction level in all runs; the levels stay free in the linearised model."""
+    try:
+        tied = refine(solution.problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
+    except FrictrackError:  # a law so wild that its motion cannot be integrated
+        return solution
+    return replace(tied, tau=solution.tau)
 
 
 def continue_search(found: LocalForces) -> LocalForces:
@@ -164,15 +184,24 @@ def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
         pieces.append(replace(piece, known=piece.known - force / piece.mass))
     problem = bare.rebuild(bare.layout, pieces)
     try:
-        law = model_projection(
-            refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_REFIT_STEPS)
-        )
+        tied = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
+        tau = max(tied.level_scatter(), MIN_LEVEL_SCATTER)
+        refitted = refine(problem, tied.p, tied.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
-    restarted = start_search(law)
+    restarted = start_search(model_projection(refitted))
     trace = bump_columns(restarted, found.bumps, derivatives=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
-    law = replace(law, r=law.r + trace - law.u @ (law.u.T @ trace))
+    law = model_projection(_with_trace(refitted, trace))
     return _prune(_fit_bumps(replace(restarted, law=law, residual=law, bumps=found.bumps)))
+
+
+def _with_trace(solution: Solution, trace: Array) -> Solution:
+    """Add a trace (N + m,) to the residual of a solution."""
+    ends = np.cumsum([len(r.r) for r in solution.responses])
+    parts = np.split(trace[: ends[-1]], ends[:-1])
+    return replace(
+        solution, responses=[replace(r, r=r.r + part) for r, part in zip(solution.responses, parts, strict=True)]
+    )
 
 
 def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.compare import DeconvolvedForce, SpectralLine, WaveScan, deconvolve_force
+from frictrack.compare import DeconvolvedForce, LocalForces, SpectralLine, WaveScan, deconvolve_force, find_local_forces
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
@@ -26,35 +26,41 @@ class FailurePattern:
 
     Parameters
     ----------
-    solution
-        The fit, with the frames that are compared.
+    local
+        The local forces in the residual of the fit. A fit with a large misfit is far from its linearisation; what runs
+        have in common is sought beside the model refitted together with these forces.
     rng
         Random generator.
 
     """
 
-    solution: Solution
+    local: LocalForces
     rng: np.random.Generator
 
     @cached_property
     def repeats(self) -> Repeatability:
         """Whether the misfit repeats from run to run, and over which axis."""
-        return assess_repeatability(self.solution, self.rng, waves=self._waves, forces=self.forces)
+        return assess_repeatability(self._solution, self.rng, waves=self._waves, forces=self.forces)
 
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
         """Curves of the missing force; see `residual_figures`."""
-        return residual_figures(*deconvolve_force(self.solution, self._waves))
+        return residual_figures(*deconvolve_force(self.local, self._waves))
 
     @cached_property
     def forces(self) -> ResidualForces:
         """Smooth forces in the residual."""
-        return ResidualForces(self.solution)
+        return ResidualForces(self._solution)
+
+    @property
+    def _solution(self) -> Solution:
+        """The model linearised beside the local forces, with their trace in its residual."""
+        return self.local.law.solution
 
     @cached_property
     def _waves(self) -> WaveScan:
         """The scan for waves, which both share."""
-        return WaveScan(self.solution)
+        return WaveScan(self._solution)
 
 
 def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
@@ -72,7 +78,7 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
     FailurePattern
 
     """
-    return FailurePattern(keep_compared_frames(solution), rng)
+    return FailurePattern(find_local_forces(keep_compared_frames(solution)), rng)
 
 
 def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:
