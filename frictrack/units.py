@@ -106,6 +106,18 @@ def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
     return float(low), float(high - low)
 
 
+def is_ordinary_unit(text: str) -> bool:
+    """Return whether a text is one of the ordinary units, which need no pint to convert.
+
+    Examples
+    --------
+    >>> is_ordinary_unit("mm"), is_ordinary_unit("time")
+    (True, False)
+
+    """
+    return _ordinary_unit(text) is not None
+
+
 def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
     """Convert values from one unit to another; pint, which takes long to load, converts all but ordinary units."""
     given, wanted = _ordinary_unit(source), _ordinary_unit(target)

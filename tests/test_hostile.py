@@ -28,7 +28,7 @@ from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import GroupContent
 from frictrack.store.file_header import HEADER_BYTES, with_header
 from frictrack.store.signatures import sign
-from frictrack.study import load, parse, read_table, reading_tables, write_study
+from frictrack.study import load, parse, read_table, table_files, write_study
 from frictrack.units import parse_quantity
 from frictrack.version import __version__
 
@@ -324,7 +324,7 @@ def numbers(row: int, first: float, second: float, column: str = "B") -> str:
 def test_a_sheet_that_claims_more_than_it_holds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sheet: str, said: str
 ) -> None:
-    monkeypatch.setattr(reading_tables, "MAX_ROWS", 5000)  # a million empty ones take six seconds
+    monkeypatch.setattr(table_files, "MAX_ROWS", 5000)  # a million empty ones take six seconds
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match=said):
         read_table(workbook(tmp_path / "t.xlsx", sheet))
@@ -357,7 +357,7 @@ def test_a_sheet_with_empty_rows_and_far_ones_is_read(tmp_path: Path) -> None:
         (b"t_s,x_m\n0,0\n1,1e999\n", "expected numbers"),
         (b"t_s,x_m\nnan,0\n1,1\n", "expected numbers"),
         (b"t_s,x_m\n0,0\n" + b"3" * 90 + b",1\n", r"expected numbers below 1e\+12"),
-        (b"t_s|x_m\n0|0\n1|1\n", 'expected a column "t_s"'),
+        (b"t_s|x_m\n0|0\n1|1\n", 'expected columns "t_s" and "x_m" but got t_s|x_m'),
         (b"t_s,x_m\n0,0,0,0\n1,1\n", "expected"),
         (b"\0" * 5000, "expected"),
         (b'"' * 5001, "expected"),

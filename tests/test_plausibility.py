@@ -202,7 +202,7 @@ def test_a_measured_force_in_another_unit_is_named(factor, unit):
     right = run_of(t, x, friction_N=force, normal_load=5.0, mass=None)
     assert implausible_slide(right, film=False) == ()
     (finding,) = implausible_slide(replace(right, friction_N=factor * force), film=False)
-    assert finding.correction == f'columns = {{friction = "F ({unit})"}}'
+    assert finding.correction == f'columns = {{friction = "friction_N ({unit})"}}'
 
 
 # --- one run: incline
@@ -641,6 +641,6 @@ def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, u
     seen = Displacement(t, np.linspace(0.0, 0.1, 400), nan, nan, np.full(400, 1e-5), nan, np.ones(400, bool))
     run = Run(seen, differentiate(low_pass(seen)), mass=1.0, name="a")
     (finding,) = implausible_clocks({"a": run}, {"a": 4000.0})
-    assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t ({unit})"}}')
+    assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t_s ({unit})"}}')
     (finding,) = implausible_clocks({"a": run, "b": run}, {"a": 4000.0, "b": 4000.0})
     assert finding.run == ""  # said once of all runs

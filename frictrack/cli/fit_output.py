@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rich.console import Console
@@ -14,6 +14,7 @@ from frictrack.cli.tables import break_name
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus, format_share
 
+MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
     "rms_N": ("friction force, rms", "F / N", 1.0),
@@ -183,12 +184,19 @@ def history(out: Console, result: dict[str, Any]) -> None:
         JSON of `frictrack history`.
 
     """
-    cells = _errors([model["errors"] for model in result["models"]])
+    whole = _models(result["models"], str)
+    fits = out.measure(whole, options=out.options.update(max_width=MAX_WIDTH)).maximum <= out.width
+    out.print(whole if fits else _models(result["models"], break_name))
+
+
+def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
+    """Return a table with one row per model; `write` formats its name."""
+    cells = _errors([model["errors"] for model in models])
     table = _table("model", *(ERRORS[key][1] for key in cells))
-    for model, *values in zip(result["models"], *cells.values(), strict=True):
-        name = "\n  ".join([break_name(model["name"]), *model.get("settings", [])])
+    for model, *values in zip(models, *cells.values(), strict=True):
+        name = "\n  ".join([write(model["name"]), *model.get("settings", [])])
         table.add_row(escape(name), *values)
-    out.print(table)
+    return table
 
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:

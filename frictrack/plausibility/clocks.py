@@ -13,9 +13,9 @@ from frictrack.records import Run
 MAX_RELATIVE_DIFFERENCE = 0.01  # of frame rates; forces are then wrong by twice as much
 MIN_OTHER_SETTING = 0.35  # relative difference between runs from which the camera setting differs
 TIME_UNITS = {
-    1e3: ("ms", "t (ms)"),
-    1e6: ("us", "t (us)"),
-    1 / 60: ("minutes", "t (min)"),
+    1e3: ("ms", "t_s (ms)"),
+    1e6: ("us", "t_s (us)"),
+    1 / 60: ("minutes", "t_s (min)"),
 }  # by stated over stamped rate
 
 
@@ -70,7 +70,7 @@ def _time_unit(ratio: float) -> tuple[str, str] | None:
 def _unit_finding(run: str, words: str, unit: tuple[str, str]) -> Finding:
     name, head = unit
     line = f'columns = {{t = "{head}"}}'
-    advice = f'the table\'s times are in {name}: head that column "{head}" and give {line}'
+    advice = f"the table's times are in {name}: give {line}"
     return Finding("fps", f"{words}; {advice}", line, run, ERROR, contradicts=True)
 
 

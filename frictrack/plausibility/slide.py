@@ -33,14 +33,14 @@ FILM_UNITS = (  # what a number of a film may have been mistyped by: length, tim
     (1.0, 1e1, "fps is ten times too large"),
 )
 TABLE_UNITS = (
-    (1e-3, 1.0, 'x_m holds mm: head that column "x (mm)" and give columns = {x = "x (mm)"}'),
-    (1.0, 1e-3, 't_s holds ms: head that column "t (ms)" and give columns = {t = "t (ms)"}'),
-    (1e-3, 1e-3, 't_s holds ms and x_m mm: head them "t (ms)", "x (mm)" and name them in columns'),
-    (1e-6, 1.0, 'x_m holds um: head that column "x (um)" and give columns = {x = "x (um)"}'),
-    (1.0, 1e-6, 't_s holds us: head that column "t (us)" and give columns = {t = "t (us)"}'),
-    (1e-2, 1.0, 'x_m holds cm: head that column "x (cm)" and give columns = {x = "x (cm)"}'),
-    (1e3, 1.0, 'x_m holds km: head that column "x (km)" and give columns = {x = "x (km)"}'),
-    (1.0, 60.0, 't_s holds minutes: head that column "t (min)" and give columns = {t = "t (min)"}'),
+    (1e-3, 1.0, 'x_m holds mm: give columns = {x = "x_m (mm)"}'),
+    (1.0, 1e-3, 't_s holds ms: give columns = {t = "t_s (ms)"}'),
+    (1e-3, 1e-3, 't_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}'),
+    (1e-6, 1.0, 'x_m holds um: give columns = {x = "x_m (um)"}'),
+    (1.0, 1e-6, 't_s holds us: give columns = {t = "t_s (us)"}'),
+    (1e-2, 1.0, 'x_m holds cm: give columns = {x = "x_m (cm)"}'),
+    (1e3, 1.0, 'x_m holds km: give columns = {x = "x_m (km)"}'),
+    (1.0, 60.0, 't_s holds minutes: give columns = {t = "t_s (min)"}'),
 )
 UNIT_STEP = 1e3  # factor of a wrong unit; no camera setting differs by as much
 FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
@@ -159,8 +159,8 @@ def _check_measured_friction(run: Run) -> Iterator[Finding]:
     if ratio in FRICTION or ratio == 0.0:
         return
     unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
-    line = f'columns = {{friction = "F ({unit})"}}' if unit else ""
-    likely = f"; probably friction_N holds {unit}: head that column so and give {line}" if unit else ""
+    line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
+    likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
     words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
     yield Finding("friction", words, line)
 

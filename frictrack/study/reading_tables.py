@@ -1,11 +1,8 @@
-"""Read tables of measurements (CSV or Excel) as columns in SI units, and check them."""
+"""Read tables of measurements as columns in SI units, and check them; `table_files` opens the files."""
 
 from __future__ import annotations
 
-import itertools
-import re
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,20 +12,19 @@ import numpy as np
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import GRAVITY, Array
 from frictrack.remote import local_path
+from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns
 from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
+from frictrack.study.table_files import TableFile, open_table
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
 
-UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
-FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number with a decimal sign
-MAX_UNPACKED_BYTES = 256 << 20  # of a workbook
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
 MAX_REPEATED_SHARE = 0.9  # of the time stamps that may repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
-MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
+MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
 NO_COLUMNS: Mapping[str, str] = {}
 
 
@@ -63,16 +59,18 @@ class TableData:
     pressure: Array | None = None
 
 
-def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
+def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS, *, pixel: float | None = None) -> TableData:
     """Read the table of a run: columns t_s and x_m, and sigma_m, y_m, drive_N, a_m_s2, friction_N if they are there.
 
     Parameters
     ----------
     path
-        A CSV or Excel file with one header line.
+        A text or Excel file with a header line, or an export of Tracker or Kinovea; see `frictrack.study.table_files`.
     columns
         Other headers by short name: ``{"t": "Time (ms)", "friction": "-F (uN)"}``. The unit stands in parentheses (SI
-        without them); a leading minus flips the sign.
+        without them), in the file or only here; a leading minus flips the sign.
+    pixel
+        Size of a pixel, m, for positions in px.
 
     Returns
     -------
@@ -85,7 +83,8 @@ def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData
         With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
 
     """
-    return TableData(**_read(_frame(path), path.name, columns, ("t", "x")))
+    table = open_table(path, _wanted(columns))
+    return TableData(**_read(table, path.name, columns or table.columns, pixel=pixel))
 
 
 def read_run_table(run: RunTable) -> TableData:
@@ -98,7 +97,10 @@ def read_run_table(run: RunTable) -> TableData:
 
     """
     assert run.table is not None
-    return read_table(local_path(run.table), run.columns)
+    pixel = (
+        None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
+    )
+    return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None)
 
 
 def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, name: str = "table") -> TableData:
@@ -114,7 +116,7 @@ def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, nam
         Name of the table in messages.
 
     """
-    return TableData(**_read(frame.copy(deep=False), name, columns, ("t", "x")))
+    return TableData(**_read(TableFile(frame.copy(deep=False)), name, columns))
 
 
 def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
@@ -123,7 +125,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
     Parameters
     ----------
     path
-        A CSV or Excel file with one header line and a column t_s.
+        A text or Excel file with a header line and a column t_s.
     wanted
         Short names of columns ("a", "friction", "drive", "pressure"), of which at least one must be there.
     columns
@@ -141,7 +143,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
     """
     known = {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)}
-    values = _read(_frame(path), path.name, columns, ("t",), known)
+    values = _read(open_table(path, _wanted(columns, known)), path.name, columns, known)
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
@@ -151,56 +153,120 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
     return TableData(**values)
 
 
+def _wanted(columns: Mapping[str, str], known: Mapping[str, tuple[str, str]] = COLUMNS) -> set[str]:
+    """Return names that only stand in a header."""
+    return {header for header, _ in known.values()} | {header.lstrip("-") for header in columns.values()}
+
+
 def _read(
-    frame: pd.DataFrame,
-    table: str,
+    table: TableFile,
+    name: str,
     columns: Mapping[str, str],
-    required: Sequence[str],
     known: Mapping[str, tuple[str, str]] = COLUMNS,
+    *,
+    pixel: float | None = None,
 ) -> dict[str, Array]:
     """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
+    frame = table.frame
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
+    required = [key for key in REQUIRED if key in known]
     faults: list[str] = []
     values: dict[str, Any] = {}
-    for name, (standard, unit) in known.items():
-        header, sign = _header(columns.get(name, standard), present)
-        if present.count(header) > 1:
+    missing = []
+    for key, (standard, unit) in known.items():
+        written, sign = _unsigned(columns.get(key, standard), present)
+        header = find_header(written, present)
+        if header is None and key in columns:
+            faults.append(f'expected a column "{written}" but got {", ".join(present)}; {suggest(written, present)}')
+        elif header is None and key in required:
+            missing.append(key)
+        elif header is not None and present.count(header) > 1:
             faults.append(f'expected one column "{header}" but got {present.count(header)}')
-        elif header in present:
-            gaps = known is not COLUMNS and name not in required
-            values[name], found = _column(frame[header], sign * _factor(header, standard, unit), gaps=gaps)
+        elif header is not None:
+            gaps = known is not COLUMNS and key not in required
+            factor = sign * _factor(written, header, standard, unit, pixel)
+            values[key], found = _column(frame[header], factor, gaps=gaps)
             faults += found
-        elif name in required or name in columns:
-            faults.append(f'expected a column "{header}" but got {", ".join(present)}; {_hint(header, present)}')
+    if missing:
+        faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
     if not faults:
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
-    raise_faults(faults, table)
+    raise_faults(faults, name)
     return values
 
 
-def _hint(header: str, present: list[str]) -> str:
-    return f'{suggest(header, present)} Map it with columns = {{t = "Time (ms)", x = "pos (mm)"}}'
+def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
+    """Say which columns are missing, which are there, and the line of the study file that names them."""
+    present = list(frame.columns)
+    wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
+    expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {', '.join(present)}"
+    proposed = propose_columns(frame, columns)
+    line = columns_line({key: header for key, header in proposed.items() if key in missing or not sensor})
+    if not proposed.keys() >= set(missing):
+        return f"{expected}; a table needs a column of times and a column of positions"
+    where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
+    bare = any(UNIT.search(proposed[key]) is None for key in missing)
+    return f"{expected}; to name them, write {where}" + (", with the units of the file in the brackets" if bare else "")
 
 
-def _header(written: str, present: list[str]) -> tuple[str, float]:
+def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS) -> dict[str, str]:
+    """Propose the headers of a table that lacks standard ones: by usual names, else the first columns of numbers.
+
+    Parameters
+    ----------
+    frame
+        The table.
+    columns
+        Headers that are known by short name.
+
+    Returns
+    -------
+    dict of str to str
+        Headers by short name; without "t" or "x" if there is no column of numbers for it.
+
+    """
+    present = [str(header) for header in frame.columns]
+    standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
+    found = guess_columns([header for header in present if header not in standard.values()]) | standard | dict(columns)
+    for key in REQUIRED:
+        others = (header for header in present if header not in found.values() and _are_numbers(frame[header]))
+        if key not in found and (header := next(others, None)) is not None:
+            found[key] = header
+    return {key: found[key] for key in COLUMNS if key in found and found[key] != COLUMNS[key][0]}
+
+
+def _are_numbers(series: pd.Series[Any]) -> bool:
+    return len(series) > 0 and bool(np.mean(np.isfinite(_numbers(series))) > MIN_NUMBERS_SHARE)
+
+
+def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
     """Return the header without its sign, and the sign."""
     if written.startswith("-") and written not in present:
         return written[1:].strip(), -1.0
     return written, 1.0
 
 
-def _factor(header: str, standard: str, unit: str) -> float:
+def _factor(written: str, header: str, standard: str, unit: str, pixel: float | None) -> float:
     """Return the size of the column's unit in SI units."""
-    named = UNIT.search(header)
-    if named and header != standard and (named[1], unit) == ("g", "m/s^2"):
+    named = UNIT.search(written) or UNIT.search(header)
+    if named is None or header == standard == written:
+        return 1.0
+    if (named[1], unit) == ("g", "m/s^2"):
         return GRAVITY
-    return parse_quantity(f"1 {named[1]}", unit, header)[0] if named and header != standard else 1.0
+    if (named[1], unit) == ("px", "m"):
+        if pixel is None:
+            raise FrictrackError(
+                f'expected the scale of "{header}" in px but got none; give scale = "0.5 mm/px" in [camera]'
+            )
+        return pixel
+    return parse_quantity(f"1 {named[1]}", unit, header)[0]
 
 
-def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
+def _numbers(series: pd.Series[Any]) -> Array:
+    """Return the numbers of a column, time codes as seconds; NaN for other texts."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     with np.errstate(over="ignore"):
@@ -208,7 +274,31 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
             numbers = pd.to_numeric(series, errors="coerce")
         except OverflowError:  # a whole number of more than 308 digits; written as text it is infinite
             numbers = pd.to_numeric(series.astype(str), errors="coerce")
-        values = factor * np.asarray(numbers, dtype=float)
+        values = np.array(numbers, dtype=float)
+    for i in np.flatnonzero(np.isnan(values) & series.notna().to_numpy()):
+        text = str(series.iloc[int(i)]).strip()
+        if ":" not in text:
+            break
+        values[i] = _seconds(text)
+    return values
+
+
+def _seconds(text: str) -> float:
+    """Return the seconds of a time code h:mm:ss:cc, mm:ss.ccc or h:mm:ss; NaN for another text."""
+    negative, text = text.startswith("-"), text.lstrip("- ")
+    parts = text.replace(",", ".").split(":")
+    if len(parts) == 4:  # the last part are hundredths or thousandths of a second
+        parts = [*parts[:2], f"{parts[2]}.{parts[3]}"]
+    try:
+        seconds = sum(float(part) * 60.0**i for i, part in enumerate(reversed(parts)))
+    except ValueError:
+        return float("nan")
+    return -seconds if negative else seconds
+
+
+def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
+    with np.errstate(over="ignore"):
+        values = factor * _numbers(series)
     bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values, []
@@ -230,84 +320,3 @@ def _time_faults(t: Array) -> list[str]:
     if (step := float(np.median(steps[steps > 0]))) < MIN_INTERVAL_S:
         return [f"expected rows {MIN_INTERVAL_S:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []
-
-
-def _frame(path: Path) -> pd.DataFrame:
-    import pandas as pd  # noqa: PLC0415
-
-    try:
-        if path.suffix.lower() in (".xlsx", ".xls"):
-            return _sheet(path)
-        return _named(pd.read_csv(path, comment="#", encoding="utf-8-sig", **_dialect(path)))
-    except ImportError as e:
-        raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
-    except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
-        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
-
-
-def _sheet(path: Path) -> pd.DataFrame:
-    """Read the first sheet of a workbook; its first row with content is the header."""
-    import openpyxl  # noqa: PLC0415 - optional
-    import pandas as pd  # noqa: PLC0415
-
-    try:
-        with zipfile.ZipFile(path) as packed:
-            unpacked = sum(part.file_size for part in packed.infolist())
-        if unpacked > MAX_UNPACKED_BYTES:
-            raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
-        with path.open("rb") as file:
-            rows = list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
-    except OSError:
-        raise
-    except Exception as e:  # damaged parts make openpyxl fail in many ways
-        raise ValueError(str(e) or type(e).__name__) from e
-    if not rows:
-        raise ValueError("no rows")
-    return pd.DataFrame(rows[1:], columns=["" if head is None else str(head) for head in rows[0]])
-
-
-def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows with content; the sheet itself may declare any number of rows."""
-    sheet.reset_dimensions()
-    for i, row in enumerate(sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True)):
-        if i == MAX_ROWS:
-            raise ValueError(f"more than {MAX_ROWS} rows")
-        if any(cell is not None for cell in row):
-            yield row
-
-
-def _named(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns under their own names; pandas takes the first fields for labels if rows have too many.
-
-    A separator at the end of every row is ignored. Raises `ValueError` if the further fields have content.
-    """
-    import pandas as pd  # noqa: PLC0415
-
-    if isinstance(frame.index, pd.RangeIndex):
-        return frame
-    names = frame.columns
-    whole = frame.reset_index()
-    filled = np.flatnonzero(whole.iloc[:, len(names) :].notna().any(axis=1))
-    if len(filled):
-        got = int(whole.iloc[int(filled[0])].notna().to_numpy().nonzero()[0][-1]) + 1
-        hint = "name every column; decimal commas need a semicolon between the columns"
-        raise ValueError(f"{len(names)} names in the header but {got} fields in row {filled[0] + 1}; {hint}")
-    return whole.iloc[:, : len(names)].set_axis(names, axis=1)
-
-
-def _dialect(path: Path) -> dict[str, Any]:
-    """Find separator and decimal sign from the first lines that show them."""
-    with path.open(encoding="utf-8-sig") as file:
-        lines = (line for line in file if line.strip() and not line.startswith("#"))
-        head = list(itertools.islice(lines, 3))
-        separator = _separator(head)
-        cells = (cell.strip() for line in itertools.chain(head[1:], lines) for cell in line.split(separator))
-        decimal = "." if separator == "," else next((sign[1] for cell in cells if (sign := FRACTION.match(cell))), ".")
-    return {"sep": separator, "decimal": decimal}
-
-
-def _separator(head: Sequence[str]) -> str:
-    """Return the character that stands equally often in the header and in the rows, and most often."""
-    counts = {sign: [line.count(sign) for line in head] for sign in "\t;,"}
-    return max(counts, key=lambda sign: (len(set(counts[sign])) == 1 and counts[sign][0] > 0, sum(counts[sign][:1])))

@@ -1,0 +1,237 @@
+"""Open files with tables: text, Excel, and the exports of the video programs Tracker and Kinovea.
+
+Tracker (Open Source Physics) writes text: the name of the track, then the names of the columns (t in s; x and y in the
+unit of its calibration, m unless it was changed), then the rows, separated by tabs, commas, semicolons or spaces;
+several tracks share a table, with their names above the columns and ``#multi:`` in the first line. Source:
+``ExportDataDialog.saveAsAction`` and ``TrackerIO.getData`` of github.com/OpenSourcePhysics/tracker.
+
+Kinovea writes three forms. Source: ``Exporters/Spreadsheet`` and ``kva2msxml-en.xsl`` of github.com/Kinovea/Kinovea.
+
+- text for gnuplot: ``#Kinovea Trajectory data export``, ``#T X Y``, one block of rows per trajectory;
+- an XML spreadsheet: per trajectory a row ``Coords (x,y:cm; t:time)``, a row x, y, t, and the rows;
+- CSV with the names ``Time``, ``Trajectory 1/0/X``, ``Trajectory 1/0/Y``, or ``Time (ms)``, ``X (cm)``, ``Y (cm)``.
+
+Its times are numbers or time codes h:mm:ss:cc. Only the XML form and some CSV state the unit of length.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.study.schema import COLUMNS
+from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAX_UNPACKED_BYTES = 256 << 20  # of a workbook, or of an XML file
+MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
+KINOVEA_TEXT = "#Kinovea Trajectory"  # first line of its text export
+SHEET_XML = "{urn:schemas-microsoft-com:office:spreadsheet}"
+_COORDINATES = re.compile(r"Coords \(x,y:\s*([^;]*?)\s*; *t:\s*([^)]*?)\s*\)")
+_TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
+_STANDARD_UNITS = {header: unit for header, unit in COLUMNS.values()}
+
+
+@dataclass(frozen=True, eq=False)
+class TableFile:
+    """The cells of a table, and what the format of the file says about its columns.
+
+    Parameters
+    ----------
+    frame
+        The cells, with the headers of the file; a unit below a header stands in parentheses behind it.
+    columns
+        Headers by short name, of a program whose columns are known; empty for others.
+    program
+        The program that wrote it: "Tracker", "Kinovea" or "".
+
+    """
+
+    frame: pd.DataFrame
+    columns: Mapping[str, str] = field(default_factory=dict)
+    program: str = ""
+
+
+def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
+    """Open a table.
+
+    Parameters
+    ----------
+    path
+        A text file (.csv, .txt, .tsv, .dat), an Excel workbook, or an XML spreadsheet.
+    wanted
+        Names that only stand in a header.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be read as a table.
+
+    """
+    try:
+        if path.suffix.lower() in (".xlsx", ".xls"):
+            return _table_of_rows(_workbook_rows(path), wanted)
+        if path.suffix.lower() == ".xml":
+            return _table_of_rows(_xml_rows(path), wanted)
+        with path.open(encoding="utf-8-sig") as file:
+            if file.readline().startswith(KINOVEA_TEXT):
+                return _kinovea_text(file.read())
+        return _text_table(path, wanted)
+    except ImportError as e:
+        raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
+    except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
+        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
+        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
+
+
+def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
+    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
+
+    layout = find_layout(path, wanted)
+    how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "skiprows": layout.skipped or None}
+    frame = _named(pd.read_csv(path, comment="#", encoding="utf-8-sig", **how))
+    if all(is_number(name) for name in layout.header if name) and layout.header:
+        raise ValueError(f"the first line holds numbers; write the names {', '.join(_STANDARD_UNITS)} above them")
+    if layout.units or layout.groups:
+        names = _column_names(layout.header, layout.units, layout.groups)[: len(frame.columns)]
+        frame.columns = [*names, *map(str, frame.columns[len(names) :])]
+    return _recognised(frame, layout.groups)
+
+
+def _recognised(frame: pd.DataFrame, groups: Sequence[str]) -> TableFile:
+    """Return a table with the columns of Tracker, if it has its form: a name above the columns t, x, ..."""
+    names = list(map(str, frame.columns))
+    if len({group for group in groups if group}) == 1 and names[:1] == ["t"] and "x" in names:
+        columns = {key: header for key, header in _TRACKER_COLUMNS.items() if key in names}
+        return TableFile(frame[frame["x"].notna()], columns, "Tracker")  # a frame that was not marked has no position
+    return TableFile(frame)
+
+
+def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[str]) -> list[str]:
+    """Return the names of columns with their units; a name that occurs twice with the name of its group."""
+    names = []
+    for i, name in enumerate(header):
+        unit = bare_unit(units[i]) if i < len(units) else ""
+        group = groups[i] if header.count(name) > 1 and i < len(groups) else ""
+        shown = f" ({unit})" if unit and _STANDARD_UNITS.get(name) != unit else ""
+        names.append(f"{group} {name}".strip() + shown)
+    return names
+
+
+def _kinovea_text(text: str) -> TableFile:
+    """Read the rows of the one trajectory of Kinovea's export for gnuplot."""
+    import pandas as pd  # noqa: PLC0415
+
+    blocks = [
+        [line.split() for line in block.splitlines()]
+        for block in re.split(r"\n\s*(?:#.*)?(?=\n|$)", f"\n{text}")
+        if block.strip() and not block.lstrip().startswith("#")
+    ]
+    if len(blocks) != 1:
+        raise ValueError(f"it holds {len(blocks)} trajectories; export one trajectory per file")
+    rows = [[cell.replace(",", ".") for cell in row] for row in blocks[0] if row]
+    return TableFile(pd.DataFrame([row[:3] for row in rows], columns=["T", "X", "Y"]), program="Kinovea")
+
+
+def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> TableFile:
+    """Return the table among the rows of a sheet; titles may stand above it, and further tables below it."""
+    import pandas as pd  # noqa: PLC0415
+
+    if not rows:
+        raise ValueError("no rows")
+    texts = [tuple("" if cell is None else str(cell).strip() for cell in row) for row in rows]
+    at = header_row(texts, wanted)
+    header = texts[at]
+    below = texts[at + 1] if at + 1 < len(texts) and is_units_row(header, texts[at + 1]) else ()
+    data = rows[at + 2 if below else at + 1 :]
+    if at:  # a sheet with titles may hold further tables
+        end = next((i for i, row in enumerate(data) if not any(is_number(str(cell)) for cell in row)), len(data))
+        data = data[:end]
+    names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
+    frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
+    coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
+    return TableFile(frame) if coordinates is None else _kinovea_sheet(frame, texts, *coordinates.groups())
+
+
+def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> TableFile:
+    """Return the table of the one trajectory in a spreadsheet of Kinovea, with the units that it states."""
+    count = sum(bool(_COORDINATES.match(cell)) for row in texts for cell in row)
+    if count > 1:
+        raise ValueError(f"it holds {count} trajectories; export one trajectory per file")
+    if time == "timestamps":
+        raise ValueError("its times are time stamps of the file; export them as time in Kinovea")
+    unit = {"pixels": "px"}.get(length, length)
+    columns = {key: f"{key} ({unit})" for key in ("x", "y")}
+    return TableFile(frame, {"t": "t (s)"} | columns, "Kinovea")
+
+
+def _xml_rows(path: Path) -> list[tuple[Any, ...]]:
+    """Return the rows of an XML spreadsheet (Excel 2003)."""
+    from xml.etree import ElementTree  # noqa: PLC0415
+
+    if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB")
+    content = path.read_bytes()
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise ValueError("it defines entities")
+    try:
+        root = ElementTree.fromstring(content)  # without entities it cannot grow
+    except ElementTree.ParseError as e:
+        raise ValueError(str(e)) from e
+    rows = [tuple(data.text for data in row.iter(f"{SHEET_XML}Data")) for row in root.iter(f"{SHEET_XML}Row")]
+    return [row for row in rows if any(row)]
+
+
+def _workbook_rows(path: Path) -> list[tuple[Any, ...]]:
+    """Return the rows of the first sheet of a workbook that have content."""
+    import openpyxl  # noqa: PLC0415 - optional
+
+    try:
+        with zipfile.ZipFile(path) as packed:
+            unpacked = sum(part.file_size for part in packed.infolist())
+        if unpacked > MAX_UNPACKED_BYTES:
+            raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
+        with path.open("rb") as file:
+            return list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
+    except OSError:
+        raise
+    except Exception as e:  # damaged parts make openpyxl fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
+
+
+def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows with content; the sheet itself may declare any number of rows."""
+    sheet.reset_dimensions()
+    for i, row in enumerate(sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True)):
+        if i == MAX_ROWS:
+            raise ValueError(f"more than {MAX_ROWS} rows")
+        if any(cell is not None for cell in row):
+            yield row
+
+
+def _named(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the columns under their own names; pandas takes the first fields for labels if rows have too many.
+
+    A separator at the end of every row is ignored. Raises `ValueError` if the further fields have content.
+    """
+    import pandas as pd  # noqa: PLC0415
+
+    if isinstance(frame.index, pd.RangeIndex):
+        return frame
+    names = frame.columns
+    whole = frame.reset_index()
+    filled = np.flatnonzero(whole.iloc[:, len(names) :].notna().any(axis=1))
+    if len(filled):
+        got = int(whole.iloc[int(filled[0])].notna().to_numpy().nonzero()[0][-1]) + 1
+        hint = "name every column; decimal commas need a semicolon between the columns"
+        raise ValueError(f"{len(names)} names in the header but {got} fields in row {filled[0] + 1}; {hint}")
+    return whole.iloc[:, : len(names)].set_axis(names, axis=1)

@@ -1,0 +1,201 @@
+"""Find the layout of a text table: separator, decimal sign, lines before the header, and a row of units."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import re
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from frictrack.units import is_ordinary_unit
+
+MAX_HEAD_LINES = 200  # lines in which the header is searched: titles and settings of an instrument may stand before it
+WHITESPACE = r"\s+"  # separator of columns that only spaces separate
+SEPARATORS = "\t;,"
+MIN_COLUMNS = 2
+FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number with a decimal sign
+_NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_TIME_CODE = re.compile(r"-? ?\d+(?::\d+){1,3}(?:[.,]\d+)?")  # 0:00:01:25, 00:01.25
+_UNIT_CELL = re.compile(r"[(\[]?\s*([^()\[\]]{1,12}?)\s*[)\]]?")
+
+Line = tuple[int, str]  # its number in the file, from 0, and its text
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Where the header of a table stands, and how its cells are written.
+
+    Parameters
+    ----------
+    separator, decimal
+        Separator of the columns, and decimal sign.
+    header
+        Names in the header.
+    units
+        Units below the header, one per name; empty if there is no such row.
+    groups
+        Cells of the line above the header, one per name: what a program names a group of columns by.
+    skipped
+        Numbers of the lines, from 0, that are neither header nor data.
+
+    """
+
+    separator: str
+    decimal: str
+    header: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
+    skipped: tuple[int, ...] = ()
+
+
+def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
+    """Find the layout of a text table. Empty lines and lines that begin with # do not count.
+
+    Parameters
+    ----------
+    path
+        The file.
+    wanted
+        Names that only stand in a header.
+
+    """
+    with path.open(encoding="utf-8-sig") as file:
+        lines = ((i, line) for i, line in enumerate(file) if line.strip() and not line.startswith("#"))
+        head = list(itertools.islice(lines, MAX_HEAD_LINES))
+        at = find_header([line for _, line in head], wanted)
+        separator = _separator([line for _, line in head[at : at + 3]])
+        rows = [split(line, separator) for _, line in head[at : at + 2]]
+        below = rows[1] if len(rows) > 1 and is_units_row(rows[0], rows[1]) else []
+        first = at + 2 if below else at + 1
+        rest = itertools.chain(head[first:], lines)
+        decimal = "." if separator == "," else _decimal((line for _, line in rest), separator)
+    number = head[at][0] if head else 0
+    return TableLayout(
+        separator,
+        decimal,
+        tuple(rows[0]) if rows else (),
+        tuple(below),
+        _groups(head[at - 1][1], separator) if at else (),
+        (*range(number), *([head[at + 1][0]] if below else [])),
+    )
+
+
+def find_header(lines: Sequence[str], wanted: Collection[str]) -> int:
+    """Return the place of the header among some lines: the last line without numbers before the first rows of numbers.
+
+    Parameters
+    ----------
+    lines
+        The first lines of a table.
+    wanted
+        Names that only stand in a header.
+
+    """
+    rows = [split(line, _separator(lines[i : i + 3])) for i, line in enumerate(lines)]
+    return header_row(rows, wanted)
+
+
+def header_row(rows: Sequence[Sequence[str]], wanted: Collection[str]) -> int:
+    """Return the place of the header among rows of cells; 0 if none can be found.
+
+    Parameters
+    ----------
+    rows
+        The first rows of a table.
+    wanted
+        Names that only stand in a header.
+
+    """
+    for i, row in enumerate(rows):
+        if set(row) & set(wanted):
+            return i
+        below = rows[i + 1 : i + 3]
+        if below and is_units_row(row, below[0]):
+            below = below[1:]
+        if _is_header(row) and below and _is_data(below[0]):
+            return i
+    return 0
+
+
+def split(line: str, separator: str) -> list[str]:
+    """Split a line into cells without quotes and surrounding spaces.
+
+    Examples
+    --------
+    >>> split('"1,5"; 2', ";")
+    ['1,5', '2']
+
+    """
+    if separator == WHITESPACE:
+        return line.split()
+    try:
+        cells = next(csv.reader([line.strip("\n\r")], delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration):
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def is_units_row(header: Sequence[str], row: Sequence[str]) -> bool:
+    """Return whether a row below a header holds units: no numbers, and at least one unit that is known.
+
+    Examples
+    --------
+    >>> is_units_row(["t", "x", "note"], ["(ms)", "mm", "-"]), is_units_row(["t", "x"], ["0", "1"])
+    (True, False)
+
+    """
+    units = [found[1] for cell in row if cell and (found := _UNIT_CELL.fullmatch(cell))]
+    filled = [cell for cell in row if cell]
+    if not _is_header(header) or len(units) != len(filled) or len(row) != len(header):
+        return False
+    return not any(map(is_number, filled)) and any(map(is_ordinary_unit, units))
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number or a time code such as 0:00:01:25."""
+    return bool(_NUMBER.fullmatch(cell) or _TIME_CODE.fullmatch(cell))
+
+
+def bare_unit(cell: str) -> str:
+    """Return a unit without brackets.
+
+    Examples
+    --------
+    >>> bare_unit("[ mm ]")
+    'mm'
+
+    """
+    found = _UNIT_CELL.fullmatch(cell.strip())
+    return found[1] if found else ""
+
+
+def _is_header(row: Sequence[str]) -> bool:
+    names = [cell for cell in row if cell]
+    return len(names) >= MIN_COLUMNS and not any(map(is_number, names))
+
+
+def _is_data(row: Sequence[str]) -> bool:
+    return sum(map(is_number, row)) >= MIN_COLUMNS
+
+
+def _groups(line: str, separator: str) -> tuple[str, ...]:
+    """Return the cells of the line above the header; a name stands for all columns up to the next one."""
+    cells = split(line, separator)
+    return tuple(itertools.accumulate(cells, lambda last, cell: cell or last))
+
+
+def _decimal(lines: Iterable[str], separator: str) -> str:
+    """Return the decimal sign of the first number that has one; the comma separates no columns."""
+    between = None if separator == WHITESPACE else separator
+    cells = (cell.strip() for line in lines for cell in line.split(between))
+    return next((sign[1] for cell in cells if (sign := FRACTION.match(cell))), ".")
+
+
+def _separator(head: Sequence[str]) -> str:
+    """Return the character that stands equally often in the header and in the rows, and most often."""
+    counts = {sign: [line.count(sign) for line in head] for sign in SEPARATORS}
+    best = max(counts, key=lambda sign: (len(set(counts[sign])) == 1 and counts[sign][0] > 0, sum(counts[sign][:1])))
+    spaced = not any(counts[best]) and all(len(line.split()) > 1 for line in head)
+    return WHITESPACE if spaced else best
