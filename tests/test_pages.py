@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import typer
+
+import frictrack.cli.study_commands
+import frictrack.cli.utility_commands  # noqa: F401 - they put the commands into `app`
+from frictrack.calibration import parse_scale
+from frictrack.cli.common import app
+from frictrack.study.loading import TABLES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 sys.path.insert(0, str(DOCS / "generators"))
@@ -45,6 +55,45 @@ def test_the_tutorial_on_arrays_has_the_types_that_it_says(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout
+
+
+def snippets(language: str) -> list[tuple[str, str]]:
+    """Blocks that are no files, with the name of their page."""
+    return [
+        (page.name, block.text)
+        for page in sorted(DOCS.glob("*/*.md"))
+        for block in blocks(page.read_text("utf-8"))
+        if block.language == language and not block.file
+    ]
+
+
+@pytest.mark.parametrize(("page", "text"), snippets("toml"))
+def test_every_piece_of_a_study_file_is_understood(page, text, tmp_path):
+    raw = tomllib.loads(text)
+    for name in re.findall(r'"([\w-]+\.(?:csv|avi|png|yml))"', text):
+        (tmp_path / name).touch()
+    assert set(raw) <= set(TABLES)
+    for table, entries in raw.items():
+        for entry in entries if isinstance(entries, list) else [entries]:
+            read = TABLES[table].model_validate(entry, context={"folder": tmp_path})
+            if getattr(read, "scale", None) is not None:
+                parse_scale(read.scale)
+
+
+def commands() -> set[str]:
+    """Return the commands of all pages, whether they are run or not, without their first word."""
+    text = "\n".join(text for language in ("sh", "console") for _, text in snippets(language))
+    lines = re.findall(r"^(?:\$ )?frictrack (.+?)(?: \|\|.*)?$", text, re.MULTILINE)
+    return {part for line in lines for part in line.split(" && frictrack ")}
+
+
+@pytest.mark.parametrize("line", sorted(commands()))
+def test_every_command_and_its_options_exist(line):
+    command, words = typer.main.get_command(app), shlex.split(line, comments=True)
+    while subcommands := getattr(command, "commands", None):
+        command, words = subcommands[words[0]], words[1:]
+    known = {option for parameter in command.params for option in parameter.opts}
+    assert {word for word in words if word.startswith("-")} <= known
 
 
 def test_other_output_than_the_one_shown_is_found(tmp_path):
