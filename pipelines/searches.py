@@ -32,7 +32,7 @@ def main() -> None:
             print('cmaes left out: pip install "frictrack[cmaes]"')
             continue
         start = time.perf_counter()
-        fit = ft.fit(args.model, runs, domain=args.domain, search=search, seed=args.seed)
+        fit = ft.fit(args.model, runs, domain=args.domain, search=search, rng=args.seed)
         found[search] = fit, time.perf_counter() - start
 
     key = "rms_displacement_um" if args.domain == "displacement" else "sse_acceleration"

@@ -164,7 +164,7 @@ def test_the_noise_of_an_angle_that_rests_is_no_rotation():
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_p_values():
     fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
-    first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))
+    first, second, other = (diagnose(fitted, rng=s) for s in (3, 3, 4))
     assert to_builtins(first.summary()) == to_builtins(second.summary())
     assert first.p_lack_of_fit == pytest.approx(other.p_lack_of_fit, abs=0.1)
 

@@ -189,7 +189,7 @@ class TestSearch:
     @pytest.mark.usefixtures("few_evaluations")
     def test_sga_on_atm1_reports_all_parameters_with_deviations(self):
         run = one_slide(base=BASE | ATM1, model=models.atm1(2))
-        summary = fit("atm1:2", [run], domain="force", search="sga", seed=1).summary()
+        summary = fit("atm1:2", [run], domain="force", search="sga", rng=1).summary()
         assert (summary["domain"], summary["search"]) == ("force", "sga")
         assert len(summary["parameters"]) == 11
         assert all(e["reason"] or e["std"] > 0 for e in summary["parameters"].values())
@@ -197,7 +197,7 @@ class TestSearch:
     def test_seed_decides(self, monkeypatch):
         monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
         run = one_slide()
-        first, same, other = (fit("tustin", [run], domain="force", search="ga", seed=s).solution.p for s in (1, 1, 2))
+        first, same, other = (fit("tustin", [run], domain="force", search="ga", rng=s).solution.p for s in (1, 1, 2))
         assert np.array_equal(first, same)
         assert not np.array_equal(first, other)
 

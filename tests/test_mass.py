@@ -163,7 +163,7 @@ def test_the_force_domain_finds_the_mass_too(course):
 
 
 def test_a_search_finds_the_mass_too(course):
-    found = fit(LAW, [seen(*course, 1e-5, 8)], search="de", seed=1)
+    found = fit(LAW, [seen(*course, 1e-5, 8)], search="de", rng=1)
     assert found.parameters["mass.m"].value == pytest.approx(MASS, rel=0.01)
     assert found.parameters["coulomb.F_c"].value == pytest.approx(F_C, rel=0.02)
 

@@ -42,7 +42,7 @@ mass = 0.7
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("scene")
-    film_scene(read_scene(SCENE), out, seed=3)
+    film_scene(read_scene(SCENE), out, rng=3)
     return out
 
 
@@ -113,7 +113,7 @@ def test_what_the_runs_of_an_effect_must_tell_is_filmed_and_told(tmp_path):
     text = known + SCENE.replace("height = 44", "height = 44\nrotation = { amplitude = 0.3, frequency = 40 }")
     text = text.replace("[law.viscous]", law + "[law.viscous]").replace("frames = 60", "frames = 60\npush = 0.004")
     scene = replace(read_scene(text), runs=read_scene(text).runs[:1])
-    film_scene(scene, tmp_path, seed=3)
+    film_scene(scene, tmp_path, rng=3)
     study = (tmp_path / "study.toml").read_text()
     assert all(line in study for line in ('clamp_x = "-0.1 m"', 'beam_length = "0.8 m"', 'drive = "there_drive.csv"'))
     t, drive = np.loadtxt(tmp_path / "there_drive.csv", delimiter=",", skiprows=1).T
@@ -133,7 +133,7 @@ def test_what_the_runs_of_an_effect_must_tell_is_filmed_and_told(tmp_path):
 
 
 def test_the_same_seed_makes_the_same_film(folder, tmp_path):
-    film_scene(read_scene(SCENE), tmp_path, seed=3)
+    film_scene(read_scene(SCENE), tmp_path, rng=3)
     assert (tmp_path / "there.avi").read_bytes() == (folder / "there.avi").read_bytes()
 
 

@@ -230,7 +230,7 @@ def test_a_pivot_keeps_off_its_bounds_and_a_law_outside_is_refused():
 
 def test_draws_scatter_as_a_linear_law_must():
     fitted = fit("coulomb", [slide()])
-    found = ft.bootstrap(fitted, 300, seed=1)
+    found = ft.bootstrap(fitted, 300, rng=1)
     estimate = fitted.parameters["coulomb.F_c"]
     assert found.std["coulomb.F_c"] == pytest.approx(estimate.std, rel=0.15)  # 300 draws: 4 %
     assert abs(found.bias["coulomb.F_c"]) < 4 * estimate.std / np.sqrt(300)
@@ -243,7 +243,7 @@ def test_draws_scatter_as_a_linear_law_must():
 
 def test_draws_belong_to_their_seed():
     fitted = fit("coulomb", [slide()])
-    a, b, c = (ft.bootstrap(fitted, 20, seed=seed) for seed in (3, 3, 4))
+    a, b, c = (ft.bootstrap(fitted, 20, rng=seed) for seed in (3, 3, 4))
     assert np.array_equal(a.values, b.values)
     assert not np.array_equal(a.values, c.values)
     again = ft.bootstrap(fitted, 20, rng=np.random.default_rng(3))
@@ -290,7 +290,7 @@ def test_a_correlated_residual_is_drawn_in_blocks(repeats, drawn):
         fitted = fit("coulomb", [slide(seed, noise=waves)])
         values.append(fitted.parameters["coulomb.F_c"].value)
         if seed < drawn:
-            found = ft.bootstrap(fitted, 60, seed=seed)
+            found = ft.bootstrap(fitted, 60, rng=seed)
             assert found.correlated == ["run"]
             told.append(found.std["coulomb.F_c"])
             white.append(fitted.parameters["coulomb.F_c"].std)
@@ -315,7 +315,7 @@ def test_levels_are_drawn_anew_and_their_scatter_is_found_again():
 def test_draws_from_scratch_agree():
     runs, _ = study(specs=ONE_SLIDE, sigma=1e-5)
     fitted = fit("tustin", runs)
-    quick, long = ft.bootstrap(fitted, 20, seed=2), ft.bootstrap(fitted, 20, seed=2, scratch=True)
+    quick, long = ft.bootstrap(fitted, 20, rng=2), ft.bootstrap(fitted, 20, rng=2, scratch=True)
     assert np.all(np.abs(quick.values - long.values) < 0.05 * quick.std_fitted)
 
 
@@ -488,7 +488,7 @@ def coverage(seeds, *, specs=ONE_SLIDE, sigma=1e-5, scatter=0.0, draws=0):
     for seed in seeds:
         runs, _ = study(specs=specs, sigma=sigma, scatter=scatter, rng=np.random.default_rng(10_000 + seed))
         fitted = fit("tustin", runs)
-        drawn = ft.bootstrap(fitted, draws, seed=seed).intervals if draws else {}
+        drawn = ft.bootstrap(fitted, draws, rng=seed).intervals if draws else {}
         for name, truth in TRUTH.items():
             e, p = fitted.parameters[name], ft.profile(fitted, name)
             hits.setdefault(("std", name), []).append(abs(e.value - truth) < Z * e.std)

@@ -343,7 +343,7 @@ def render(
     """
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
-    render_scene(scene, out, seed=seed)
+    render_scene(scene, out, rng=seed)
     print_result({"output": str(out)}, as_json, "", out)
 
 

@@ -27,6 +27,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.stepwise import refine_to_end
+from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
 
 MAX_EFFECTS = 4  # that are added
@@ -35,13 +36,14 @@ MAX_ROUNDS = 6  # of testing and adding
 Progress = Callable[[int, int, str], None]
 
 
+@accepts_seed
 @one_thread()
 def diagnose(  # noqa: PLR0913 - one function with named settings, all but the fit optional
     fit: Fit,
     *,
     own: Sequence[Effect] = (),
     auxiliary: AuxiliarySignals | None = None,
-    seed: int = 0,
+    rng: RNG = 0,
     progress: Progress | None = None,
     quick: bool = False,
     on_verdict: Callable[[Diagnosis], None] | None = None,
@@ -60,8 +62,8 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     auxiliary
         Other measurements, by run and name, one value per frame (n,): displacements of further targets in m, and
         "accelerometer" in m/s^2. Those that move with the residual are reported as evidence.
-    seed
-        Seed of the random draws.
+    rng
+        Random numbers of the draws: a generator, a seed, or None for other numbers in every call.
     progress
         Called with the number of rounds done, their total, and the current step.
     quick
@@ -84,7 +86,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    conclusion = _conclude(fit, (own, auxiliary), seed, notify)
+    conclusion = _conclude(fit, (own, auxiliary), rng, notify)
     if on_verdict is not None:
         on_verdict(conclusion.verdict)
     if quick:
@@ -95,13 +97,13 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
 
 
 def _conclude(
-    fit: Fit, signals: tuple[Sequence[Effect], AuxiliarySignals | None], seed: int, notify: Progress
+    fit: Fit, signals: tuple[Sequence[Effect], AuxiliarySignals | None], rng: RNG, notify: Progress
 ) -> Conclusion:
     """Search and conclude; a fit in segments is searched in one piece first, if that explains everything."""
     joined = join_segments(fit)
     if joined is not None:
         joined, remark = subsample_frames(joined)
-        found = _search(fit, joined, signals, (np.random.default_rng(seed), notify))
+        found = _search(fit, joined, signals, (np.random.default_rng(rng), notify))
         conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])))
         if not found.last.leaves_misfit:
             notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
@@ -110,7 +112,7 @@ def _conclude(
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
     start, remarks = residual_kind(start.problem).prepare(start)
-    found = _search(fit, start, signals, (np.random.default_rng(seed), notify))
+    found = _search(fit, start, signals, (np.random.default_rng(rng), notify))
     notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
     return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 

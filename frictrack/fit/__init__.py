@@ -51,6 +51,7 @@ from frictrack.fit.segments import (
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
+from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array, Run
 from frictrack.threads import one_thread
 
@@ -78,7 +79,7 @@ class FitSettings(TypedDict, total=False):
 
     domain: str | None
     search: str
-    seed: int
+    rng: RNG
     reference_mass: float | None
     over: str
     callback: Callback | None
@@ -96,6 +97,7 @@ def fit(
 ) -> GroupFits: ...
 
 
+@accepts_seed
 @one_thread()
 def fit(  # noqa: PLR0913 - one door with named settings, all but two of them optional
     model: Model | str | Sequence[str],
@@ -103,7 +105,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     *,
     domain: str | None = None,
     search: str = "varpro",
-    seed: int = 0,
+    rng: RNG = 0,
     reference_mass: float | None = None,
     per: str | None = None,
     over: str = "all",
@@ -122,8 +124,8 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         papers. Where friction itself was measured, the default is "force", compared with that series without a mass.
     search : str
         ``"varpro"`` (variable projection) or a global search, one of `frictrack.search.METHODS`.
-    seed : int
-        Seed of a global search.
+    rng : numpy.random.Generator or int or None
+        Random numbers of a global search: a generator, a seed, or None for other numbers in every call.
     reference_mass : float, optional
         Mass at which forces are reported, kg; default that of the first run.
     per : {"group"}, optional
@@ -155,10 +157,10 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     if uses_measured_friction(runs, domain):
-        return _by_cell(law, runs, Route("force", search, seed), per)
+        return _by_cell(law, runs, Route("force", search, rng), per)
     domain = domain or "displacement"
     if per == "group":
-        how: dict[str, Any] = {"domain": domain, "search": search, "seed": seed, "over": over, "callback": callback}
+        how: dict[str, Any] = {"domain": domain, "search": search, "rng": rng, "over": over, "callback": callback}
         mass = reference_mass or runs[0].mass
         groups = by_group(runs)
         return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
@@ -175,7 +177,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))
     pieces = _divided(sections, lengths)
     names = tuple(r.name for r in fitted)
-    route = Route(domain, search, seed, over)
+    route = Route(domain, search, rng, over)
     if search == "varpro":
         solution = fit_displacement(law, pieces, names, _fps(fitted))
         found = fit_in_force_domain(solution, fitted) if domain == "force" else FitOutcome(solution)
@@ -205,7 +207,7 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
         return _finish(
             FitOutcome(fit_measured_friction(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths)
         )
-    how = route.search, route.over, np.random.default_rng(route.seed)
+    how = route.search, route.over, np.random.default_rng(route.rng)
     solution, optima = search_measured_friction(law, pieces, (names, _fps(fitted)), how)
     return _finish(FitOutcome(solution, None, *optima), runs, reference, (route, lengths))
 

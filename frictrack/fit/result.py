@@ -19,6 +19,7 @@ from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.notebook_view import NotebookView
+from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion
 from frictrack.results import ModelResults
 
@@ -102,9 +103,9 @@ class Fit(FittedRuns, NotebookView):
         return self.route.search
 
     @property
-    def seed(self) -> int:
+    def seed(self) -> int | None:
         """Seed of the search."""
-        return self.route.seed
+        return as_seed(self.route.rng)
 
     @cached_property
     def objective(self) -> Objective:

@@ -14,6 +14,7 @@ from frictrack.fit.force_domain import ForceProblem, fit_accelerations, fit_star
 from frictrack.fit.global_search import Callback, population_misfit, search_parameters, searched_scatter
 from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, LeastSquaresProblem, Solution, is_predictable, refine
 from frictrack.fit.segments import AccelerationChain, Piece, acceleration_chains
+from frictrack.randomness import RNG
 from frictrack.records import Array, Mask, Run
 from frictrack.search import METHODS
 
@@ -25,11 +26,11 @@ BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequ
 
 @dataclass(frozen=True)
 class Route:
-    """How a model is fitted: domain, search, seed, and what a global search varies."""
+    """How a model is fitted: domain, search, source of random numbers, and what a global search varies."""
 
     domain: str = "displacement"
     search: str = "varpro"
-    seed: int = 0
+    rng: RNG = 0
     over: str = "all"
 
     @property
@@ -102,7 +103,7 @@ def fit_by_search(
     runs : sequence of Run
         The fitted runs.
     route : Route
-        Domain, method, seed, and what is searched.
+        Domain, method, random numbers, and what is searched.
     callback : callable, optional
         See `search_parameters`.
 
@@ -115,7 +116,7 @@ def fit_by_search(
     chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" else None
     ones = np.ones(len(problem.layout.slots))
     misfit = population_misfit(problem, chains, route.over)
-    optima, costs = search_parameters(misfit, route.search, np.random.default_rng(route.seed), ones, callback)
+    optima, costs = search_parameters(misfit, route.search, np.random.default_rng(route.rng), ones, callback)
     tau = searched_scatter(problem.layout, optima[0])
     law = fit_starts(problem, optima[0], problem.first_starts(), tau)
     law = refit_until_stop(law, np.zeros(len(law.p), dtype=bool))
@@ -216,7 +217,7 @@ def _search_again(
     p = found.solution.p
     if route.search != "varpro":
         return search_parameters(
-            population_misfit(problem, chains, route.over), route.search, np.random.default_rng(route.seed), p
+            population_misfit(problem, chains, route.over), route.search, np.random.default_rng(route.rng), p
         )[0][0]
     assert chains is not None  # the default route has its own held-out error
     held = {piece.run for piece in problem.pieces} | {None}

@@ -276,7 +276,7 @@ class Session:
 
         def make() -> dict[str, Any]:
             stored = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
-            asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
+            asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "rng": seed}
             found = analyse_uncertainty(fitted, **asked, progress=self.progress)
             return {"summary": json.dumps(stored | to_builtins(found.summary()))}
 
@@ -409,7 +409,7 @@ class Session:
             self.models.fit(group),
             own=own,
             auxiliary=signals,
-            seed=seed,
+            rng=seed,
             progress=self.progress,
             quick=quick,
             on_verdict=lambda verdict: announce(keep(verdict)),

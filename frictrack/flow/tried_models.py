@@ -328,7 +328,7 @@ class TriedModels:
         how: dict[str, Any] = {
             "domain": request.domain,
             "search": request.search,
-            "seed": request.seed,
+            "rng": request.seed,
             "over": request.over,
         }
         if request.per is not None:

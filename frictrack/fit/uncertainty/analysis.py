@@ -10,6 +10,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.uncertainty.fitted_model import FittedModel
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
+from frictrack.randomness import RNG
 from frictrack.threads import one_thread
 
 Progress = Callable[[int, int, str], None]
@@ -45,7 +46,7 @@ def analyse_uncertainty(
     *,
     profiles: bool = True,
     draws: int = 0,
-    seed: int = 0,
+    rng: RNG = 0,
     progress: Progress | None = None,
 ) -> UncertaintyAnalysis:
     """Compute the profiles of all shared parameters of a fit, and a bootstrap.
@@ -58,7 +59,7 @@ def analyse_uncertainty(
         Whether to compute profiles.
     draws : int
         Number of bootstrap draws; 0 for none.
-    seed : int
+    rng : numpy.random.Generator or int or None
         Seed of the bootstrap.
     progress : callable, optional
         Called with the number done, the total, and what is computed.
@@ -83,7 +84,7 @@ def analyse_uncertainty(
         profile_list.append(profile(result, address))
         if progress is not None:
             progress(k + 1, len(addresses), "profiles")
-    from_bootstrap = bootstrap(result, draws, seed=seed, progress=progress) if draws else None
+    from_bootstrap = bootstrap(result, draws, rng=rng, progress=progress) if draws else None
     return UncertaintyAnalysis(tuple(profile_list), from_bootstrap)
 
 

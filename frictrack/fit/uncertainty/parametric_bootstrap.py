@@ -35,6 +35,7 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.uncertainty.fitted_model import FittedModel
 from frictrack.fit.uncertainty.reported_values import reported_slots, reported_values_and_jacobian
+from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -129,13 +130,13 @@ class Bootstrap:
         }
 
 
+@accepts_seed
 @one_thread()
-def bootstrap(  # noqa: PLR0913 - named settings, all optional
+def bootstrap(
     result: FittedModel,
     draws: int = 200,
     *,
-    rng: np.random.Generator | None = None,
-    seed: int = 0,
+    rng: RNG = 0,
     level: float = 0.95,
     scratch: bool = False,
     progress: Progress | None = None,
@@ -148,10 +149,8 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
         The fit.
     draws : int
         Number of draws, at least 20.
-    rng : numpy.random.Generator, optional
-        Source of random numbers.
-    seed : int
-        Seed, used without `rng`.
+    rng : numpy.random.Generator or int or None
+        Random numbers: a generator, a seed, or None for other numbers in every call.
     level : float
         Confidence level of the intervals.
     scratch : bool
@@ -184,14 +183,14 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
             f"expected a fit of displacements by varpro to draw from scratch but got {how}; leave scratch out",
             usage=True,
         )
-    rng = rng or np.random.default_rng(seed)
+    generator = np.random.default_rng(rng)
     solution, compared = result.solution, result.compared
     blocks = [_block_length(r) for r in solution.responses]
     found: list[tuple[Array, Array, float]] = []
     reasons: list[str] = []
     for k in range(draws):
         try:
-            drawn = _drawn_problem(solution, blocks, rng)
+            drawn = _drawn_problem(solution, blocks, generator)
             found.append(_quoted_with_std(_refit(compared, drawn, scratch=scratch)))
         except (FrictrackError, np.linalg.LinAlgError) as e:
             reasons.append(str(e))

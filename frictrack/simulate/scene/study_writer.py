@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from frictrack.errors import FrictrackError
+from frictrack.randomness import RNG, accepts_seed, as_seed
 from frictrack.records import Array
 from frictrack.simulate.conditions import Conditions, push_force
 from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film
@@ -22,7 +23,8 @@ Progress = Callable[[int, int, str], None]
 MARGIN_PX = 14.0  # between the block and the edge of the first frame
 
 
-def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
+@accepts_seed
+def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | None = None) -> None:
     """Simulate and film a scene file.
 
     Parameters
@@ -31,8 +33,8 @@ def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | N
         Scene file; `frictrack.simulate.scene.scene_file` shows its keys.
     out
         Folder for the films, study.toml and truth.json.
-    seed
-        Seed of scatter and noise.
+    rng
+        Random generator, or seed, of scatter and noise.
     progress
         Called with the number of runs done, the number of all runs and a text.
 
@@ -50,10 +52,11 @@ def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | N
         raise FrictrackError(f"{path.name} is not a text in UTF-8 (byte {fault.start})", usage=True) from None
     except FrictrackError as fault:
         raise FrictrackError(f"{path.name}: {fault}", usage=True) from None
-    film_scene(scene, out, seed=seed, progress=progress)
+    film_scene(scene, out, rng=rng, progress=progress)
 
 
-def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
+@accepts_seed
+def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress | None = None) -> None:
     """Simulate, render and write every run of a scene.
 
     The folder gets the films, study.toml without the truth, truth.json and, if the law has a `drive_error`, the
@@ -65,25 +68,31 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
         What to film.
     folder
         Where to write; created if it does not exist.
-    seed
-        Seed of scatter and noise.
+    rng
+        Random generator, or seed, of scatter and noise.
     progress
         As in `render_scene`.
 
     """
-    rng = np.random.default_rng(seed)
+    generator = np.random.default_rng(rng)
     folder.mkdir(parents=True, exist_ok=True)
-    truth: dict[str, Any] = {"scene": scene.name, "mass": scene.mass, "law": scene.law, "seed": seed, "runs": []}
+    truth: dict[str, Any] = {
+        "scene": scene.name,
+        "mass": scene.mass,
+        "law": scene.law,
+        "seed": as_seed(rng),
+        "runs": [],
+    }
     truth["target"] = asdict(_target(scene))
     for i, run in enumerate(scene.runs):
         if progress:
             progress(i, len(scene.runs), f"rendering {run['name']}")
-        level = float(run.get("level", 1 + scene.scatter * rng.standard_normal()))
+        level = float(run.get("level", 1 + scene.scatter * generator.standard_normal()))
         mass = float(run.get("mass", scene.mass))
         camera = _camera(scene, run)
         motion = true_trajectory(scene, run, camera, level)
         film = f"{run['name']}.{scene.format}"
-        write_film(_render_frames(scene, run, camera, motion, rng), folder / film, camera.fps)
+        write_film(_render_frames(scene, run, camera, motion, generator), folder / film, camera.fps)
         if _is_driven(scene, run):
             drive = push_force(mass, float(run["v"]), float(run["push"]))(motion.t)
             table = np.column_stack([motion.t, drive])

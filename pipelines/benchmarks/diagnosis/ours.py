@@ -18,14 +18,14 @@ def stated(seed: int = 0) -> dict[str, dict[str, Any]]:
     """Limits that the diagnosis of a study with nothing hidden states."""
     rng = np.random.default_rng([seed, 1])
     truth = holding(BASE[0], {}, 0.0, rng)
-    found = ft.diagnose(ft.fit(list(BASE), recorded(truth, rng)), seed=seed)
+    found = ft.diagnose(ft.fit(list(BASE), recorded(truth, rng)), rng=seed)
     return found.summary()["detection_limits"]
 
 
 def is_named(name: str, at: dict[str, float], size: float, seed: int) -> bool:
     """Whether one repeat names the effect, or a group in which it stands."""
     rng = np.random.default_rng([seed, 2])
-    found = ft.diagnose(ft.fit(list(BASE), recorded(holding(name, at, size, rng), rng)), seed=seed)
+    found = ft.diagnose(ft.fit(list(BASE), recorded(holding(name, at, size, rng), rng)), rng=seed)
     best = found.best
     group = [best.effect, *best.indistinguishable_from] if best is not None and found.missing else []
     return name in found.missing or name in group

@@ -14,5 +14,5 @@ RUNS = 4
 
 def filmed(folder: Path, seed: int) -> Path:
     """A study of four films; the study file."""
-    film_scene(read_scene(FOUR_RUNS.format(name=f"scale {seed}", law=LAW)), folder, seed=seed)
+    film_scene(read_scene(FOUR_RUNS.format(name=f"scale {seed}", law=LAW)), folder, rng=seed)
     return folder / "study.toml"
