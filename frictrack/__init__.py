@@ -17,6 +17,7 @@ Names are imported when they are first used, so that `frictrack --help` starts q
 from __future__ import annotations
 
 import sys
+import warnings
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -29,20 +30,20 @@ if TYPE_CHECKING:
     from frictrack.diagnose import diagnose
     from frictrack.effects import effect
     from frictrack.errors import FrictrackError
-    from frictrack.events import happenings
+    from frictrack.events import find_events
     from frictrack.fit import bootstrap, fit, profile
     from frictrack.friction import free_section, friction
-    from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, trade
+    from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
     from frictrack.recording import open_recording
     from frictrack.records import Run
-    from frictrack.tracking import aligned, contact_sheet, learn_target, track
+    from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
 _MODULE_OF = {
     "open_recording": "recording",
     "track": "tracking",
     "learn_target": "tracking",
-    "aligned": "tracking",
+    "align_track": "tracking",
     "contact_sheet": "tracking",
     "calibrate": "calibration",
     "plane_map": "calibration",
@@ -50,10 +51,10 @@ _MODULE_OF = {
     "differentiate": "motion",
     "covariance": "motion",
     "KnownAcceleration": "motion",
-    "trade": "motion",
+    "cutoff_tradeoff": "motion",
     "free_section": "friction",
     "friction": "friction",
-    "happenings": "events",
+    "find_events": "events",
     "budget": "budget",
     "fit": "fit",
     "profile": "fit",
@@ -66,6 +67,7 @@ _MODULE_OF = {
     "FrictrackError": "errors",
     "__version__": "version",
 }
+_RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
 _MODULES = ("models", "effects", "samples", "search", "simulate")
 
 __all__ = [
@@ -73,21 +75,22 @@ __all__ = [
     "KnownAcceleration",
     "Run",
     "__version__",
-    "aligned",
+    "align_track",
     "bootstrap",
     "budget",
     "calibrate",
     "compare",
     "contact_sheet",
     "covariance",
+    "cutoff_tradeoff",
     "diagnose",
     "differentiate",
     "effect",
     "effects",
+    "find_events",
     "fit",
     "free_section",
     "friction",
-    "happenings",
     "history",
     "learn_target",
     "low_pass",
@@ -99,7 +102,6 @@ __all__ = [
     "search",
     "simulate",
     "track",
-    "trade",
 ]
 
 
@@ -115,6 +117,9 @@ class _Package(ModuleType):
             value = getattr(import_module(f"frictrack.{_MODULE_OF[name]}"), name)
             setattr(self, name, value)
             return value
+        if name in _RENAMED:
+            warnings.warn(f"frictrack.{name} is now called {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+            return getattr(self, _RENAMED[name])
         if name in _MODULES:
             return import_module(f"frictrack.{name}")
         raise AttributeError(f"module 'frictrack' has no attribute {name!r}")

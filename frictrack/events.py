@@ -14,7 +14,7 @@ MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
 
-def happenings(run: Run) -> RunEvents:
+def find_events(run: Run) -> RunEvents:
     """Find the events and the rests of a run.
 
     A reversal is where the velocity crosses zero between two motions of opposite direction. A stop and a start are

@@ -81,7 +81,7 @@ class RunResults:
     displacement: Displacement
     filtered: Filtered
     motion: Motion
-    happenings: RunEvents = field(default_factory=RunEvents)
+    events: RunEvents = field(default_factory=RunEvents)
     cutoff: CutoffTradeOff | None = None
     friction: Friction | None = None  # None without a mass and without measured friction
     film: RecordingInfo | None = None

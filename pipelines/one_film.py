@@ -29,7 +29,7 @@ def main() -> None:
     tracks, runs = [], []
     for film in args.films:
         tracks.append(ft.track(ft.open_recording(film, fps=args.fps)))
-        displacement = ft.calibrate(ft.aligned(tracks[-1], tracks[0]), scale=args.scale)
+        displacement = ft.calibrate(ft.align_track(tracks[-1], tracks[0]), scale=args.scale)
         motion = ft.differentiate(ft.low_pass(displacement))
         runs.append(ft.Run(displacement, motion, mass=mass, sigma_mass=sigma_mass, name=film.stem))
         print(f"{film.name}: {len(displacement)} frames, at most {motion.v.max():.2f} m/s")

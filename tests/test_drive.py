@@ -41,7 +41,7 @@ def film(rng: np.random.Generator, n: int = 2000, sigma: float = 1e-5) -> Displa
     return Displacement(t, seen, nan, nan, np.full(n, sigma), nan, np.ones(n, bool))
 
 
-def aligned(seed: int, rate: float = 1e3, n: int = 2000) -> Alignment:
+def alignment_of(seed: int, rate: float = 1e3, n: int = 2000) -> Alignment:
     rng = np.random.default_rng(seed)
     seen = film(rng, n)
     ts = np.arange(-0.2, n / 2000.0 + 0.2, 1 / rate) + rng.uniform(0, 1 / rate)
@@ -51,7 +51,7 @@ def aligned(seed: int, rate: float = 1e3, n: int = 2000) -> Alignment:
 
 @pytest.mark.parametrize("rate", [1e3, 1e4])
 def test_the_offset_of_a_drive_and_the_mass_are_found(rate: float) -> None:
-    found = aligned(1, rate)
+    found = alignment_of(1, rate)
     assert found.gain is not None
     assert abs(found.offset + DELAY) < 4 * (found.sigma_offset or 0.0)
     assert found.sigma_offset is not None
@@ -63,7 +63,7 @@ def test_the_offset_of_a_drive_and_the_mass_are_found(rate: float) -> None:
 def test_z_scores_of_the_drives_offset_are_standard() -> None:
     z = []
     for seed in range(120):
-        found = aligned(seed)
+        found = alignment_of(seed)
         z.append((found.offset + DELAY) / float(found.sigma_offset or np.nan))
     assert 0.88 < np.sqrt(np.mean(np.square(z))) < 1.15
 

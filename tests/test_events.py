@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from frictrack.events import happenings
-from frictrack.motion import differentiate, low_pass, trade
+from frictrack.events import find_events
+from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.records import Displacement, Run
 
 FPS = 4000.0
@@ -20,7 +20,7 @@ def filmed(t, x, *, seed=0, cutoff=None, **run):
 
 
 def kinds(run):
-    return [kind for kind, _, _ in happenings(run).events]
+    return [kind for kind, _, _ in find_events(run).events]
 
 
 def pieces(*parts, x=0.0, v=0.0):
@@ -37,7 +37,7 @@ def pieces(*parts, x=0.0, v=0.0):
 
 def test_a_push_a_slide_a_stop_and_the_rests_round_them():
     t, x = pieces((0.03, 0.0), (0.02, 150.0), (0.15, -20.0), (0.05, 0.0))
-    found = happenings(filmed(t, x))
+    found = find_events(filmed(t, x))
     assert [kind for kind, _, _ in found.events] == ["start", "release", "stop"]
     starts, released, stops = (begins for _, begins, _ in found.events)
     assert starts == pytest.approx(0.03, abs=1.5e-3)
@@ -51,7 +51,7 @@ def test_a_push_a_slide_a_stop_and_the_rests_round_them():
 
 def test_a_reversal_is_no_stop():
     t, x = pieces((0.1, -30.0), (0.1, -10.0), v=3.0)
-    found = happenings(filmed(t, x, has_incline=True, incline=0.5))
+    found = find_events(filmed(t, x, has_incline=True, incline=0.5))
     assert [kind for kind, _, _ in found.events] == ["reversal"]
     assert found.events[0][1] == pytest.approx(0.1, abs=2e-3)
     assert found.rests == ()
@@ -65,7 +65,7 @@ def test_a_rest_between_two_motions_is_a_stop_and_a_start():
 
 def test_an_impact_takes_speed_at_once():
     t, x = pieces((0.08, -5.0), (0.001, -4000.0), (0.08, 5.0), v=3.0)
-    found = happenings(filmed(t, x, drive=np.zeros(len(t))))
+    found = find_events(filmed(t, x, drive=np.zeros(len(t))))
     assert "impact" in [kind for kind, _, _ in found.events]
     at = next(begins for kind, begins, _ in found.events if kind == "impact")
     assert at == pytest.approx(0.08, abs=2e-3)
@@ -88,7 +88,7 @@ def vibrating(f=60.0, size=40e-6):
 def test_residual_follows_the_floor_where_only_noise_is_taken_and_leaves_it_where_signal_is():
     t, x = vibrating()
     run = filmed(t, x)
-    found = trade(run.displacement, low_pass(run.displacement), run.motion)
+    found = cutoff_tradeoff(run.displacement, low_pass(run.displacement), run.motion)
     high = found.frequency > 150
     assert found.residual[high] == pytest.approx(found.floor[high], rel=0.1)
     low = found.frequency < 30
@@ -103,7 +103,7 @@ def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences
     rng = np.random.default_rng(0)
     t, x = vibrating()
     run = filmed(t, x)
-    found = trade(run.displacement, low_pass(run.displacement), run.motion)
+    found = cutoff_tradeoff(run.displacement, low_pass(run.displacement), run.motion)
     noise = NOISE * rng.normal(size=40_000)
     for f in (50.0, 150.0):
         smooth = sosfiltfilt(butter(4, f, fs=FPS, output="sos"), noise)
@@ -118,7 +118,7 @@ def test_what_may_hide_is_what_is_not_found():
         found = 0
         for seed in range(2):
             plain = filmed(t, x, seed=seed)
-            limit = trade(plain.displacement, low_pass(plain.displacement), plain.motion)
+            limit = cutoff_tradeoff(plain.displacement, low_pass(plain.displacement), plain.motion)
             hidden = np.exp(np.interp(np.log(300.0), np.log(limit.frequency), np.log(limit.hidden)))
             size = times * hidden * np.sqrt(2.0) / (2 * np.pi * 300.0) ** 2
             found += bool(filmed(t, x + size * np.sin(2 * np.pi * 300.0 * t + seed), seed=seed).motion.lines)
@@ -128,13 +128,13 @@ def test_what_may_hide_is_what_is_not_found():
 def test_what_lies_above_a_cutoff_is_said():
     t, x = vibrating(134.0, 8e-6)
     run = filmed(t, x, cutoff=60.0)
-    found = trade(run.displacement, low_pass(run.displacement, 60.0), run.motion)
+    found = cutoff_tradeoff(run.displacement, low_pass(run.displacement, 60.0), run.motion)
     assert found.chosen == 60.0
     assert any(w.startswith("a vibration at 13") and "lies above the cut-off of 60 Hz" in w for w in found.warnings)
     t, x = pieces((0.08, -5.0), (0.001, -4000.0), (0.08, 5.0), v=3.0)
     run = filmed(t, x, cutoff=60.0, drive=np.zeros(len(t)))
-    found = trade(run.displacement, low_pass(run.displacement, 60.0), run.motion)
+    found = cutoff_tradeoff(run.displacement, low_pass(run.displacement, 60.0), run.motion)
     assert any("shorter than half a period of the cut-off of 60 Hz" in w for w in found.warnings)
     t, x = pieces((0.15, -20.0), v=5.0)
     run = filmed(t, x)
-    assert trade(run.displacement, low_pass(run.displacement), run.motion).warnings == ()
+    assert cutoff_tradeoff(run.displacement, low_pass(run.displacement), run.motion).warnings == ()

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from frictrack.motion import CorrelatedNoise, Smoother, differentiate, low_pass, trade
+from frictrack.motion import CorrelatedNoise, Smoother, cutoff_tradeoff, differentiate, low_pass
 from frictrack.motion.smoother import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from frictrack.records import Displacement
 
@@ -148,6 +148,6 @@ def test_a_plain_low_pass_is_judged_by_the_noise_that_there_is():
     for correlation in (0.0, 0.9):
         seen_x = seen(t, x + NOISE * noise(2, len(t), correlation, 1.0))
         filtered = low_pass(seen_x)
-        curves.append(trade(seen_x, filtered, differentiate(filtered)))
+        curves.append(cutoff_tradeoff(seen_x, filtered, differentiate(filtered)))
     assert curves[1].noise[0] > 2.0 * curves[0].noise[0]
     assert curves[1].noise[-1] < curves[0].noise[-1]

@@ -184,3 +184,19 @@ def test_the_package_lists_its_public_names():
     assert dir(ft) == sorted(ft.__all__)
     assert set(ft.__all__) == {*ft._MODULE_OF, *ft._MODULES}
     assert all(getattr(ft, name) is not None for name in dir(ft))
+
+
+def test_seed_is_the_older_name_of_rng():
+    fitted = ft.fit("coulomb", [ft.Run.from_arrays(T, noisy(), mass=MASS)])
+    with pytest.warns(DeprecationWarning, match=r"seed is deprecated in bootstrap\(\); use rng"):
+        old = ft.bootstrap(fitted, 20, seed=3)
+    new = ft.bootstrap(fitted, 20, rng=3)
+    drawn = ft.bootstrap(fitted, 20, rng=np.random.default_rng(3))
+    assert old.intervals == new.intervals == drawn.intervals
+    with pytest.raises(TypeError, match="expected rng or seed"):
+        ft.bootstrap(fitted, 20, rng=3, seed=3)
+
+
+def test_renamed_functions_answer_to_their_older_names():
+    with pytest.warns(DeprecationWarning, match="frictrack.happenings is now called find_events"):
+        assert ft.happenings is ft.find_events

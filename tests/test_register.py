@@ -7,7 +7,7 @@ import pytest
 from film import moved, speckle
 
 from frictrack.records import Track
-from frictrack.tracking.registration import aligned, target_offset
+from frictrack.tracking.registration import align_track, target_offset
 
 TEXTURE = 128 + speckle((100, 140), np.random.default_rng(0))
 H, W = 53, 83
@@ -54,12 +54,12 @@ def a_track(picture):
 
 
 def test_the_track_is_moved_and_says_so():
-    result = aligned(a_track(cut(2.5, -1.0)), a_track(cut()))
+    result = align_track(a_track(cut(2.5, -1.0)), a_track(cut()))
     np.testing.assert_allclose(result.x_px, 1 - 2.5, atol=0.02)
     np.testing.assert_allclose(result.y_px, 1 + 1.0, atol=0.02)
     (note,) = result.notes
     assert note.startswith("tracked point moved by (-2.5")
     assert "+/- 0.0" in note
-    assert aligned(a_track(cut()), a_track(cut(seed=3))).notes == ()
-    (note,) = aligned(a_track(cut()), a_track(None)).notes
+    assert align_track(a_track(cut()), a_track(cut(seed=3))).notes == ()
+    (note,) = align_track(a_track(cut()), a_track(None)).notes
     assert note.startswith("its target does not look like the first run's")

@@ -12,7 +12,7 @@ from film import block_film
 from frictrack import Run, calibrate, differentiate, friction, low_pass, track
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.motion import KnownAcceleration, trade
+from frictrack.motion import KnownAcceleration, cutoff_tradeoff
 from frictrack.records import Displacement
 from frictrack.simulate.rendering import write_film
 
@@ -36,7 +36,7 @@ def test_motion_begins_and_ends_with_the_frames_that_were_measured(first: int, l
     motion = differentiate(filtered)
     np.testing.assert_array_equal(motion.t, T[first : last + 1])
     np.testing.assert_allclose(motion.v, 0.8 - 4.0 * motion.t, atol=5e-3)
-    assert len(trade(seen, filtered, motion).frequency) > 0
+    assert len(cutoff_tradeoff(seen, filtered, motion).frequency) > 0
     drive = 1.0 + 0.01 * np.arange(N)
     run = Run(seen, motion, mass=1.0, drive=drive)
     np.testing.assert_array_equal(run.displacement.t, motion.t)

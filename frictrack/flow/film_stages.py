@@ -286,13 +286,13 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
         In m, without lens distortion, along the course.
 
     """
-    from frictrack.tracking import aligned  # noqa: PLC0415
+    from frictrack.tracking import align_track  # noqa: PLC0415
 
     run, anchor = pipeline.run, pipeline.anchor
     plane = plane_before_tracking(pipeline) or plane_map(
         run.scale, lens=run.lens, track=track, film=pipeline.recording, axis=run.axis
     )
-    target_track = aligned(track, anchor.get("track")) if anchor else track
+    target_track = align_track(track, anchor.get("track")) if anchor else track
     min_shake = min_shake_px(run)
     clean, notes, numbers = correct_track(
         target_track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake

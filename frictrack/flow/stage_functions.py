@@ -7,12 +7,12 @@ from dataclasses import replace
 from frictrack import models
 from frictrack.arrays import displacement_of_table
 from frictrack.errors import FrictrackError
-from frictrack.events import happenings
+from frictrack.events import find_events
 from frictrack.flow.film_stages import make_displacement, make_further_tracks, make_recording, make_track
 from frictrack.flow.pipeline import RunPipeline, make_run
 from frictrack.flow.sensor_stage import fused_acceleration, read_sensors
 from frictrack.friction import friction
-from frictrack.motion import differentiate, low_pass, trade
+from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import Sensors
@@ -65,7 +65,7 @@ def make_cutoff(
     pipeline: RunPipeline, displacement: Displacement, filtered: Filtered, motion: Motion
 ) -> CutoffTradeOff:
     """Compute what another cut-off frequency would change."""
-    return trade(displacement, filtered, motion)
+    return cutoff_tradeoff(displacement, filtered, motion)
 
 
 def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
@@ -80,7 +80,7 @@ def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Mot
 
 def make_events(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> RunEvents:
     """Find release, stops and reversals."""
-    return happenings(make_run(pipeline.run, displacement, motion, sensors))
+    return find_events(make_run(pipeline.run, displacement, motion, sensors))
 
 
 def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:

@@ -140,7 +140,7 @@ def run_results(pipeline: RunPipeline) -> RunResults:
         displacement=done["displacement"],
         filtered=done["filtered"],
         motion=done["motion"],
-        happenings=done.get("events", RunEvents()),
+        events=done.get("events", RunEvents()),
         cutoff=done.get("cutoff"),
         friction=done.get("friction"),
         film=done.get("recording"),

@@ -3,7 +3,7 @@
 `low_pass` smooths the displacement, `differentiate` derives it; `noise` and `smoother` hold their methods.
 """
 
-from frictrack.motion.cutoff_trade import trade
+from frictrack.motion.cutoff_trade import cutoff_tradeoff
 from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.motion.filter_methods import FilterMethod
@@ -26,6 +26,7 @@ __all__ = [
     "Smoother",
     "correlated_noise",
     "covariance",
+    "cutoff_tradeoff",
     "derivatives",
     "differentiate",
     "frame_grid",
@@ -33,5 +34,4 @@ __all__ = [
     "low_pass",
     "noise_level",
     "stencils",
-    "trade",
 ]

@@ -30,7 +30,7 @@ MIN_PASSED_AMPLITUDE = 0.9  # share of the amplitude; a line of which less passe
 N_FREQUENCIES = 2048  # at which the noise spectrum is summed
 
 
-def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> CutoffTradeOff:
+def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Motion) -> CutoffTradeOff:
     """Compute for many cut-offs of a plain low-pass of x the noise let through and the signal removed.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from frictrack.errors import FrictrackError
-from frictrack.events import happenings
+from frictrack.events import find_events
 from frictrack.friction import friction
 from frictrack.records import Filtered, Friction, Run
 from frictrack.results import ModelResults, RunResults
@@ -50,7 +50,7 @@ def as_run(run: AnyRun) -> RunResults:
         displacement=run.displacement,
         filtered=_smoothed(run),
         motion=run.motion,
-        happenings=happenings(run),
+        events=find_events(run),
         friction=_friction_of(run),
         role=run.role,
         group=run.group,

@@ -108,7 +108,7 @@ def motion(run: AnyRun) -> Figure:
 def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
     """Mark every event by a line, with its name in the first panel."""
     named: list[tuple[float, str]] = []
-    for kind, begins, ends in run.happenings.events:
+    for kind, begins, ends in run.events.events:
         at = 1e3 * 0.5 * (begins + ends)
         for ax in panels:
             ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)

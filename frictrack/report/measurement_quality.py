@@ -110,8 +110,8 @@ def smoothing(results: Results) -> list[Markup]:
         warnings = run.cutoff.warnings if run.cutoff else ()
         if warnings:
             sentences.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
-        if run.happenings.noise_at_rest > 0:
-            rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
+        if run.events.noise_at_rest > 0:
+            rest, moving = 1e6 * run.events.noise_at_rest, 1e6 * _noise(run)
             sentence = "{}: noise of the displacement {} µm at rest, {} µm over the whole record."
             sentences.append(Markup(sentence).format(run.name, format_number(rest, 2), format_number(moving, 2)))
     return sentences

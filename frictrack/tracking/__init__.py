@@ -17,14 +17,14 @@ show                contact sheet and overlay video
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
 from frictrack.tracking.driver import learn_target, track, track_in_parallel, track_same_target
-from frictrack.tracking.registration import aligned
+from frictrack.tracking.registration import align_track
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
 from frictrack.tracking.target_model import TargetModel
 
 __all__ = [
     "Areas",
     "TargetModel",
-    "aligned",
+    "align_track",
     "contact_sheet",
     "find_reference",
     "find_target",

@@ -33,7 +33,7 @@ class TargetOffset:
     sigma_y: float
 
 
-def aligned(track: Track, reference: Track) -> Track:
+def align_track(track: Track, reference: Track) -> Track:
     """Move a track to the point of the body that a reference track follows.
 
     Parameters
