@@ -103,6 +103,12 @@ def test_other_output_than_the_one_shown_is_found(tmp_path):
     assert [page[one.begin : one.end] for one in found] == ["13\n", "2\n"]
 
 
+def test_a_failing_command_is_shown_with_its_error_or_is_a_difference(tmp_path):
+    page = "```console\n$ ls a1\nls: ... No such file or directory\n$ ls b2\n```\n"
+    (found,) = PageRun(tmp_path).differences(page)
+    assert found.command == "ls b2\n"
+
+
 def test_files_and_folders_of_a_page_stay_together(tmp_path):
     page = "```{code-block} toml\n:caption: sub/a.toml\na = 1\n```\n```console\n$ cd sub\n$ cat a.toml\na = 1\n```\n"
     assert list(PageRun(tmp_path).differences(page)) == []

@@ -9,9 +9,9 @@ A page is run from top to bottom in a folder that holds only the files that the 
   expected output;
 - a ``python`` block is run in the name space of the page; a ``text`` block below it is its expected output.
 
-``...`` stands for output that is not shown. A block with ``:class: slow`` is left out of the quick tests. With
-``--update``, outputs that differ are written into the page, and pictures that the page made in its folder replace those
-of the same name in the folder ``figures`` beside the page.
+``...`` stands for output that is not shown; a command without shown output must succeed. A block with ``:class: slow``
+is left out of the quick tests. With ``--update``, outputs that differ are written into the page, and pictures that the
+page made in its folder replace those of the same name in the folder ``figures`` beside the page.
 """
 
 from __future__ import annotations
@@ -168,16 +168,16 @@ class PageRun:
             while lines[first - 1].endswith("\\\n"):
                 first += 1
             shown, command = "".join(lines[first:until]), "".join(lines[i:first])[2:]
-            printed = self._command(command)
-            if not same(shown, printed):
+            printed, failed = self._command(command)
+            if not same(shown, printed) or (failed and not shown.strip()):
                 begin = block.begin + len("".join(lines[:first]))
                 yield Difference(command, shown, printed, begin, begin + len(shown))
 
-    def _command(self, command: str) -> str:
-        """Run a command and return what it printed on the standard output."""
+    def _command(self, command: str) -> tuple[str, bool]:
+        """Run a command; return its standard output, with the errors if it failed, and whether it failed."""
         if command.startswith("cd "):
             self.here = (self.here / command[3:].strip()).resolve()
-            return ""
+            return "", False
         done = subprocess.run(
             ["bash", "-c", command],
             cwd=self.here,
@@ -187,7 +187,8 @@ class PageRun:
             timeout=TIMEOUT_S,
             check=False,
         )
-        return done.stdout + (done.stderr if done.returncode else "")
+        failed = done.returncode != 0
+        return done.stdout + (done.stderr if failed else ""), failed
 
     def _evaluate(self, code: str) -> str:
         """Run a Python block and return what it printed."""
