@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from frictrack import effects, models, samples, search, simulate
     from frictrack.budget import budget
     from frictrack.calibration import calibrate, plane_map
-    from frictrack.compare import compare, history
-    from frictrack.diagnose import diagnose
+    from frictrack.compare import Comparison, compare, history
+    from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
     from frictrack.errors import FrictrackError
     from frictrack.events import find_events
-    from frictrack.fit import bootstrap, fit, profile
+    from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
     from frictrack.friction import free_section, friction
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
     from frictrack.recording import open_recording
-    from frictrack.records import Run
+    from frictrack.records import Displacement, Motion, Run, Track
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
@@ -62,6 +62,13 @@ _MODULE_OF = {
     "compare": "compare",
     "history": "compare",
     "diagnose": "diagnose",
+    "Comparison": "compare",
+    "Diagnosis": "diagnose",
+    "Displacement": "records",
+    "Fit": "fit",
+    "GroupFits": "fit",
+    "Motion": "records",
+    "Track": "records",
     "effect": "effects",
     "Run": "records",
     "FrictrackError": "errors",
@@ -71,9 +78,16 @@ _RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cut
 _MODULES = ("models", "effects", "samples", "search", "simulate")
 
 __all__ = [
+    "Comparison",
+    "Diagnosis",
+    "Displacement",
+    "Fit",
     "FrictrackError",
+    "GroupFits",
     "KnownAcceleration",
+    "Motion",
     "Run",
+    "Track",
     "__version__",
     "align_track",
     "bootstrap",

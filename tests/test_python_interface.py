@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -147,6 +148,22 @@ def test_results_turn_into_dataframes(slides, fit, diagnosis):
     assert diagnosis.to_dataframe().index.tolist() == [c.effect for c in diagnosis.candidates]
 
 
+def test_results_turn_into_datasets(slides, fit, diagnosis):
+    motion = slides[0].to_xarray()
+    np.testing.assert_array_equal(motion["x_measured"], slides[0].displacement.x)
+    assert motion["a"].attrs["units"] == "m/s^2"
+    assert fit.to_xarray()["std"].sel(parameter="coulomb.F_c") == fit.to_dataframe().loc["coulomb.F_c", "std"]
+    assert ft.compare(fit).to_xarray().sizes == {"name": 1}
+    assert diagnosis.to_xarray()["effect"].values.tolist() == [c.effect for c in diagnosis.candidates]
+
+
+def test_fits_of_groups_are_shown_like_one_fit(slides):
+    grouped = [replace(run, group=group) for run, group in zip(slides, "ab", strict=True)]
+    fits = ft.fit("coulomb", grouped, per="group")
+    assert fits.to_dataframe().loc[("b", "coulomb.F_c"), "value"] == fits.fits["b"].parameters["coulomb.F_c"].value
+    assert len(fits.plot().axes) == len(ft.fit("coulomb", grouped).plot().axes)
+
+
 def test_every_figure_takes_runs_fits_and_diagnoses(slides, fit, diagnosis):
     better = ft.fit("coulomb,drag", slides)
     spans = ft.compare(fit).fails_at
@@ -160,6 +177,7 @@ def test_every_figure_takes_runs_fits_and_diagnoses(slides, fit, diagnosis):
         plots.friction(slides),
         plots.loops(fit, slides),
         plots.routes(fit, better, slides[0]),
+        ft.compare([fit, better]).plot(),
     ]
     assert all(figure.axes for figure in figures)
     history = plots.history([fit, better])

@@ -14,10 +14,13 @@ from frictrack.compare.spans import failing_spans
 from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
+from frictrack.lazy import imported
+from frictrack.notebook_view import NotebookView
 from frictrack.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = [
     "Comparison",
@@ -38,7 +41,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(NotebookView):
     """Errors of models, and the spans where the current one fails.
 
     Parameters
@@ -65,6 +68,11 @@ class Comparison:
 
         rows = [{"model": "+".join(entry["model"]), **entry["errors"]} for entry in self.models]
         return pd.DataFrame(rows, index=pd.Index([entry["name"] for entry in self.models], name="name"))
+
+    def plot(self) -> Figure:
+        """Draw the held-out error of every model in the order tried."""
+        figure: Figure = imported("frictrack.plots:history")(self.models)
+        return figure
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack compare` and `frictrack history`."""

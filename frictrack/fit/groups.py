@@ -5,19 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.free_run import free_errors
-from frictrack.fit.result import Fit
+from frictrack.fit.result import Fit, StorableFit
+from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.records import Curve, ModelledMotion, Run
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GroupFits:
+class GroupFits(StorableFit):
     """The same model fitted to every group of runs separately; `fits` by the name of the group."""
 
     fits: dict[str, Fit]
@@ -25,6 +30,17 @@ class GroupFits:
     def __repr__(self) -> str:
         names = ", ".join(f"{name} ({len(f.runs)} runs)" for name, f in self.fits.items())
         return f"<GroupFits: {'+'.join(self.model.names)}, fitted to each of {names}>"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the parameters of all groups as a pandas DataFrame, by group and address; see `Fit.to_dataframe`."""
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        return pd.concat({name: f.to_dataframe() for name, f in self.fits.items()}, names=["group"])
+
+    def plot(self) -> Figure:
+        """Draw the modelled and the measured friction force of all groups; see `Fit.plot`."""
+        figure: Figure = imported("frictrack.plots:fit")(self, self.weighed)
+        return figure
 
     @property
     def model(self) -> Model:

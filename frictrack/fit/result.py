@@ -30,8 +30,25 @@ if TYPE_CHECKING:
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
+class StorableFit(NotebookView):
+    """Base of fits: what is stored of them, which is also what figures take."""
+
+    def to_results(self, name: str = "") -> ModelResults:
+        """Return what is stored of a fit: its JSON, its curves and its modelled motion.
+
+        Parameters
+        ----------
+        name
+            Name of the model in the store; default its effects.
+
+        """
+        fitted: Any = self  # a Fit or GroupFits
+        named, model = name or f"1_{'+'.join(fitted.model.names)}", str(fitted.model)
+        return ModelResults(named, model, fitted.summary(), fitted.curves, current=True, motion=fitted.motion)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(FittedRuns, NotebookView):
+class Fit(FittedRuns, StorableFit):
     """A model fitted to runs: parameters, errors and curves, each computed when it is first asked for.
 
     Attributes
@@ -64,18 +81,6 @@ class Fit(FittedRuns, NotebookView):
         }
         frame = pd.DataFrame.from_dict(rows, orient="index").astype({"value": float, "std": float})
         return frame.rename_axis("parameter")
-
-    def to_results(self, name: str = "") -> ModelResults:
-        """Return what is stored of a fit: its JSON, its curves and its modelled motion.
-
-        Parameters
-        ----------
-        name
-            Name of the model in the store; default its effects.
-
-        """
-        named = name or f"1_{'+'.join(self.model.names)}"
-        return ModelResults(named, str(self.model), self.summary(), self.curves, current=True, motion=self.motion)
 
     def plot(self) -> Figure:
         """Draw per run the modelled and the measured friction force over time, and the residual below."""

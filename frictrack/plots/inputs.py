@@ -29,7 +29,7 @@ class Summarised(Protocol):
 
 
 AnyRun = RunResults | Run
-AnyModel = ModelResults | FitLike
+AnyModel = ModelResults | FitLike | Mapping[str, Any]
 AnySummary = Mapping[str, Any] | Summarised
 
 
@@ -64,7 +64,9 @@ def as_runs(runs: Sequence[AnyRun]) -> list[RunResults]:
 
 
 def as_model(model: AnyModel) -> ModelResults:
-    """Convert a fit to the results of a model; stored results are returned as they are."""
+    """Convert a fit, or the errors of one in a comparison, to the results of a model."""
+    if isinstance(model, Mapping):
+        return ModelResults(model["name"], "+".join(model["model"]), dict(model), ())
     return model if isinstance(model, ModelResults) else model.to_results()
 
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError, raise_faults
+from frictrack.errors import raise_faults
 from frictrack.notebook_view import NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -147,25 +146,6 @@ class FrameTable(NotebookView):
         frame = pd.DataFrame({name: values for name, values in columns.items() if values is not None})
         frame.attrs["units"] = {f.name: f.metadata["unit"] for f in own if columns[f.name] is not None}
         return frame
-
-    def to_xarray(self) -> xr.Dataset:
-        """Return the columns as an xarray Dataset over the time ``t``, each with its unit; needs xarray.
-
-        Raises
-        ------
-        FrictrackError
-            If xarray is not installed.
-
-        """
-        try:
-            import xarray as xr  # noqa: PLC0415 - optional
-        except ImportError as e:
-            raise FrictrackError("to_xarray needs xarray; pip install xarray") from e
-        frame = self.to_dataframe()
-        dataset = xr.Dataset.from_dataframe(frame.set_index("t"))
-        for name, unit in frame.attrs["units"].items():
-            dataset[name].attrs["units"] = unit
-        return dataset
 
     def rows(self, part: slice) -> Self:
         """Return the record with some of its rows.
