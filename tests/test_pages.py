@@ -122,4 +122,6 @@ def test_a_failing_python_block_is_an_error(tmp_path):
 
 def test_dots_stand_for_output_that_is_not_shown():
     assert same("a\n...\nd", "a\nb\nc\nd\n")
+    assert same("...\na\n...\n", "a\n")
     assert not same("a\n...\ne", "a\nb\nc\nd\n")
+    assert not same("...\na\n...\n", "b\n")
