@@ -158,7 +158,7 @@ def test_a_failing_stage_keeps_what_was_done(
         patch.setattr(stage_functions, "low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(new_study_file).bring_up_to("motion")
-    assert made == ["slow displacement", "slow sensors"]
+    assert made == ["slow displacement", "middle displacement", "fast displacement", "slow sensors"]
     made.clear()
     session(new_study_file).bring_up_to("motion")
     assert made[0] == "slow filtered"

@@ -20,6 +20,33 @@ from frictrack.number_format import format_plus_minus
 MAX_STUDIES = 100  # in the table of a batch; the page shows all
 
 
+def init(out: Console, result: dict[str, Any]) -> None:
+    """Print what was found in a folder, what was left out, and what the user must give.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack init`.
+
+    """
+    table = _table("found", "")
+    for one in result["found"]:
+        table.add_row(escape(one["file"]), escape(one["words"]))
+    out.print(table)
+    if result["skipped"]:
+        table = _table("left out", "")
+        for one in result["skipped"]:
+            table.add_row(escape(one["file"]), escape(one["reason"]))
+        out.print(table)
+    path = result["study"]
+    needed = (
+        f"fill in {', '.join(result['fill_in'])} (marked FILL IN), then" if result["fill_in"] else "look it over, then"
+    )
+    out.print(f"next: open {path}, {needed} `frictrack run {path}`", markup=False)
+
+
 def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
     fit(out, result["fit"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -65,33 +66,47 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
                 f"expected no --{given[0]} together with a study file; set {given[0]} in the file", usage=True
             )
         return one
-    from frictrack.flow import start_study  # noqa: PLC0415
-    from frictrack.study import TABLES  # noqa: PLC0415
-
     if one.is_dir() and not given:
         raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
+    from frictrack.flow import check_entered, describe_keys, start_study  # noqa: PLC0415
+    from frictrack.study import TABLES  # noqa: PLC0415
+
     filmed = any(path.suffix.lower() not in TABLES for path in paths)
     lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ("mass",)) if key not in given]
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise FrictrackError(f"expected {' and '.join(lacking)} together with recordings, as in {example}", usage=True)
-    return start_study(Path("study.toml"), paths, keys).path
+    check_entered(keys)
+    _tell(f"read as: {describe_keys(keys)}")
+    return start_study(Path("study.toml"), paths, keys, _tell).path
+
+
+def _tell(line: str) -> None:
+    """Write a line to stderr."""
+    sys.stderr.write(f"{line}\n")
 
 
 @app.command()
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")], as_json: Json = False
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")],
+    mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
+    scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"')] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="frame rate while filming, 1/s (default: that of the files)")
+    ] = None,
+    as_json: Json = False,
 ) -> None:
     """Write a commented study file for a folder of recordings.
 
-    Reads the names of the recordings. Writes study.toml into the folder, which must not exist yet.
+    Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
+    into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
     """
-    from frictrack.study import find_recordings, write_study  # noqa: PLC0415
+    from frictrack.flow import check_entered, propose_study  # noqa: PLC0415
 
-    found = find_recordings(folder)
-    path = write_study(folder / "study.toml", found, commented=True)
-    result = {"study": str(path), "runs": [p.name for p in found], "output": str(path)}
-    print_result(result, as_json, "", f"{path}; fill in mass, fps and scale, then `frictrack run {path}`")
+    keys = {"mass": mass, "scale": scale, "fps": fps}
+    check_entered(keys)
+    result = propose_study(folder, keys)
+    print_result(result, as_json, "init", result["study"])
 
 
 def _measure(stage: str, study: Path, as_json: bool) -> None:

@@ -6,6 +6,7 @@
 `Session` is the only code that computes and saves the results of a study; the command line and the workbench use it.
 `read_results` reads what is stored and computes nothing.
 
+    new_study, survey, opening, input_checks                    make, open and check a study before any work
     pipeline, stages            bring the stages of one run up to date
     film_stages, track_quality, target_rotation                 from a film to its displacement
     sensor_stage, auxiliary_signals                             what other instruments recorded
@@ -25,7 +26,8 @@ from frictrack.lazy import lazy_names
 if TYPE_CHECKING:
     from frictrack.flow.command_history import CommandHistory
     from frictrack.flow.film_stages import contact_sheet_path
-    from frictrack.flow.opening import open_study, start_study
+    from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
+    from frictrack.flow.opening import open_study
     from frictrack.flow.pipeline import Progress, no_progress
     from frictrack.flow.plausibility_checks import Findings
     from frictrack.flow.replay import replay_script
@@ -38,9 +40,11 @@ if TYPE_CHECKING:
     from frictrack.flow.verification import verify
 
 _MODULE_OF = {
+    "check_entered": "new_study",
     "CommandHistory": "command_history",
     "contact_sheet_path": "film_stages",
     "demo": "sample_demo",
+    "describe_keys": "new_study",
     "Findings": "plausibility_checks",
     "FitRequest": "tried_models",
     "no_progress": "pipeline",
@@ -48,12 +52,13 @@ _MODULE_OF = {
     "plan": "run_plan",
     "preview_motion": "stored_results",
     "Progress": "pipeline",
+    "propose_study": "new_study",
     "read_attempt": "stored_results",
     "read_results": "stored_results",
     "replay_script": "replay",
     "run_pipeline": "stages",
     "Session": "session",
-    "start_study": "opening",
+    "start_study": "new_study",
     "user_effects": "tried_models",
     "verify": "verification",
 }

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
-from frictrack.flow.stages import run_pipeline
 from frictrack.flow.tried_models import FitRequest
-from frictrack.study import Study, load, write_study
+from frictrack.study import Study, load
 
 
 def open_study(path: str | Path, *, allow_no_runs: bool = False) -> Study:
@@ -50,38 +49,6 @@ def check_study(study: Study) -> Study:
         raise_faults(faults, study.path.name)
     except FrictrackError as e:
         raise FrictrackError(str(e), usage=True) from e
-    return study
-
-
-def start_study(path: Path, recordings: Sequence[Path], keys: Mapping[str, Any]) -> Study:
-    """Write the study file of some recordings and open it; it is removed again if a recording cannot be used.
-
-    Parameters
-    ----------
-    path
-        Path of the new study file.
-    recordings
-        Films and tables.
-    keys
-        Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If the study file exists or a recording is missing; otherwise what is wrong with a recording.
-
-    """
-    missing = [f"expected a recording {p} but there is no such file" for p in recordings if not p.exists()]
-    if missing:
-        raise FrictrackError("; ".join(missing), usage=True)
-    write_study(path, recordings, keys)
-    try:
-        study = open_study(path)
-        for pipeline in (run_pipeline(study, run) for run in study.runs):
-            pipeline.get("recording" if pipeline.run.video else "displacement")
-    except FrictrackError:
-        path.unlink()
-        raise
     return study
 
 

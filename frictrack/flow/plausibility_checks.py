@@ -106,6 +106,17 @@ class Findings:
             )
         self._check_once("runs", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
 
+    def check_tables(self, pipelines: Sequence[RunPipeline]) -> None:
+        """Check the motion of tables alone, before films are tracked: their columns may have other units.
+
+        Raises
+        ------
+        FrictrackError
+            If a number cannot be right.
+
+        """
+        self._check_once("tables", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
+
     def check_all_runs(self, pipelines: Sequence[RunPipeline]) -> None:
         """Check masses and clocks of all runs against each other, also of runs that the user has marked as checked.
 

@@ -109,6 +109,7 @@ class Session:
         self.runs = run_pipelines(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self._findings: Findings | None = None
+        self._inputs_checked = False
         self.path = study.output / "study.h5"
 
     @property
@@ -170,23 +171,37 @@ class Session:
 
         """
         self.findings.check_study_file()
+        self._check_inputs(stage)
         if stage in STAGES_FROM_MOTION:
-            self._update_runs("motion")
+            self._update_runs("motion", self.runs)
             self.findings.check_runs(self.runs)
-        self._update_runs(stage)
+        self._update_runs(stage, self.runs)
         if stage == "friction":
             self.findings.check_all_runs(self.runs)
         return self.runs
 
-    def _update_runs(self, stage: str) -> None:
-        missing = [p for p in self.runs if stage in p.stages and not p.is_current(stage)]
+    def _check_inputs(self, stage: str) -> None:
+        """Check all inputs once, and the units of tables before films are tracked."""
+        if not self._inputs_checked:
+            from frictrack.flow.input_checks import check_inputs  # noqa: PLC0415 - not needed for stored results
+
+            check_inputs(self.runs)
+            self._inputs_checked = True
+        tables = [p for p in self.runs if p.run.table]
+        if stage in STAGES_FROM_MOTION and tables and len(tables) < len(self.runs):
+            self._update_runs("motion", tables)
+            self.findings.check_tables(tables)
+
+    def _update_runs(self, stage: str, runs: list[RunPipeline]) -> None:
+        missing = [p for p in runs if stage in p.stages and not p.is_current(stage)]
         if missing:
-            self.progress(0, 0, f"measuring {len(missing)} runs up to {stage}")
-        for i, pipeline in enumerate(self.runs):
-            self.progress(i, len(self.runs), "runs")
+            count = "1 run" if len(missing) == 1 else f"{len(missing)} runs"
+            self.progress(0, 0, f"measuring {count} up to {stage}")
+        for i, pipeline in enumerate(runs):
+            self.progress(i, len(runs), "runs")
             if stage in pipeline.stages:
                 pipeline.get(stage)
-        self.progress(len(self.runs), len(self.runs), "runs")
+        self.progress(len(runs), len(runs), "runs")
 
     def measure(self, stage: str, *, overlay: bool = False) -> Measurements:
         """Bring every run up to ``"track"``, ``"motion"`` or ``"friction"``: JSON of those commands.

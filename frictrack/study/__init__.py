@@ -6,7 +6,9 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
     schema           the keys of a study file, with types and units
     editing          change one key of a study file; comments are kept
     writing          a new study file from recordings
-    reading_tables   CSV and Excel -> columns in SI units
+    reading_tables   tables -> columns in SI units
+    table_files      text, Excel, exports of Tracker and Kinovea -> cells; `table_layout` finds header and units
+    column_names     names of columns: exact, with a unit, or proposed
 """
 
 # ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
@@ -16,28 +18,57 @@ from typing import TYPE_CHECKING
 from frictrack.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from frictrack.study.column_names import columns_line, find_header, has_units
     from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
-    from frictrack.study.reading_tables import TableData, read_frame, read_run_table, read_sensor_table, read_table
-    from frictrack.study.schema import EffectTable, RunTable, suggest
-    from frictrack.study.writing import TABLES, find_recordings, write_study
+    from frictrack.study.reading_tables import (
+        TableData,
+        propose_columns,
+        read_frame,
+        read_run_table,
+        read_sensor_table,
+        read_table,
+    )
+    from frictrack.study.schema import COLUMNS, EffectTable, RunTable, suggest
+    from frictrack.study.table_files import TableFile, open_table, table_headers
+    from frictrack.study.writing import (
+        TABLES,
+        NewRun,
+        find_recordings,
+        is_picture_folder,
+        list_files,
+        refuse_existing,
+        write_study,
+    )
 
 _MODULE_OF = {
+    "COLUMNS": "schema",
+    "columns_line": "column_names",
     "EffectTable": "schema",
+    "find_header": "column_names",
     "find_recordings": "writing",
+    "has_units": "column_names",
+    "is_picture_folder": "writing",
+    "list_files": "writing",
     "load": "loading",
+    "NewRun": "writing",
+    "open_table": "table_files",
     "parse": "loading",
+    "propose_columns": "reading_tables",
     "read_key": "editing",
     "read_frame": "reading_tables",
     "read_run_table": "reading_tables",
     "read_sensor_table": "reading_tables",
     "read_table": "reading_tables",
     "read_toml": "loading",
+    "refuse_existing": "writing",
     "results_folder": "loading",
     "RunTable": "schema",
     "Study": "loading",
     "suggest": "schema",
     "TableData": "reading_tables",
+    "table_headers": "table_files",
+    "TableFile": "table_files",
     "TABLES": "writing",
     "with_effect": "editing",
     "with_key": "editing",

@@ -10,7 +10,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack.errors import FrictrackError
-from frictrack.study.writing import run_tables, with_blank_line
+from frictrack.study.writing import run_tables, toml_item, with_blank_line
 
 ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 
@@ -52,7 +52,7 @@ def with_key(text: str, table: str, key: str, value: Any, which: str | None = No
     if value is None:
         home.pop(key, None)
     else:
-        home[key] = _toml_item(value)
+        home[key] = toml_item(value)
     return tomlkit.dumps(document)
 
 
@@ -106,7 +106,7 @@ def with_effect(text: str, effect: Mapping[str, Any]) -> str:
     home = _find_table(document, "effect", effect["effect"])
     for key in [key for key in home if key not in effect]:
         del home[key]
-    home.update({key: _toml_item(value) for key, value in effect.items()})
+    home.update({key: toml_item(value) for key, value in effect.items()})
     return tomlkit.dumps(document)
 
 
@@ -151,12 +151,3 @@ def _name_of(table: Mapping[str, Any], kind: str) -> str:
     """Return the name of a table; a run without a name has that of its recording."""
     name = table.get(ARRAY_TABLES[kind])
     return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem
-
-
-def _toml_item(value: Any) -> Any:
-    """Convert a value; a dictionary becomes an inline table."""
-    if not isinstance(value, Mapping):
-        return tomlkit.item(value)
-    inline = tomlkit.inline_table()
-    inline.update({key: _toml_item(part) for key, part in value.items()})
-    return inline

@@ -93,6 +93,30 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
         raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
 
 
+def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the headers of a table; those of a text are read without its rows.
+
+    Parameters
+    ----------
+    path
+        The table.
+    wanted
+        Names that only stand in a header.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be read as a table.
+
+    """
+    if path.suffix.lower() in (".xlsx", ".xls", ".xml"):
+        return tuple(map(str, open_table(path, wanted).frame.columns))
+    try:
+        return find_layout(path, wanted).header
+    except (OSError, ValueError) as e:
+        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
+
+
 def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import tomlkit
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
-TABLES = (".csv", ".xlsx")
+SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
+TABLES = (*SURE_TABLES, ".txt", ".dat", ".xml")  # the last may hold anything else
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -73,6 +75,26 @@ units = {F = "N", x_c = "m", w = "m"}
 bounds = {w = [0.002, 0.05]}"""
 
 
+@dataclass(frozen=True)
+class NewRun:
+    """The entry of a run in a new study file.
+
+    Parameters
+    ----------
+    recording
+        The film or table.
+    keys
+        Known keys of the ``[[run]]``, such as fps and columns.
+    comment
+        What the user is to fill in.
+
+    """
+
+    recording: Path
+    keys: Mapping[str, Any] = field(default_factory=dict)
+    comment: str = ""
+
+
 def find_recordings(folder: Path) -> list[Path]:
     """List the films, tables and folders of pictures in a folder, by name.
 
@@ -91,8 +113,32 @@ def find_recordings(folder: Path) -> list[Path]:
     return sorted(found)
 
 
+def list_files(folder: Path) -> list[Path]:
+    """List what could be a recording in a folder, by name: films, tables, texts and folders of pictures.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    """
+    visible = (p for p in folder.iterdir() if not p.name.startswith("."))
+    return sorted(p for p in visible if _is_recording(p) or (p.is_file() and p.suffix.lower() in TABLES))
+
+
+def is_picture_folder(path: Path) -> bool:
+    """Return whether a folder holds several pictures, which are the frames of a film; results of a study are none."""
+    pictures = [p for p in path.iterdir() if p.suffix.lower() in PICTURES]
+    return len(pictures) > 1 and not path.name.endswith("_results")
+
+
 def write_study(
-    path: Path, recordings: Sequence[Path], keys: Mapping[str, Any] | None = None, *, commented: bool = False
+    path: Path,
+    recordings: Sequence[Path | NewRun],
+    keys: Mapping[str, Any] | None = None,
+    *,
+    commented: bool = False,
+    remarks: Mapping[str, str] | None = None,
 ) -> Path:
     """Write the study file of some recordings.
 
@@ -101,11 +147,13 @@ def write_study(
     path
         Path of the new file.
     recordings
-        The recordings.
+        The recordings, or the entries of their runs.
     keys
         Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
     commented
         Write the other keys as comments, with an explanation of each.
+    remarks
+        Explanations of keys that replace the usual ones.
 
     Returns
     -------
@@ -118,32 +166,69 @@ def write_study(
         (usage) If the file exists.
 
     """
-    if path.exists():
-        raise FrictrackError(f"{path} is already there; `frictrack run {path}` uses it, or move it away", usage=True)
+    refuse_existing(path)
     known = {key: value for key, value in (keys or {}).items() if value is not None}
     document = tomlkit.document()
     for line in INTRO.format(name=path.name).splitlines() if commented else ():
         document.add(tomlkit.comment(line))
+    runs = [one if isinstance(one, NewRun) else NewRun(one) for one in recordings]
+    said = remarks or {}
+    study, camera = ({k: (e, said.get(k, why)) for k, (e, why) in table.items()} for table in (STUDY, CAMERA))
     document["study"] = _commented_table(
-        {"name": path.resolve().parent.name} | known, ("name", *STUDY), STUDY, commented
+        {"name": path.resolve().parent.name} | known, ("name", *STUDY), study, commented
     )
-    document["camera"] = _commented_table(known, tuple(CAMERA), CAMERA, commented)
+    document["camera"] = _commented_table(known, tuple(CAMERA), camera, commented)
     document["run"] = tomlkit.aot()
-    for run in run_tables(recordings, path.parent):
-        document["run"].append(with_blank_line(tomlkit.item(run)))
+    for new, run in zip(runs, run_tables([new.recording for new in runs], path.parent), strict=True):
+        table = with_blank_line(tomlkit.item(run))
+        for key, value in new.keys.items():
+            table[key] = toml_item(value)
+        for line in new.comment.splitlines():
+            table.add(tomlkit.comment(line))
+        document["run"].append(table)
     text = tomlkit.dumps(document)
     for words in (RUN, EFFECT) if commented else ():
         text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
     return replace_text(path, text)
 
 
+def refuse_existing(path: Path) -> None:
+    """Raise `FrictrackError` (usage) if there is a study file already."""
+    if path.exists():
+        raise FrictrackError(f"{path} is already there; `frictrack run {path}` uses it, or move it away", usage=True)
+
+
+def toml_item(value: Any) -> Any:
+    """Convert a value for a study file; a dictionary becomes an inline table."""
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    inline = tomlkit.inline_table()
+    inline.update({key: toml_item(part) for key, part in value.items()})
+    return inline
+
+
 def _is_recording(path: Path) -> bool:
     if path.is_dir():
-        pictures = [p for p in path.iterdir() if p.suffix.lower() in PICTURES]
-        return len(pictures) > 1 and not path.name.endswith("_results")
+        return is_picture_folder(path)
     if path.name.startswith(".") or path.suffix.lower() not in (*FILMS, *TABLES):
         return False
+    if path.suffix.lower() in TABLES and path.suffix.lower() not in SURE_TABLES:
+        return _holds_times_and_positions(path)
     return path.suffix.lower() not in (".tif", ".tiff") or _many_pages(path)
+
+
+def _holds_times_and_positions(path: Path) -> bool:
+    """Return whether a text can be read as a table with two columns of numbers."""
+    from frictrack.study.reading_tables import propose_columns  # noqa: PLC0415 - loads NumPy
+    from frictrack.study.schema import COLUMNS  # noqa: PLC0415
+    from frictrack.study.table_files import open_table  # noqa: PLC0415
+
+    try:
+        table = open_table(path)
+    except FrictrackError:
+        return False
+    present = {key for key in ("t", "x") if COLUMNS[key][0] in table.frame.columns}
+    return {"t", "x"} <= present | propose_columns(table.frame).keys()
 
 
 def _many_pages(path: Path) -> bool:

@@ -1,0 +1,81 @@
+"""Check the recordings, tables and sensors of a study before any of them is measured, so that no work is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from frictrack.errors import FrictrackError
+from frictrack.flow.pipeline import RunPipeline
+from frictrack.study import COLUMNS, find_header, read_sensor_table, table_headers
+
+
+def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
+    """Open every recording and read every table of the runs that are not measured yet.
+
+    A recording at an address is not fetched before it is needed.
+
+    Parameters
+    ----------
+    pipelines
+        The runs.
+
+    Raises
+    ------
+    FrictrackError
+        With the faults of all runs.
+
+    """
+    errors = [error for check in (_check_mass, _check_files) for p in pipelines for error in _errors(check, p)]
+    if errors:
+        raise FrictrackError("; ".join(map(str, errors)), usage=all(error.usage for error in errors))
+
+
+def _errors(check: Callable[[RunPipeline], None], pipeline: RunPipeline) -> list[FrictrackError]:
+    """Return the error of a check of one run, if there is one."""
+    try:
+        check(pipeline)
+    except FrictrackError as e:
+        return [e]
+    return []
+
+
+def _check_mass(pipeline: RunPipeline) -> None:
+    """Raise an error if the run of a table has no mass, and nothing that makes it needless; films are checked before.
+
+    Only the headers are read, so that this comes at once.
+    """
+    run = pipeline.run
+    if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None:
+        return
+    written = run.columns.get("friction", COLUMNS["friction"][0])
+    if find_header(written.lstrip("-"), table_headers(run.table, [header for header, _ in COLUMNS.values()])) is None:
+        raise FrictrackError(
+            f'run "{run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its [[run]]; only '
+            'runs with measured friction (friction_N), or with a measured drive and mass = "fit", do without',
+            usage=True,
+        )
+
+
+def _check_files(pipeline: RunPipeline) -> None:
+    """Open the recording and read the tables of one run, unless it is measured."""
+    if not isinstance(pipeline.run.source, Path) or pipeline.is_current("friction"):
+        return
+    faults = _errors(lambda p: p.get(next(iter(p.stages))), pipeline)
+    for key, wanted in (("drive", ("drive",)), ("sensor", ("a", "friction"))):
+        faults += _errors(partial(_check_sensor, key=key, wanted=wanted), pipeline)
+    if faults:
+        raise FrictrackError("; ".join(map(str, faults)), usage=all(fault.usage for fault in faults))
+
+
+def _check_sensor(pipeline: RunPipeline, *, key: str, wanted: tuple[str, ...]) -> None:
+    """Read the table of a drive or a sensor, if there is one."""
+    given = getattr(pipeline.run, key)
+    spec = {"table": given} if isinstance(given, Path) else given
+    if not isinstance(spec, dict) or not isinstance(spec.get("table"), Path):
+        return
+    try:
+        read_sensor_table(spec["table"], ("pressure",) if "area" in spec else wanted, spec.get("columns", {}))
+    except FrictrackError as e:
+        raise FrictrackError(f'run "{pipeline.run.name}", {key}: {e}', usage=e.usage) from e

@@ -1,0 +1,238 @@
+"""Make a study of recordings: look at them, check the numbers that the user typed, write the study file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from frictrack.calibration import parse_scale
+from frictrack.errors import FrictrackError
+from frictrack.flow.input_checks import check_inputs
+from frictrack.flow.opening import open_study
+from frictrack.flow.stages import run_pipeline
+from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey
+from frictrack.number_format import format_plus_minus
+from frictrack.plausibility import EnteredValues, implausible_entries
+from frictrack.study import NewRun, Study, list_files, refuse_existing, write_study
+from frictrack.units import parse_quantity
+
+FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
+PLAYBACK = "FILL IN the frame rate while filming: the files do not state it (that of an .avi or .mp4 is for showing)"
+_KEY = re.compile(r'\b(mass|scale|fps) = (?="?[\d.])')
+
+
+def check_entered(keys: Mapping[str, Any]) -> None:
+    """Refuse implausible numbers of the command line before anything is written.
+
+    Parameters
+    ----------
+    keys
+        mass, scale and fps as they were typed; None if not given.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) With all of them, each with what was read and what to type instead.
+
+    """
+    try:
+        found = [_as_option(str(one)) for one in implausible_entries(_entered_values(keys))]
+    except FrictrackError as e:
+        raise FrictrackError(str(e), usage=True) from e
+    if found:
+        raise FrictrackError("; ".join(found), usage=True)
+
+
+def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
+    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
+    bare = {key for key, value in (("mass", mass), ("scale", scale)) if value is not None and _is_bare(value)}
+    pitch = float("nan") if scale is None else parse_scale(scale)[0]
+    return EnteredValues(
+        mass=None if mass in (None, "fit") else _kilograms(mass)[0],
+        pitch=pitch if isfinite(pitch) else None,
+        fps=fps,
+        bare=frozenset(bare),
+    )
+
+
+def _kilograms(mass: Any) -> tuple[float, float]:
+    value, std = parse_quantity(mass, "kg", "mass")
+    if not value > 0:
+        raise FrictrackError(f"expected a mass above 0 kg but got {mass}")
+    return value, std
+
+
+def _is_bare(value: Any) -> bool:
+    """Return whether a value has no unit."""
+    return not isinstance(value, str) or re.search(r"[^\W\d_]", re.sub(r"\d[eE][+-]?\d", "", value)) is None
+
+
+def _as_option(words: str) -> str:
+    """Return a finding on a key of the study file as one on an option of the command line."""
+    checked = 'if it is right, set plausible = "checked"'
+    return _KEY.sub(r"--\1 ", words).replace(checked, f"{checked} in a study file, which `frictrack init` writes")
+
+
+def describe_keys(keys: Mapping[str, Any]) -> str:
+    """Describe the numbers of the command line as they were read.
+
+    Parameters
+    ----------
+    keys
+        mass, scale and fps as they were typed; None if not given.
+
+    Examples
+    --------
+    >>> describe_keys({"mass": "350g", "scale": "0.5mm/px", "fps": 4000.0})
+    'mass 0.350 kg, scale 0.500 mm/px, 4000 fps'
+
+    """
+    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
+    parts = []
+    if mass is not None and mass != "fit":
+        parts.append(f"mass {_number(*_kilograms(mass))} kg")
+    if scale is not None:
+        pitch, relative = parse_scale(scale)
+        parts.append(f"scale {_number(1e3 * pitch, 1e3 * pitch * relative)} mm/px")
+    if fps is not None:
+        parts.append(f"{fps:g} fps")
+    return ", ".join(parts)
+
+
+def _number(value: float, std: float) -> str:
+    """Format a number with three digits or as many as it has, and its standard deviation if there is one."""
+    if std:
+        return format_plus_minus(value, std)
+    return max(f"{value:g}", f"{value:#.3g}".rstrip("."), key=len)
+
+
+def start_study(
+    path: Path,
+    recordings: Sequence[Path],
+    keys: Mapping[str, Any],
+    tell: Callable[[str], None] = lambda line: None,
+) -> Study:
+    """Write the study file of some recordings and open it; it is removed again if a recording cannot be used.
+
+    Parameters
+    ----------
+    path
+        Path of the new study file.
+    recordings
+        Films and tables, and folders of them.
+    keys
+        Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
+    tell
+        Called with one line about each recording.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the study file exists or a recording is missing; otherwise what is wrong with each recording.
+
+    """
+    paths = expand_folders(recordings)
+    refuse_existing(path)
+    found = [survey(one) for one in paths]
+    for one in found:
+        if one.is_usable:
+            tell(f"{one.path}: {one.words}")
+    faults = [f"{one.path.name}: {one.problem or _to_confirm(one)}" for one in found if not one.is_usable]
+    if faults:
+        raise FrictrackError("; ".join(faults))
+    write_study(path, [_new_run(one, keys) for one in found], keys)
+    try:
+        study = open_study(path)
+        check_inputs([run_pipeline(study, run) for run in study.runs])
+    except FrictrackError:
+        path.unlink()
+        raise
+    return study
+
+
+def _to_confirm(one: Surveyed) -> str:
+    return (
+        f"{one.words}; `frictrack init {one.path.parent}` writes a study file, in which its columns are to be named: "
+        f"{one.columns_to_confirm}, with the units of the file in the brackets"
+    )
+
+
+def _new_run(one: Surveyed, keys: Mapping[str, Any]) -> NewRun:
+    """Return the entry of a run: the frame rate of its name, if nothing else tells it, and the columns of a table."""
+    entry: dict[str, Any] = {}
+    if one.fps and one.fps_source != FROM_FILE and not keys.get("fps"):
+        entry["fps"] = one.fps
+    if one.columns:
+        entry["columns"] = one.columns
+    confirm = f"FILL IN the units: {one.columns_to_confirm}" if one.columns_to_confirm else ""
+    return NewRun(one.path, entry, confirm)
+
+
+def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a commented study file for what a folder holds: JSON of `frictrack init`.
+
+    Parameters
+    ----------
+    folder
+        Folder with recordings.
+    keys
+        Known keys of ``[study]`` and ``[camera]``: mass, fps, scale.
+
+    Returns
+    -------
+    dict
+        "study" and "output", the path of the file; "runs", names of the recordings in it; "found" and "skipped", what
+        each file holds or why it was left out; "fill_in", the keys that the user must give.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If there is no such folder, or the study file exists; otherwise if it has no recordings.
+
+    """
+    if not folder.is_dir():
+        raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
+    refuse_existing(folder / "study.toml")
+    seen = [survey(path) for path in list_files(folder)]
+    found = [one for one in seen if not one.problem]
+    skipped = [{"file": one.path.name, "reason": one.problem} for one in seen if one.problem]
+    if not found:
+        reasons = "".join(f"; {one['file']}: {one['reason']}" for one in skipped)
+        raise FrictrackError(f"expected films or tables in {folder} but found none{reasons}")
+    rates = {one.fps for one in found if not one.is_table}
+    common = {"fps": next(iter(rates))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
+    known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
+    remarks = _remarks(found, known)
+    path = write_study(
+        folder / "study.toml", [_new_run(one, known) for one in found], known, commented=True, remarks=remarks
+    )
+    return {
+        "study": str(path),
+        "runs": [one.path.name for one in found],
+        "found": [{"file": one.path.name, "words": one.words} for one in found],
+        "skipped": skipped,
+        "fill_in": [key for key, words in remarks.items() if words.startswith("FILL IN")]
+        + [f"columns of {one.path.name}" for one in found if one.columns_to_confirm],
+        "output": str(path),
+    }
+
+
+def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
+    """Return comments on the keys that are not known, and where a known frame rate comes from."""
+    films = [one for one in found if not one.is_table]
+    remarks = {}
+    if "mass" not in known:
+        remarks["mass"] = f"{FILL_IN}the sliding mass; weigh it: the friction force is proportional to it"
+    if films and "scale" not in known:
+        remarks["scale"] = (
+            f"{FILL_IN}size of a pixel on the course, with its uncertainty (forces are proportional to it)"
+        )
+    if films and any(one.fps is None for one in films) and "fps" not in known:
+        names = ", ".join(one.path.name for one in films if one.fps is None)
+        remarks["fps"] = f"{PLAYBACK}: {names}"
+    elif films and films[0].fps_source and known.get("fps") == films[0].fps:
+        remarks["fps"] = f"frame rate while filming, {films[0].fps_source}; the friction force scales with its square"
+    return remarks

@@ -1,0 +1,169 @@
+"""Look at recordings before a study is made of them: what they hold, their frame rate, their columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from frictrack.errors import FrictrackError
+from frictrack.study import TABLES, TableFile, columns_line, has_units, open_table, propose_columns, read_table
+
+RATE_IN_NAME = re.compile(
+    r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE
+)  # "4000fps", "4 kHz"
+FROM_FILE, FROM_NAME = "stated by the file", "from its name"
+STANDARD = ("t_s", "x_m")
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """One recording as it was found.
+
+    Parameters
+    ----------
+    path
+        The film, table, or folder of pictures.
+    words
+        What it holds, in a few words.
+    problem
+        Why it cannot be used; empty if it can.
+    fps, fps_source
+        Frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the camera's rate.
+    columns
+        Columns of a table by short name, if the headers tell them with their units.
+    columns_to_confirm
+        Line of the study file that names the columns, if the units are missing.
+
+    """
+
+    path: Path
+    words: str = ""
+    problem: str = ""
+    fps: float | None = None
+    fps_source: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    columns_to_confirm: str = ""
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether a run can be made of it without asking."""
+        return not self.problem and not self.columns_to_confirm
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it is a table."""
+        return self.path.suffix.lower() in TABLES and not self.path.is_dir()
+
+
+def survey(path: Path) -> Surveyed:
+    """Look at one recording.
+
+    Parameters
+    ----------
+    path
+        A film, a table, or a folder of pictures.
+
+    """
+    if path.suffix.lower() in TABLES and not path.is_dir():
+        return _survey_table(path)
+    return _survey_film(path)
+
+
+def _survey_film(path: Path) -> Surveyed:
+    """Open a film; a frame rate in its name counts where the file tells none."""
+    from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
+
+    fps, source = None, FROM_FILE
+    try:
+        film = open_recording(path)
+        fps = film.fps
+    except FrictrackError:
+        fps, source = rate_in_name(path.name), FROM_NAME
+        try:
+            film = open_recording(path, fps=fps or 1.0)
+        except FrictrackError as e:
+            return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
+    height, width = film.shape
+    rate = f", {fps:g} fps ({source})" if fps else ", frame rate of the camera not stated"
+    words = f"{film.n_frames} frames of {width} x {height} px{rate}"
+    return Surveyed(path, words, fps=fps, fps_source=source if fps else "")
+
+
+def rate_in_name(name: str) -> float | None:
+    """Return the frame rate in the name of a file, 1/s; None if there is none.
+
+    Examples
+    --------
+    >>> rate_in_name("slow_4000fps.avi"), rate_in_name("run 7, 10kHz.mp4"), rate_in_name("v3.avi")
+    (4000.0, 10000.0, None)
+
+    """
+    found = RATE_IN_NAME.search(name)
+    return float(found[1]) * (1000.0 if found[2] else 1.0) if found else None
+
+
+def _survey_table(path: Path) -> Surveyed:
+    try:
+        table = open_table(path, STANDARD)
+        columns = _columns(table)
+        if columns is not None and not has_units(columns) and columns:
+            return Surveyed(path, _unknown_units(table), columns_to_confirm=columns_line(columns))
+        if columns is None:
+            heads = ", ".join(map(str, table.frame.columns))
+            return Surveyed(path, problem=f"no column of times and no column of positions in it, but {heads[:60]}")
+        data = read_table(path, columns)
+    except FrictrackError as e:
+        return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
+    words = f"{len(data.t)} rows, {data.t[-1] - data.t[0]:.3g} s"
+    named = f" of a {table.program} export" if table.program else ""
+    if columns:
+        named += "; " + ", ".join(f'{key} is "{header}"' for key, header in columns.items())
+    return Surveyed(path, words + named, columns=columns)
+
+
+def _columns(table: TableFile) -> dict[str, str] | None:
+    """Return the columns that a study file must name; none for standard headers; None if there is no time or position.
+
+    The columns of a known program need no name.
+    """
+    proposed = propose_columns(table.frame, table.columns)
+    heads = list(map(str, table.frame.columns))
+    if table.columns or all(any(head.split(" (")[0] == name for head in heads) for name in STANDARD):
+        return {}
+    known = [key for key, name in zip(("t", "x"), STANDARD, strict=True) if name in heads or key in proposed]
+    return proposed if len(known) == len(STANDARD) else None
+
+
+def _unknown_units(table: TableFile) -> str:
+    return f"{len(table.frame)} rows; the headers {', '.join(map(str, table.frame.columns))} state no units"
+
+
+def expand_folders(paths: Sequence[Path]) -> list[Path]:
+    """Replace folders that hold films or tables by what they hold; a folder of pictures is a recording itself.
+
+    Parameters
+    ----------
+    paths
+        Recordings and folders.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a path does not exist, or comes twice.
+
+    """
+    from frictrack.study import find_recordings, is_picture_folder  # noqa: PLC0415 - only used here
+
+    missing = [f"expected a recording {p} but there is no such file" for p in paths if not p.exists()]
+    found: list[Path] = []
+    for path in () if missing else paths:
+        found += find_recordings(path) if path.is_dir() and not is_picture_folder(path) else [path]
+    places = [path.resolve() for path in found]
+    twice = [
+        f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]
+    ]
+    if missing or twice:
+        raise FrictrackError("; ".join(missing + twice), usage=True)
+    return found
