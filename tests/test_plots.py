@@ -286,10 +286,10 @@ def test_segments_of_a_run_share_a_panel():
 def test_many_runs_show_those_that_fit_worst():
     runs = [run_results(f"v{i}") for i in range(20)]
     m = model("1_tustin", 10.0, runs)
-    curves = tuple(curve(r, (30 if i >= 8 else 10) * 1e-6) for i, r in enumerate(runs))
+    curves = tuple(curve(r, (30 if i >= 12 else 10) * 1e-6) for i, r in enumerate(runs))
     figure = plots.failing(replace(m, curves=curves), runs, [])
     titles = [ax.get_title(loc="left").split(":")[0] for ax in figure.axes]
-    assert titles == [f"v{i}" for i in range(8, 20)]
+    assert titles == [f"v{i}" for i in range(12, 20)]
 
 
 def test_failing_span_is_marked_with_its_share():

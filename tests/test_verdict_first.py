@@ -18,7 +18,7 @@ from frictrack.diagnose import Diagnosis, diagnose
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study, read_results
-from frictrack.report.verdict_text import study_verdict
+from frictrack.report.next_step_text import next_steps
 from frictrack.results import to_builtins
 from frictrack.verdicts import VERDICT_ONLY
 
@@ -81,7 +81,7 @@ def test_an_interrupted_diagnosis_keeps_its_verdict_and_is_completed_later(
     results = read_results(open_study(study_file))
     assert results.diagnosis is not None
     assert (results.diagnosis["verdict"], results.diagnosis["complete"]) == ("missing", False)
-    assert any("Only the verdict is known" in str(words) for words in study_verdict(results).sentences)
+    assert any("Only the verdict is known" in str(words) for words in next_steps(results))
 
     seen: list[dict[str, Any]] = []
     again = Session(open_study(study_file))

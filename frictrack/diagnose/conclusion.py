@@ -22,6 +22,7 @@ from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
+from frictrack.diagnose.residual_series import residual_series
 from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals
 from frictrack.diagnose.simpler_model import find_simpler_model
 from frictrack.diagnose.unexplained import unexplained_force
@@ -36,7 +37,7 @@ MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
 )  # share of the misfit, and number, of further effects in the table of importance
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
-N_CANDIDATES_HELD_OUT = 3  # with held-out error and rivals
+N_CANDIDATES_WITH_RIVALS = 3  # the best ones
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
 
 
@@ -100,6 +101,7 @@ class Conclusion:
             complete=True,
             fails_at=[] if self._nothing_missing else self._fails_at,
             importance=_importance(self.search.first, self._named, self.verdict.candidates, self._heldout),
+            figures=self.verdict.figures | {"residual": self._residual},
         )
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
@@ -180,6 +182,12 @@ class Conclusion:
         if not simpler["decisive"]:
             return replace(found, unexplained=simpler)
         return replace(found, verdict="unexplained", missing=[], unexplained=simpler)
+
+    @property
+    def _residual(self) -> dict[str, Array]:
+        """The residual of the fit, and with the effects found, along the motion of every run."""
+        after = self.search.last.solution if self._named else None
+        return residual_series(self.search.start, after, [t.effect.name for t in self._named])
 
     @property
     def _fails_at(self) -> list[dict[str, Any]]:
@@ -271,18 +279,18 @@ def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _
     chosen = {t.effect.name: t for t in found}
     rivals = {
         t.effect.name: find_rivals(t, first.tried)
-        for t in first.passing[:N_CANDIDATES_HELD_OUT]
+        for t in first.passing[:N_CANDIDATES_WITH_RIVALS]
         if t.effect.name not in chosen
     }
     simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
     out = []
-    for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
+    for t in [*found, *(t for t in first.tried if t.effect.name not in chosen)]:
         name = t.effect.name
         shown = simulated.get(name, t)
         refined = chosen.get(name, t)
         indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
         shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
-        held = heldout if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None
+        held = heldout if t.p < ALPHA / 2 else None
         out.append(_candidate(shown, held, residual_kind(first.solution.problem)))
     return out
 

@@ -3,12 +3,12 @@
 plots.motion(run).savefig("v3.pdf")
 """
 
-from frictrack.plots.budget import budget
+from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
-from frictrack.plots.cutoff import cutoff
+from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.evidence import candidates, has_limits, has_scan, history, limits, passes, scan
 from frictrack.plots.loops import loops
-from frictrack.plots.measured import film, friction, motion
+from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
 from frictrack.plots.missing_force import has_missing_force, missing_force
 from frictrack.plots.model import failing, fit, modelled_force, noise_um, residual_unit, residuals, routes
 from frictrack.plots.modelled import modelled
@@ -19,27 +19,37 @@ from frictrack.plots.profiles import profiles
 from frictrack.plots.style import numbered_name, plain_name, png, svg
 from frictrack.plots.table import table
 from frictrack.plots.unexplained import correlated_signal, unexplained
+from frictrack.plots.verdict import verdict
+from frictrack.plots.verdict_data import failed_model, is_rejected
 
 __all__ = [
     "budget",
+    "budgets",
+    "budgets_title",
     "candidates",
     "correlated_signal",
     "cutoff",
+    "cutoffs",
+    "failed_model",
     "failing",
     "film",
     "fit",
     "friction",
+    "friction_title",
     "has_limits",
     "has_missing_force",
     "has_scan",
     "history",
     "html",
+    "is_rejected",
     "limits",
     "loops",
     "missing_force",
     "modelled",
     "modelled_force",
     "motion",
+    "motions",
+    "motions_title",
     "next_experiments",
     "noise_um",
     "numbered_name",
@@ -57,4 +67,5 @@ __all__ = [
     "table",
     "trends",
     "unexplained",
+    "verdict",
 ]

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.records import CutoffTradeOff
+
+MAX_PANELS = 8  # runs drawn as small multiples
 
 
 @styled
@@ -36,26 +41,67 @@ def cutoff(name: str, found: CutoffTradeOff, mass: float | None = None) -> Figur
     above.loglog(f, 1e6 * found.residual, color=style.MEASURED_COLOUR, lw=1.6, label="removed by the filter")
     above.loglog(f, 1e6 * found.floor, color=style.BLUE, lw=1.3, ls="--", label="noise alone")
     above.set_ylabel(axis_label("residual", "µm"))
-    below.loglog(f, factor * found.total, color=style.MEASURED_COLOUR, lw=1.8, label="total")
-    below.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise that passes")
-    below.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
-    below.axhline(
-        factor * found.structural, color=style.GREEN, lw=1.6, ls="-.", label="total, vibrations and events modelled"
-    )
-    below.loglog(f, factor * found.hidden, color="#999999", lw=1.0, label="undetectable vibration")
-    top = factor * float(np.max(found.total[f < 3.0 * max(found.chosen, found.least)], initial=found.structural))
-    below.set_ylim(0.3 * factor * min(found.structural, float(found.total.min())), 3.0 * top)
+    _draw_errors(below, found, factor)
     below.set(
         xlabel=axis_label("cut-off frequency", "Hz"), ylabel=axis_label("error of m a" if mass else "error of a", unit)
     )
+    above.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
     for ax in (above, below):
-        ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
         ax.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)  # a curve may run anywhere inside
     above.annotate(
         f"{format_number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
         xytext=(3, -10), textcoords="offset points", fontsize=8,
     )  # fmt: skip
     return figure
+
+
+@styled
+def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
+    """Draw, for several runs, the error of the force over the cut-off frequency: one panel each.
+
+    Parameters
+    ----------
+    found : mapping
+        Errors of the acceleration over the cut-off frequency, and the mass in kg (None without), by run. The first
+        `MAX_PANELS` are drawn.
+
+    """
+    shown = list(found.items())[:MAX_PANELS]
+    columns = style.panel_columns(len(shown))
+    rows = -(-len(shown) // columns)
+    drawn = f"; the first {MAX_PANELS} runs of {len(found)}" if len(found) > MAX_PANELS else ""
+    figure = new_figure(2.3 * rows + 1.0, f"Error over the cut-off frequency{drawn}")
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    in_newtons = all(mass is not None for _, (_, mass) in shown)
+    for ax, (name, (one, mass)) in zip(panels.flat, shown, strict=False):
+        _draw_errors(ax, one, mass if in_newtons and mass is not None else 1.0)
+        ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
+    for ax in panels.flat[len(shown) :]:
+        ax.set_axis_off()
+    for ax in panels[:, 0]:
+        ax.set_ylabel(axis_label("error of m a", "N") if in_newtons else axis_label("error of a", "m/s^2"))
+    for k, ax in enumerate(panels.flat[: len(shown)]):
+        if k + columns >= len(shown):
+            ax.set_xlabel(axis_label("cut-off frequency", "Hz"))
+            ax.tick_params(labelbottom=True)
+    handles, names = panels.flat[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower left", ncols=len(names))
+    return figure
+
+
+def _draw_errors(ax: Axes, found: CutoffTradeOff, factor: float) -> None:
+    """Draw noise that passes, signal that is lost and their sum over the cut-off, which is marked."""
+    f = found.frequency
+    ax.loglog(f, factor * found.total, color=style.MEASURED_COLOUR, lw=1.8, label="total")
+    ax.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise that passes")
+    ax.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
+    ax.axhline(
+        factor * found.structural, color=style.GREEN, lw=1.6, ls="-.", label="total, vibrations and events modelled"
+    )
+    ax.loglog(f, factor * found.hidden, color="#999999", lw=1.0, label="undetectable vibration")
+    top = factor * float(np.max(found.total[f < 3.0 * max(found.chosen, found.least)], initial=found.structural))
+    ax.set_ylim(0.3 * factor * min(found.structural, float(found.total.min())), 3.0 * top)
+    ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
 
 
 def _title(name: str, found: CutoffTradeOff, factor: float, unit: str) -> str:

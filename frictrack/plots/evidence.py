@@ -369,7 +369,7 @@ def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | N
         raise ValueError("expected the curve of a detection limit but got none")
     columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = new_figure(2.3 * rows + 0.6, "Detection limits: 95 of 100 repeats detect an amplitude above the line")
+    figure = new_figure(1.9 * rows + 0.6, "Detection limits: 95 of 100 repeats detect an amplitude above the line")
     panels = figure.subplots(rows, columns, squeeze=False)
     for ax, effect in zip(np.ravel(panels), shown, strict=False):
         _limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,17 +11,24 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
-from frictrack.number_format import format_number
+from frictrack.number_format import format_number, format_range
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyRun, as_run, as_runs
 from frictrack.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.polygons import polygon
-from frictrack.records import Array, Motion, stretches
+from frictrack.records import Array, Mask, Motion, stretches
 from frictrack.results import RunResults
 
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
 MAX_PUSH_RATIO = 4.0  # range of all accelerations over that of the free section; beyond it the push is not shown
 MAX_NAMED_EVENTS = 8
+MAX_MOTIONS = 8  # runs drawn as small multiples
+MOTION_LABELS = (
+    axis_label("displacement x", "m"),
+    axis_label("velocity v", "m/s"),
+    axis_label("acceleration a", "m/s^2"),
+)
+SHORT_LABELS = (axis_label("x", "m"), axis_label("v", "m/s"), axis_label("a", "m/s^2"))
 NAME_WIDTH = 0.12  # of the panel's width
 REST_SPEED_SHARE = 0.02  # of the highest speed: below it the mass counts as stopped
 
@@ -82,27 +90,73 @@ def motion(run: AnyRun) -> Figure:
     run = as_run(run)
     m = run.motion
     figure = new_figure(6.2, _motion_title(run), width=style.PAGE_WIDTH_IN / 2)
-    panels = figure.subplots(3, 1, sharex=True)
-    inside = _unsmeared(m)
-    for ax, values, sigma, label in zip(
-        panels,
-        (m.x, m.v, m.a),
-        (m.sigma_x, m.sigma_v, m.sigma_a),
-        (axis_label("displacement x", "m"), axis_label("velocity v", "m/s"), axis_label("acceleration a", "m/s^2")),
-        strict=True,
-    ):
-        _shade_sections(ax, run)
-        draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
-        ax.plot(1e3 * m.t, values, color=style.MEASURED_COLOUR, lw=1.3)
+    panels: Any = figure.subplots(3, 1, sharex=True)
+    _draw_motion(panels, run)
+    for ax, label in zip(panels, MOTION_LABELS, strict=True):
         ax.set_ylabel(label)
-        style.set_y_limits(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
-    _zoom_to_free_section(panels[-1], run)
-    _mark_events(panels, run)
     figure.align_ylabels(panels)
     panels[-1].set_xlabel(axis_label("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
     figure.legend(handles=_section_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
     return figure
+
+
+@styled
+def motions(runs: Sequence[AnyRun]) -> Figure:
+    """Draw displacement, velocity and acceleration of several runs as small multiples with shared axes.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults or Run
+        Runs of a study; the first `MAX_MOTIONS` are drawn.
+
+    """
+    able = as_runs(runs)
+    shown = able[:MAX_MOTIONS]
+    columns = style.panel_columns(len(shown))
+    rows = -(-len(shown) // columns)
+    figure = new_figure(4.4 * rows + 0.8, motions_title(able))
+    panels: Any = figure.subplots(3 * rows, columns, squeeze=False, sharex=True)
+    for k in range(rows * columns):
+        cell = panels[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
+        if k < len(shown):
+            _draw_motion(cell, shown[k])
+            cell[0].set_title(shown[k].name, fontweight="normal")
+        else:
+            for ax in cell:
+                ax.set_axis_off()
+        if k + columns >= len(shown) and k < len(shown):
+            cell[-1].set_xlabel(axis_label("time t", "ms"))
+            cell[-1].tick_params(labelbottom=True)
+    for i, ax in enumerate(panels[:, 0]):
+        ax.set_ylabel(SHORT_LABELS[i % 3])
+    figure.align_ylabels(panels[:, 0])
+    handles = {handle.get_label(): handle for run in shown for handle in _section_handles(run)}
+    figure.legend(handles=list(handles.values()), loc="outside lower left", ncols=4)
+    return figure
+
+
+def motions_title(runs: Sequence[RunResults]) -> str:
+    """Title of `motions`: how many runs, how fast, and how many are drawn."""
+    top = [float(np.max(np.abs(run.motion.v))) for run in runs]
+    count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+    drawn = f"; the first {MAX_MOTIONS} are drawn" if len(runs) > MAX_MOTIONS else ""
+    return f"{count} with a highest speed of {format_range(top)} m/s{drawn}"
+
+
+def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
+    """Draw x, v and a of one run in three panels, with its sections and events."""
+    m = run.motion
+    unsmeared = _unsmeared(m)
+    moved = unsmeared if run.friction is None else unsmeared | run.friction.free
+    columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, unsmeared))
+    for ax, (values, sigma, shown) in zip(panels, columns, strict=True):
+        _shade_sections(ax, run)
+        draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
+        ax.plot(1e3 * m.t, values, color=style.MEASURED_COLOUR, lw=1.3)
+        style.set_y_limits(ax, (values[shown] - sigma[shown], values[shown] + sigma[shown]))
+    _zoom_to_free_section(panels[-1], run)
+    _mark_events(panels, run)
 
 
 def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
@@ -152,9 +206,12 @@ def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
         ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
 
 
-def _unsmeared(m: Motion) -> slice:
-    """Frames away from the smeared ends; all frames of a very short record."""
-    return slice(m.guard, len(m) - m.guard) if len(m) > 2 * m.guard + 2 else slice(None)
+def _unsmeared(m: Motion) -> Mask:
+    """Frames away from the smeared ends (n,); all frames of a very short record."""
+    out = np.ones(len(m), dtype=bool)
+    if len(m) > 2 * m.guard + 2:
+        out[: m.guard] = out[len(m) - m.guard :] = False
+    return out
 
 
 def _shade_sections(ax: Axes, run: RunResults) -> None:
@@ -195,7 +252,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
     able = [run for run in as_runs(runs) if run.friction is not None and np.any(run.friction.free)]
     if not able:
         raise ValueError("expected a run with a friction force but got none; a mass is needed")
-    figure = new_figure(4.4, _friction_title(able))
+    figure = new_figure(3.8, friction_title(able))
     left, right = figure.subplots(1, 2, sharey=True)
     everything = []
     styles = style.run_styles(runs)
@@ -219,7 +276,8 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
     return figure
 
 
-def _friction_title(runs: Sequence[RunResults]) -> str:
+def friction_title(runs: Sequence[RunResults]) -> str:
+    """Title of `friction`: the range of force and speed on the free sections."""
     rows = [style.unsmeared_frames(run.friction, run.motion.guard) for run in runs if run.friction is not None]
     size = np.concatenate(
         [np.abs(r.friction.F[at]) for r, at in zip(runs, rows, strict=True) if r.friction is not None]

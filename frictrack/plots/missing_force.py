@@ -65,14 +65,14 @@ def missing_force(
     """
     whole = figures["residual_force"]
     shown = [name for name in AXES if name in whole]
-    figure = new_figure(6.6, _title(repeats))
+    figure = new_figure(5.4, _title(repeats))
     panels = figure.subplots(2, 3)
     factor, unit = style.axis_scale(whole["F"], "N")
-    low, high = _reach(whole)
+    low, high = force_limits(whole)
     shares = {r["axis"]: r for r in repeats}
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        _runs(ax, whole, name, factor, list(styles.values()))
-        _common(ax, figures.get(f"common_{name}"), factor)
+        draw_runs(ax, whole, name, factor, list(styles.values()))
+        draw_common(ax, figures.get(f"common_{name}"), factor)
         _mark_spans(ax, whole, name, spans, styles)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
         foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
@@ -107,7 +107,7 @@ def _label(name: str, whole: Mapping[str, Array]) -> str:
     return axis_label(axis.label, axis.unit)
 
 
-def _reach(whole: Mapping[str, Array]) -> tuple[float, float]:
+def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
     """Limits of the force axis, N; a band wider than the force itself does not set them."""
     usual = float(np.median(whole["sigma_F"]))
     room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
@@ -116,7 +116,9 @@ def _reach(whole: Mapping[str, Array]) -> tuple[float, float]:
     return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
-def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]) -> None:
+def draw_runs(
+    ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]
+) -> None:
     """Draw one thin line with its band per run, with gaps where the axis jumps."""
     for k in np.unique(whole["run"]).astype(int):
         mine = whole["run"] == k
@@ -129,7 +131,8 @@ def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles
         ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
 
 
-def _common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
+def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
+    """Draw the part that is common to all runs as a black line with its band."""
     if curve is None:
         return
     known = np.isfinite(curve["F"])

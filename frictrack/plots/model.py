@@ -26,7 +26,7 @@ from frictrack.results import ModelResults, RunResults
 
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
-MAX_PANELS = 12  # runs drawn; of more runs, those that fit worst
+MAX_PANELS = 8  # runs drawn; of more runs, those that fit worst
 BETTER_MODEL_STYLE: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 

@@ -16,6 +16,8 @@ from frictrack.plots.style import run_styles
 from frictrack.report.tables import TextTable, failing_span_table, make_table
 from frictrack.results import ModelResults, Results
 
+MAX_SPANS_SHOWN = 12  # the others are folded
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -31,8 +33,8 @@ class Failure:
         Figures of the residual and of the missing force; the second may be empty.
     repeatability : str
         With what the misfit repeats, in one sentence.
-    repeats, spans : TextTable
-        The repeatability tests, and the spans where the model fails.
+    repeats, spans, more_spans : TextTable
+        The repeatability tests, and the spans where the model fails, the first ones apart.
 
     """
 
@@ -43,6 +45,7 @@ class Failure:
     repeatability: str
     repeats: TextTable
     spans: TextTable
+    more_spans: TextTable
 
 
 def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> Failure:
@@ -75,7 +78,8 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
         force=Markup("") if force_figure is None else draw(force_figure),
         repeatability=diagnosis.get("repeats_words", ""),
         repeats=_repeatability_table(repeated),
-        spans=failing_span_table(found),
+        spans=failing_span_table(found[:MAX_SPANS_SHOWN]),
+        more_spans=failing_span_table(found[MAX_SPANS_SHOWN:]),
     )
 
 

@@ -35,7 +35,7 @@ def measurement(runs: Sequence[RunResults]) -> list[Markup]:
     if not filmed:
         return []
     failed = [
-        Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in filmed if (found := _failed_checks(run))
+        Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in filmed if (found := failed_checks(run))
     ]
     passed = Markup("All measurement self-checks passed.")
     return [_precision([run.quality for run in filmed]), *(failed or [passed])]
@@ -58,7 +58,7 @@ def _precision(found: Sequence[Mapping[str, Any]]) -> Markup:
     return sentence + Markup(".")
 
 
-def _failed_checks(run: RunResults) -> list[str]:
+def failed_checks(run: RunResults) -> list[str]:
     """Describe the self-checks that one film fails."""
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]

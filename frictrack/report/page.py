@@ -19,7 +19,9 @@ from frictrack.report import (
     failures,
     fit_text,
     measurement_quality,
+    next_step_text,
     provenance,
+    section_lines,
     tables,
     unexplained,
     verdict_text,
@@ -28,8 +30,7 @@ from frictrack.report.markup import mark_equation
 from frictrack.report.templates import SvgEmbedder, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 
-MAX_FILMS = 6  # films of which the first frame is shown
-MAX_RUNS = 12  # runs of which the motion is drawn
+MAX_FILMS = 4  # films of which the first frame is shown
 MIN_CORRELATION = 0.95  # of two parameters; less is not reported
 
 
@@ -38,8 +39,7 @@ class RejectedModel:
     """A model that failed, and the evidence for what it lacks; figures may be empty."""
 
     headline: str
-    diagnosis: Mapping[str, Any]
-    evidence: Markup
+    candidates: tables.CandidateTable
     cards: list[tables.CandidateCard]
     scan: Markup
     unexplained: dict[str, Any] | None
@@ -91,45 +91,91 @@ def render(results: Results, key: str = "") -> str:
     """
     page = page_template("page.html.j2")
     draw = SvgEmbedder()
-    steps = tables.separating_experiments(results.diagnosis)
     return page.render(
         results=results,
         key=key,
-        verdict=verdict_text.study_verdict(results),
-        model=results.current,
         written=now(),
-        films=_first_frames(results),
-        motions=[draw(plots.motion(run)) for run in results.runs[:MAX_RUNS]],
-        cutoffs=_cutoffs(results, draw),
-        smoothing=measurement_quality.smoothing(results),
-        friction=draw(plots.friction(results.runs)) if _has_force(results) else None,
-        budgets=[draw(plots.budget(run.name, run.budget)) for run in results.runs[:MAX_RUNS] if run.budget],
-        budget_sentences=budgets.budget_sentences(results.runs),
-        budget_table=budgets.source_table(results.runs),
-        fits=[draw(plots.fit(m, results.runs)) for m in _current_model(results)],
-        loops=_loops(results, draw),
-        has_measured_friction=fit_text.has_measured_friction(results),
-        model_motion=_model_motion(results, draw),
-        model_motion_sentences=fit_text.model_motion_sentences(results.current) if results.current else [],
-        failures=[failures.failure(m, results, draw, _headline(m)) for m in _rejected(results)],
-        rejected=[_rejected_model(m, draw) for m in _rejected(results)],
-        steps=steps,
-        inseparable=tables.inseparable(results.diagnosis),
-        steps_figure=_experiments(steps, draw),
-        history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
-        limits=_limits(results, draw),
-        routes=_routes(results, draw),
-        remarks=_remarks(results.current),
-        profiles=_profiles(results.current, draw),
-        bootstrap=fit_text.bootstrap_sentence(results.current) if results.current else "",
+        lines=section_lines.section_lines(results),
         tables=tables,
         provenance=provenance,
         mark_equation=mark_equation,
         format_quantity=format_quantity,
-        measurement=measurement_quality.measurement(results.runs),
-        scale_line=fit_text.scale_line(results),
-        scale_error=fit_text.scale_error(results),
+        **_first_screen(results, draw),
+        **_diagnosis_sections(results, draw),
+        **_model_sections(results, draw),
+        **_measurement_sections(results, draw),
     )
+
+
+def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """The verdict, its figure, the parameters and what to do next."""
+    model = results.current
+    if model is not None:
+        figure = draw(plots.verdict(results, title=False))
+    elif _has_force(results):
+        figure = draw(plots.friction(results.runs))
+    else:
+        figure = draw(plots.motions(results.runs[:1]))
+    return {
+        "verdict": verdict_text.study_verdict(results),
+        "verdict_figure": figure,
+        "model": model,
+        "next_steps": next_step_text.next_steps(results),
+        "scale_error": fit_text.scale_error(results),
+        "scale_line": fit_text.scale_line(results),
+    }
+
+
+def _diagnosis_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """Where the model fails, what is missing, the next experiments and the detection limits."""
+    steps = tables.separating_experiments(results.diagnosis)
+    shown = plots.failed_model(results)
+    judged = [m for m in _rejected(results) if m is shown or m.current] or _rejected(results)
+    return {
+        "failures": [
+            failures.failure(m, results, draw, _headline(m)) for m in judged if plots.is_rejected(m.diagnosis)
+        ],
+        "rejected": [_rejected_model(m, draw) for m in judged],
+        "earlier": [_headline(m) for m in _rejected(results) if m not in judged],
+        "steps": steps,
+        "inseparable": tables.inseparable(results.diagnosis),
+        "steps_figure": _experiments(steps, draw),
+        "limits": _limits(results, draw),
+    }
+
+
+def _model_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """The current model: its errors, its parameters, and both routes."""
+    model = results.current
+    return {
+        "history": draw(plots.history(results.models)) if len(results.models) > 1 else None,
+        "fits": [draw(plots.fit(m, results.runs)) for m in _current_model(results)],
+        "loops": _loops(results, draw),
+        "model_motion": _model_motion(results, draw),
+        "model_motion_sentences": fit_text.model_motion_sentences(model) if model else [],
+        "routes": _routes(results, draw),
+        "remarks": _remarks(model),
+        "profiles": _profiles(model, draw),
+        "bootstrap": fit_text.bootstrap_sentence(model) if model else "",
+    }
+
+
+def _measurement_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """Friction, motion, films, smoothing and error budgets of the runs."""
+    smoothed = {run.name: (run.cutoff, run.mass) for run in results.runs if run.cutoff is not None}
+    found = {run.name: run.budget for run in results.runs if run.budget}
+    return {
+        "films": _first_frames(results),
+        "motions": draw(plots.motions(results.runs)),
+        "cutoffs": draw(plots.cutoffs(smoothed)) if smoothed else Markup(""),
+        "smoothing": measurement_quality.smoothing(results),
+        "friction": draw(plots.friction(results.runs)) if _has_force(results) else None,
+        "has_measured_friction": fit_text.has_measured_friction(results),
+        "budgets": draw(plots.budgets(found)) if found else Markup(""),
+        "budget_sentences": budgets.budget_sentences(results.runs),
+        "budget_table": budgets.source_table(results.runs),
+        "measurement": measurement_quality.measurement(results.runs),
+    }
 
 
 def _experiments(steps: Sequence[Mapping[str, Any]], draw: SvgEmbedder) -> Markup:
@@ -149,20 +195,14 @@ def _first_frame(run: RunResults, *, wide: bool) -> Markup:
     return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
 
 
-def _cutoffs(results: Results, draw: SvgEmbedder) -> list[Markup]:
-    """Draw the choice of the cut-off frequency of each run."""
-    shown = [run for run in results.runs[:MAX_RUNS] if run.cutoff is not None]
-    return [draw(plots.cutoff(run.name, run.cutoff, run.mass)) for run in shown if run.cutoff is not None]
-
-
 def _has_force(results: Results) -> bool:
     return any(run.friction is not None for run in results.runs)
 
 
 def _rejected(results: Results) -> list[ModelResults]:
-    """Models that their diagnosis did not find complete; if there is none, the last model that was diagnosed."""
+    """Models that their diagnosis rejects; if there is none, the last model that was diagnosed."""
     diagnosed = [m for m in results.models if m.diagnosis is not None]
-    return [m for m in diagnosed if m.diagnosis and m.diagnosis["verdict"] != "complete"] or diagnosed[-1:]
+    return [m for m in diagnosed if plots.is_rejected(m.diagnosis)] or diagnosed[-1:]
 
 
 def _current_model(results: Results) -> list[ModelResults]:
@@ -190,13 +230,14 @@ def _headline(model: ModelResults) -> str:
 
 def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
     diagnosis = model.diagnosis or {}
+    found = tables.candidate_table(diagnosis)
     best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
+    main = {best, *diagnosis["missing"], *(diagnosis["candidates"][0]["indistinguishable_from"] if best else ())}
     return RejectedModel(
         headline=_headline(model),
-        diagnosis=diagnosis,
-        evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
-        cards=tables.candidate_cards(diagnosis),
+        candidates=found,
+        cards=[card for card in tables.candidate_cards(diagnosis) if card.passes and card.name in main],
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
         unexplained=unexplained.unexplained_force(diagnosis, draw),
         correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),

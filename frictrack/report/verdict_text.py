@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from frictrack.axes import AXES
-from frictrack.number_format import format_number, format_quantity
+from frictrack.number_format import format_number
 from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.candidate_text import (
     evidence_text,
@@ -22,7 +22,7 @@ from frictrack.report.candidate_text import (
 )
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
-from frictrack.verdicts import VERDICT_ONLY, describe_open_question, indistinguishable_effects
+from frictrack.verdicts import indistinguishable_effects
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -30,6 +30,7 @@ EFFECT_NAMES = {
     "viscous": "viscous friction",
     "drag": "drag",
 }
+MAX_GAPS_NAMED = 2  # in a headline
 NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 
 
@@ -45,12 +46,15 @@ class VerdictText:
         The paragraph below it.
     kind : str
         complete, undetermined, missing, ambiguous or unexplained; "" before a diagnosis.
+    fitted : str
+        Which runs were fitted with which effects; "" before a fit.
 
     """
 
     headline: str
     sentences: tuple[Markup, ...]
     kind: str
+    fitted: str = ""
 
 
 def study_verdict(results: Results) -> VerdictText:
@@ -71,11 +75,10 @@ def study_verdict(results: Results) -> VerdictText:
     if model is None:
         return VerdictText("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
     kind = diagnosis["verdict"] if diagnosis else ""
-    sentences = [_runs_and_model(results, model), *_added_effects(results.models)]
+    sentences = [*_added_effects(results.models)]
     if diagnosis:
-        sentences += [*_VERDICT_SENTENCES[kind](model, diagnosis), *_next_step(diagnosis)]
-        sentences += [] if diagnosis.get("complete", True) else [mark_code(VERDICT_ONLY)]
-    return VerdictText(_headline(results, model, kind), tuple(sentences), kind)
+        sentences += _VERDICT_SENTENCES[kind](model, diagnosis)
+    return VerdictText(_headline(results, model, kind), tuple(sentences), kind, _runs_and_model(model))
 
 
 def effect_names(names: Sequence[str]) -> str:
@@ -128,7 +131,8 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
             return f"{_capitalised(join_words(added))} {verb} the misfit; nothing else is detectable"
         return f"{name} is complete for these runs"
     if kind == "undetermined":
-        return f"Undetermined: {describe_open_question(diagnosis)}"
+        gaps = diagnosis.get("undetermined") or [{"what": "the law"}]
+        return f"Undetermined: these runs do not determine {join_words([gap['what'] for gap in gaps[:MAX_GAPS_NAMED]])}"
     if kind == "ambiguous":
         return f"{name} {model_status(diagnosis)}: these runs cannot distinguish them"
     return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
@@ -138,40 +142,33 @@ def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _runs_and_model(results: Results, model: ModelResults) -> Markup:
+def _runs_and_model(model: ModelResults) -> str:
     fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
     n = len(fitted)
     runs = "One run was" if n == 1 else f"{NUMBER_WORDS[n].capitalize() if n < len(NUMBER_WORDS) else n} runs were"
-    return Markup("{} fitted with {}.").format(runs, effect_names(model.summary["model"]))
+    return f"{runs} fitted with {effect_names(model.summary['model'])}."
 
 
 def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
-    for before, after, effect in single_additions(models):
-        found = find_candidate(before.diagnosis, effect)
-        (old, unit), (new, _) = held_out_error(before.summary["errors"]), held_out_error(after.summary["errors"])
-        why = Markup("")
-        if found is not None:
-            why = Markup(" ({}; {})").format(lower_first(found["words"].get("what", "")), evidence_text(found))
-        errors = format_number(old), format_number(new), unit
-        yield Markup("{} lacked <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>.").format(
-            plain_name(before.name), effect, why, _falls_or_rises(old, new), *errors
-        )
-        yield _added_parameters(after, effect)
+    """Describe how the error changed as effects were added, in one sentence."""
+    added = list(single_additions(models))
+    if not added:
+        return
+    first, last = added[0][0], added[-1][1]
+    (old, unit), (new, _) = held_out_error(first.summary["errors"]), held_out_error(last.summary["errors"])
+    effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
+    found = find_candidate(first.diagnosis, added[0][2]) if len(added) == 1 else None
+    why = Markup("")
+    if found is not None:
+        why = Markup(" ({}; {})").format(lower_first(found["words"].get("what", "")), evidence_text(found))
+    yield Markup("{} lacked {}{}: with {} the held-out error {} from {} to <b>{} {}</b>.").format(
+        plain_name(first.name), Markup(effects), why, "it" if len(added) == 1 else "them", _falls_or_rises(old, new),
+        format_number(old), format_number(new), unit,
+    )  # fmt: skip
 
 
 def _falls_or_rises(old: float | None, new: float | None) -> str:
     return "rises" if old is not None and new is not None and new > old else "falls"
-
-
-def _added_parameters(model: ModelResults, effect: str) -> Markup:
-    """Shared parameters of an added effect."""
-    values = {
-        name.removeprefix(f"{effect}."): format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
-        for name, p in model.summary["parameters"].items()
-        if name.startswith(f"{effect}.") and "[" not in name and p["std"]
-    }
-    text = join_words([f"{name} {value}" for name, value in values.items()])
-    return Markup("Its parameters: {}.").format(text.replace("_", " ")) if text else Markup("")
 
 
 def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -194,8 +191,7 @@ def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator
         _residual(model), format_number(diagnosis["p_lack_of_fit"], 2)
     )
     for gap in diagnosis["undetermined"]:
-        advice = f"; to settle it: {lower_first(gap['settled_by'])}" if gap["settled_by"] else ""
-        yield Markup("Undetermined: <b>{}</b>: {}{}.").format(gap["what"], mark_code(gap["why"]), mark_code(advice))
+        yield Markup("Undetermined: <b>{}</b>: {}.").format(gap["what"], mark_code(gap["why"]))
 
 
 def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -247,17 +243,3 @@ _VERDICT_SENTENCES = {
     "ambiguous": _ambiguous,
     "unexplained": _unexplained,
 }
-
-
-def _next_step(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    """Propose the next experiment, or what confirms the missing effect."""
-    for step in (diagnosis.get("next_experiment") or [])[:1]:
-        yield Markup('To settle it: {}. See also <a href="#settle">next experiments</a>.').format(
-            mark_code(step["what"])
-        )
-    if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
-        for effect in indistinguishable_effects(diagnosis):
-            found = find_candidate(diagnosis, effect)
-            if found is not None and found["words"].get("confirm"):
-                how = mark_code(lower_first(found["words"]["confirm"]))
-                yield Markup("To confirm <b>{}</b>: {}.").format(effect, how)

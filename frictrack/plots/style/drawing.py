@@ -13,6 +13,7 @@ from frictrack.records import Array, Friction, Mask, stretches
 
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 MAX_POINTS = 1500  # of a band; a page cannot show more
+MAX_COLUMNS = 4  # of a grid of panels
 PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
 
 
@@ -85,15 +86,16 @@ def unsmeared_frames(friction: Friction, guard: int) -> Mask:
 
 
 def panel_columns(n: int) -> int:
-    """Columns of a grid of n panels: at most three, and two for four panels.
+    """Columns of a grid of n panels: at most four, in rows as even as possible.
 
     Examples
     --------
-    >>> [panel_columns(n) for n in (1, 2, 3, 4, 7)]
-    [1, 2, 3, 2, 3]
+    >>> [panel_columns(n) for n in (1, 2, 3, 4, 5, 6, 8)]
+    [1, 2, 3, 4, 3, 3, 4]
 
     """
-    return 2 if n == 4 else min(3, n)
+    rows = -(-n // MAX_COLUMNS)
+    return -(-n // rows) if n else 1
 
 
 def axis_scale(values: Array, unit: str) -> tuple[float, str]:

@@ -2,7 +2,9 @@
 
 from frictrack.report.tables.candidates import (
     CandidateCard,
+    CandidateTable,
     candidate_cards,
+    candidate_table,
     detection_limit_table,
     importance_table,
 )
@@ -14,14 +16,24 @@ from frictrack.report.tables.experiments import (
     with_expected_evidence,
 )
 from frictrack.report.tables.measurements import measurement_table, track_table
-from frictrack.report.tables.parameters import interval_table, parameter_table, run_table
+from frictrack.report.tables.parameters import (
+    MAX_FIRST_PARAMETERS,
+    interval_table,
+    parameter_table,
+    run_table,
+    shared_parameters,
+    short_parameter_table,
+)
 from frictrack.report.tables.text_table import Cell, TextTable, code_cell, make_table
 
 __all__ = [
+    "MAX_FIRST_PARAMETERS",
     "CandidateCard",
+    "CandidateTable",
     "Cell",
     "TextTable",
     "candidate_cards",
+    "candidate_table",
     "code_cell",
     "detection_limit_table",
     "experiment_table",
@@ -36,6 +48,8 @@ __all__ = [
     "route_table",
     "run_table",
     "separating_experiments",
+    "shared_parameters",
+    "short_parameter_table",
     "track_table",
     "with_expected_evidence",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,14 @@ from frictrack.report.tables.parameters import PER_RUN_NAME
 from frictrack.report.tables.text_table import Cell, TextTable, code_cell, make_table
 
 TEXT_KEYS = ("what", "looks_like", "here", "confirm")
+MAIN_KINDS = ("named", "rival")
+MAX_OTHERS_SHOWN = 3  # where no candidate was found
+KIND_WORDS = {
+    "named": "found",
+    "rival": "predicts the same data as the best one",
+    "weaker": "passes, but explains less",
+    "fails": "does not pass",
+}
 ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
 
 
@@ -104,6 +112,108 @@ def _numbers(c: Mapping[str, Any]) -> list[Cell]:
     if change:
         out.append(f"held-out error {change} ({'whole runs' if c['heldout'] == 'run' else 'every other frame'})")
     return out
+
+
+@dataclass(frozen=True)
+class CandidateTable:
+    """The candidates of a diagnosis, those that matter apart from the others.
+
+    Attributes
+    ----------
+    note : str
+        What holds for all of them: the error without any, and a p-value that they share.
+    shown, others : TextTable
+        The candidates that were found or cannot be told from those, and the others, sorted by held-out error.
+
+    """
+
+    note: str
+    shown: TextTable
+    others: TextTable
+
+
+def candidate_table(diagnosis: Mapping[str, Any]) -> CandidateTable:
+    """Tables of the candidates of a diagnosis, sorted by held-out error.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis.
+
+    """
+    found = sorted(diagnosis["candidates"], key=_held_out_order)
+    same_p = len({c["p"] for c in found if not c.get("implausible")}) <= 1
+    shares = {row["effect"]: row["explained_alone"] for row in diagnosis.get("importance") or []}
+    kinds = {c["effect"]: _kind(c, diagnosis) for c in found}
+    apart = [c for c in found if kinds[c["effect"]] in MAIN_KINDS] or found[:MAX_OTHERS_SHOWN]
+    rest = [c for c in found if c not in apart]
+    heads = ("effect", f"held-out error / {_unit_of(found)}", "explains alone", "p", "delta BIC", "")
+
+    def table(listed: Sequence[Mapping[str, Any]]) -> TextTable:
+        rows = [_candidate_row(c, kinds[c["effect"]], shares.get(c["effect"]), with_p=not same_p) for c in listed]
+        return make_table(heads, rows, (1, 2, 3, 4))
+
+    return CandidateTable(_candidates_note(found, diagnosis, same_p=same_p), table(apart), table(rest))
+
+
+def _held_out_order(c: Mapping[str, Any]) -> tuple[bool, float, float]:
+    error = _held_out(c, "after")
+    return error is None, 0.0 if error is None else error, -c["delta_bic"]
+
+
+def _held_out(c: Mapping[str, Any], when: str) -> float | None:
+    um, newton = (c.get(f"heldout_rms_{when}_{unit}") for unit in ("um", "N"))
+    found: float | None = newton if um is None else um
+    return found
+
+
+def _unit_of(found: Sequence[Mapping[str, Any]]) -> str:
+    return "N" if any(c.get("heldout_rms_after_N") is not None for c in found) else "µm"
+
+
+def _kind(c: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
+    """What a candidate means; also the CSS class of its mark."""
+    if c.get("implausible"):
+        return "implausible"
+    if not passes(c):
+        return "fails"
+    if c["effect"] in diagnosis["missing"]:
+        return "named"
+    best = diagnosis["candidates"][0]
+    rivals = best["indistinguishable_from"] if best["effect"] in diagnosis["missing"] else ()
+    return "rival" if c["effect"] in rivals else "weaker"
+
+
+def _candidate_row(c: Mapping[str, Any], kind: str, share: float | None, *, with_p: bool) -> Sequence[Cell]:
+    error = _held_out(c, "after")
+    return (
+        Markup('<span class="mark {}"></span><code>{}</code>').format(kind, c["effect"]),
+        _why_not_held_out(c, kind) if error is None else format_number(error),
+        _share_of_misfit(share),
+        format_number(c["p"], 1) if with_p else "",
+        format_number(c["delta_bic"]),
+        f"not plausible: {c['implausible']}" if kind == "implausible" else KIND_WORDS[kind],
+    )
+
+
+def _why_not_held_out(c: Mapping[str, Any], kind: str) -> Markup:
+    """A dash with the reason why there is no held-out error."""
+    why = "not significant" if kind == "fails" else "not computed" if c["parameters"] else "not simulated: far behind"
+    return Markup('{} <span class="note">{}</span>').format(DASH, why)
+
+
+def _candidates_note(found: Sequence[Mapping[str, Any]], diagnosis: Mapping[str, Any], *, same_p: bool) -> str:
+    before = next((e for e in (_held_out(c, "before") for c in found) if e is not None), None)
+    unit = _unit_of(found)
+    noise = diagnosis.get("noise_um") if unit == "µm" else diagnosis.get("noise_N")
+    parts = []
+    if before is not None:
+        against = "" if noise is None else f", the noise {format_number(noise)} {unit}"
+        parts.append(f"Without any of them the held-out error is {format_number(before)} {unit}{against}.")
+    if same_p and found:
+        p = next((c["p"] for c in found if not c.get("implausible")), found[0]["p"])
+        parts.append(f"All have p = {format_number(p, 1)} for the whole search.")
+    return " ".join(parts)
 
 
 def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:

@@ -11,6 +11,7 @@ from frictrack.report.tables.text_table import TextTable, code_cell, make_table
 from frictrack.results import ModelResults
 
 PER_RUN_NAME = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
+MAX_FIRST_PARAMETERS = 8  # of the first screen
 UNITS_WITH_SCALE_ERROR = ("N", "N s", "m", "m/s")  # in N s/m and N/m the error of the scale cancels
 
 
@@ -42,6 +43,39 @@ def parameter_table(model: ModelResults, scale_error: float = 0.0) -> TextTable:
     ]
     heads = ("parameter", "value", *(["† ± with the misfit"] if rejected else []), "± of the scale", "")
     return make_table(heads, rows, (1, 2, 3) if rejected else (1, 2))
+
+
+def short_parameter_table(model: ModelResults) -> TextTable:
+    """Table of the first shared parameters with one ± each, for the first screen of the report.
+
+    Where the model is rejected, ± includes the effect of the misfit and is marked with a dagger.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+
+    """
+    rows = [
+        (
+            code_cell(name),
+            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]) + (" †" if "std_misfit" in p else ""),
+            _short_remark(p),
+        )
+        for name, p in shared_parameters(model).items()
+    ][:MAX_FIRST_PARAMETERS]
+    return make_table(("parameter", "value ± std", ""), rows, (1,))
+
+
+def shared_parameters(model: ModelResults) -> dict[str, Mapping[str, Any]]:
+    """Parameters that all runs share, those that were not fixed first."""
+    shared = {name: p for name, p in model.summary["parameters"].items() if not PER_RUN_NAME.match(name)}
+    return dict(sorted(shared.items(), key=lambda item: item[1].get("reason") == "fixed"))
+
+
+def _short_remark(p: Mapping[str, Any]) -> str:
+    """The remark as far as it fits into a line; what settles a parameter is in the full table."""
+    return _remark(p).split(";")[0].split(":")[0]
 
 
 def _scale_contribution(p: Mapping[str, Any], scale_error: float) -> str:

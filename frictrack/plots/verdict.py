@@ -1,0 +1,335 @@
+"""Draw the verdict on a model in one figure: where it fails, the force that it lacks, and how the error falls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from frictrack.axes import AXES
+from frictrack.number_format import format_number
+from frictrack.plots import style
+from frictrack.plots.inputs import AnyModel
+from frictrack.plots.missing_force import draw_common, draw_runs, force_limits
+from frictrack.plots.style import axis_label, new_figure, styled
+from frictrack.plots.verdict_data import (
+    DiagnosisLike,
+    HeldOutError,
+    VerdictData,
+    data_of_diagnosis,
+    data_of_study,
+)
+from frictrack.records import Array, Mask
+from frictrack.results import ModelResults, Results
+from frictrack.verdicts import VERDICTS, indistinguishable_effects
+
+HEIGHT_IN = 3.3
+MAX_RUNS_DRAWN = 8  # one by one in the panel of the force; of more runs only the common part
+MAX_NAMED_MODELS = 4  # below the panel of errors; more models are numbered
+MAX_LIMITS = 8
+LOG_AXIS_RATIO = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
+MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
+MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
+BEFORE, AFTER = style.VERMILLION, style.BLUE
+FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
+
+
+@styled
+def verdict(found: Results | DiagnosisLike, better: AnyModel | None = None, *, title: bool = True) -> Figure:
+    """Draw where a model fails, the force that it lacks, and the held-out error of each model tried.
+
+    The residual is drawn over the axis over which the misfit repeats: position, speed or time. Failing spans are
+    shaded. The missing force has a band of two standard deviations; the force that the named effects add lies over it.
+    Where nothing is missing, detection limits take its place.
+
+    Parameters
+    ----------
+    found : Results or Diagnosis
+        A study, or the diagnosis of a fit.
+    better : ModelResults or Fit, optional
+        A later model, if `found` is a diagnosis. Without it the effects found are drawn as the diagnosis tried them.
+    title : bool
+        Whether the figure has a headline.
+
+    Raises
+    ------
+    ValueError
+        If a study has no fitted model.
+
+    """
+    data = data_of_study(found) if isinstance(found, Results) else data_of_diagnosis(found, better)
+    figure = new_figure(HEIGHT_IN + 0.3 * title, _headline(data) if title else "")
+    left, middle, right = figure.subplots(1, 3, width_ratios=[1.15, 1.15, 0.8])
+    handles = [*_draw_residuals(left, data), *_draw_force(middle, data)]
+    if data.before is not None and "residual_force" in data.figures:
+        middle.set_xlim(left.get_xlim())
+    _draw_errors(right, data)
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside lower left", ncols=len(handles), handlelength=1.8, columnspacing=1.4
+        )
+    return figure
+
+
+def _headline(data: VerdictData) -> str:
+    if not data.diagnosis:
+        return f"{data.name}, not yet diagnosed"
+    before, after, found = data.before, data.after, data.diagnosis["verdict"]
+    if before is None or after is None or found not in ("missing", "ambiguous"):
+        return f"{data.name}: {VERDICTS[found]}"
+    errors = f"{format_number(before.rms)} to {format_number(after.rms)} {data.unit}"
+    return f"{data.name} lacks {_lacking(data.diagnosis)}: with it the residual falls from {errors}"
+
+
+def _lacking(diagnosis: Mapping[str, Any]) -> str:
+    names = indistinguishable_effects(diagnosis)
+    return " or ".join(names) if diagnosis["verdict"] == "ambiguous" else " and ".join(diagnosis["missing"])
+
+
+# ---- residual before and after
+
+
+def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
+    """Draw the residuals over their noise band; return the handles of the legend."""
+    if data.before is None:
+        return _say(ax, "No residual is stored; diagnose again")
+    handles: list[Any] = []
+    for one, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
+        if one is not None:
+            _draw_lines(ax, one.along["run"], one.along[data.axis], one.values, color=colour, lw=0.9, alpha=0.85)
+            handles.append(Line2D([], [], color=colour, lw=1.8, label=one.name))
+    band = style.BAND_SIGMAS * float(np.median(data.before.sigma))
+    ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
+    handles += _shade_spans(ax, data)
+    ax.set_xlabel(_x_label(data.axis))
+    ax.set_ylabel(axis_label("residual", data.unit))
+    ax.set_title(_residual_title(data))
+    ax.margins(x=0.01)
+    return handles
+
+
+def _residual_title(data: VerdictData) -> str:
+    before, after = data.before, data.after
+    assert before is not None
+    size = f"{format_number(before.rms)} {data.unit}"
+    if after is not None:
+        return f"Residual: {size} before, {format_number(after.rms)} after"
+    if not data.diagnosis or data.noise is None:
+        return f"Residual: {size}"
+    return f"Residual: {size}, noise {format_number(data.noise)} {data.unit}"
+
+
+def _x_label(axis: str) -> str:
+    return axis_label(AXES[axis].label, AXES[axis].unit)
+
+
+def _draw_lines(ax: Axes, run: Array, x: Array, y: Array, **look: Any) -> None:
+    """Draw one line per run, with gaps where the axis jumps."""
+    gap = MAX_GAP_SHARE * max(float(np.ptp(x)), 1e-12)
+    many = len(x) > 4 * style.MAX_POINTS
+    for k in np.unique(run):
+        at, values = x[run == k], y[run == k]
+        broken = np.abs(np.diff(at, prepend=at[0])) > gap
+        ax.plot(at, np.where(broken, np.nan, values), rasterized=many, **look)
+
+
+def _shade_spans(ax: Axes, data: VerdictData) -> list[Any]:
+    """Shade the union of the failing spans of all runs; return the handle of the legend if there is any."""
+    spans = _spans(data)
+    for low, high in spans:
+        ax.axvspan(low, high, zorder=0.4, **FAILS_STYLE)
+    return [Patch(label="fails here", **FAILS_STYLE)] if spans else []
+
+
+def _spans(data: VerdictData) -> list[tuple[float, float]]:
+    """Union of the failing spans along the axis."""
+    found = data.diagnosis.get("fails_at") or []
+    if data.axis == "t":
+        return []  # spans have the clock of each recording
+    ends = sorted(_reach(s[data.axis], data.axis) for s in found)
+    out: list[tuple[float, float]] = []
+    for low, high in ends:
+        if out and low <= out[-1][1]:
+            out[-1] = (out[-1][0], max(high, out[-1][1]))
+        else:
+            out.append((low, high))
+    return out
+
+
+def _reach(ends: Sequence[float], axis: str) -> tuple[float, float]:
+    low, high = sorted(map(abs, ends)) if axis == "v" else sorted(ends)
+    return low, high
+
+
+# ---- the missing force
+
+
+def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
+    """Draw the missing force or, where nothing is missing, what would be seen; return the handles of the legend."""
+    if "residual_force" in data.figures:
+        return _draw_missing_force(ax, data)
+    if data.law is not None:
+        return _draw_law(ax, data.law)
+    if data.diagnosis.get("detection_limits") and not data.fails:
+        return _draw_limits(ax, data.diagnosis["detection_limits"])
+    return _say(ax, "The missing force is not computed yet")
+
+
+def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
+    whole, axis = data.figures["residual_force"], data.axis
+    factor, unit = style.axis_scale(whole["F"], "N")
+    n = len(np.unique(whole["run"]))
+    handles: list[Any] = []
+    if n <= MAX_RUNS_DRAWN:
+        draw_runs(ax, whole, axis, factor, [{"color": "#8C8C8C"}] * n)
+        handles.append(Line2D([], [], color="#8C8C8C", lw=1.0, label="missing force, each run"))
+    if n > 1:
+        draw_common(ax, data.figures.get(f"common_{axis}"), factor)
+        handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label=f"all runs, ± {style.BAND_SIGMAS:g} std"))
+    after = data.after
+    if after is not None and after.force is not None:
+        rows = _some_runs(after.along["run"])
+        _draw_lines(ax, after.along["run"][rows], after.along[axis][rows], factor * after.force[rows], color=AFTER,
+                    lw=1.5, ls=(0, (4, 1.2)), zorder=5)  # fmt: skip
+        handles.append(Line2D([], [], color=AFTER, lw=1.5, ls=(0, (4, 1.2)), label=_force_name(data)))
+    _shade_spans(ax, data)
+    low, high = force_limits(whole)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    ax.set_ylim(factor * low, factor * high)
+    ax.set_xlabel(_x_label(axis))
+    ax.set_ylabel(axis_label("missing force", unit))
+    ax.set_title(_force_title(data))
+    return handles
+
+
+def _some_runs(run: Array) -> Mask:
+    """Rows of some runs, spread over all."""
+    names = np.unique(run)
+    kept = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]
+    return np.asarray(np.isin(run, kept))
+
+
+def _force_name(data: VerdictData) -> str:
+    assert data.after is not None
+    return f"force of {data.after.name.removeprefix('with ').removesuffix(', as tried')}"
+
+
+def _force_title(data: VerdictData) -> str:
+    repeats = data.diagnosis.get("repeats") or []
+    if repeats and repeats[0]["holds"]:
+        return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
+    return "The missing force"
+
+
+def _draw_law(ax: Axes, model: ModelResults) -> list[Any]:
+    """Draw the modelled friction force over speed."""
+    for c in model.curves:
+        force = np.where(c.v_model < 0, -c.F_model, c.F_model)
+        ax.plot(np.abs(c.v_model), force, color=BEFORE, lw=0.9, alpha=0.85)
+    ax.set_xlabel(_x_label("v"))
+    ax.set_ylabel(axis_label("friction force of the model", "N"))
+    ax.set_title("Friction over speed, all runs")
+    return []
+
+
+def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+    """Draw the smallest force of each effect that these runs would show, the best seen on top."""
+    known = sorted((one["value"], name) for name, one in limits.items() if one["unit"] == "N" and one["value"])
+    if not known:
+        return _say(ax, "No force is detectable in these runs")
+    shown = known[:MAX_LIMITS]
+    sizes = [value for value, _ in shown]
+    factor, unit = style.axis_scale(np.array(sizes), "N")
+    ax.plot([factor * s for s in sizes], range(len(shown)), "o", ms=7, color=AFTER)
+    for k, size in enumerate(sizes):
+        ax.annotate(format_number(factor * size, 2), (factor * size, k), (7, 0), textcoords="offset points",
+                    va="center", fontsize=9)  # fmt: skip
+    ax.set_yticks(range(len(shown)), [name.replace("_", " ") for _, name in shown])
+    ax.set_ylim(len(shown) - 0.4, -0.6)
+    ax.set_xscale("log")
+    ax.set_xlim(0.6 * factor * min(sizes), 4.0 * factor * max(sizes))
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.grid(axis="y", color="#E4E7EA", lw=0.8)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel(axis_label("smallest force that would be detected", unit))
+    ax.set_title("What these runs would have shown")
+    return []
+
+
+# ---- the held-out errors
+
+
+def _draw_errors(ax: Axes, data: VerdictData) -> None:
+    errors = data.errors
+    if not errors:
+        _say(ax, "No held-out error was computed")
+        return
+    values = np.array([one.value for one in errors])
+    places = np.arange(len(errors))
+    ax.plot(places, values, color="#777777", lw=1.4, zorder=1)
+    for k, one in enumerate(errors):
+        colour = BEFORE if k == 0 and len(errors) > 1 else AFTER
+        ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
+        if len(errors) <= MAX_NAMED_MODELS or k in (0, len(errors) - 1):
+            ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
+                        fontweight="bold")  # fmt: skip
+    _draw_noise(ax, data, values)
+    ax.set_xlim(-0.5, len(errors) - 0.5)
+    _label_models(ax, errors)
+    ax.set_ylabel(axis_label("held-out error, rms", data.unit))
+    ax.set_title(_errors_title(data, values))
+
+
+def _draw_noise(ax: Axes, data: VerdictData, values: Array) -> None:
+    """Draw the noise, and set the axis of the errors so that it is seen."""
+    known = values
+    if data.noise is not None and data.noise > MIN_NOISE_SHOWN * values.min():
+        known = np.append(values, data.noise)
+        ax.axhline(data.noise, color="black", ls=(0, (4, 2)), lw=1.2, zorder=0.5)
+        ax.annotate("noise", (0, data.noise), (4, 3), xycoords=("axes fraction", "data"),
+                    textcoords="offset points", fontsize=9)  # fmt: skip
+    if known.max() > LOG_AXIS_RATIO * known.min() > 0:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.set_ylim(0.6 * known.min(), 2.2 * known.max())
+    else:
+        ax.set_ylim(0, 1.25 * known.max())
+
+
+def _label_models(ax: Axes, errors: Sequence[HeldOutError]) -> None:
+    if len(errors) <= MAX_NAMED_MODELS:
+        labels = [one.label.replace(" + ", "\n+ ") + ("\n(tried)" if one.tried else "") for one in errors]
+    else:
+        labels = [str(k) for k in range(1, len(errors) + 1)]
+        ax.set_xlabel("models in the order tried")
+    ax.set_xticks(range(len(errors)), labels)
+
+
+def _errors_title(data: VerdictData, values: Array) -> str:
+    if len(values) == 1:
+        return "Error and noise"
+    if values[-1] >= values[0]:
+        return "Error does not fall"
+    reached = data.noise is not None and values[-1] < 1.2 * data.noise
+    return "Error falls to the noise" if reached else "Error falls"
+
+
+# ---- common to the panels
+
+
+def _say(ax: Axes, words: str) -> list[Any]:
+    """Write a sentence instead of a panel."""
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color="#666666")
+    return []
