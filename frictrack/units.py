@@ -74,7 +74,7 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
     """
     if isinstance(text, str):
         value, std = _parse(text, unit, what)
-    elif isinstance(text, (int, float, np.number)) and not isinstance(text, bool):
+    elif isinstance(text, (int, float, np.number)) and not isinstance(text, bool):  # type: ignore[redundant-expr]
         value, std = _float(text), 0.0
     else:
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")

@@ -196,7 +196,7 @@ def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
     return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
     """YAML loader without aliases, by which a short text can expand without limit."""
 
     def fetch_alias(self) -> None:

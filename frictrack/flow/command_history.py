@@ -82,7 +82,7 @@ class Change:
         """
         change = cls(**{_KEYS[key]: value for key, value in json.loads(line).items()})
         texts, tables = (change.time, change.author, change.command), (change.arguments, change.before, change.after)
-        sound = isinstance(change.revision, int) and all(isinstance(text, str) for text in texts)
+        sound = isinstance(change.revision, int) and all(isinstance(text, str) for text in texts)  # type: ignore[redundant-expr]  # as read
         if not (sound and all(isinstance(table, dict) for table in tables)):
             raise ValueError("expected the types of a change")
         return change

@@ -50,7 +50,7 @@ def exclusive(method: Callable[Concatenate[Session, P], T]) -> Callable[Concaten
     """Let one process at a time work on the models of a study; the next one waits and uses what the first computed."""
 
     @wraps(method)
-    def locked(session: Session, *arguments: P.args, **keywords: P.kwargs) -> T:
+    def locked(session: Session, /, *arguments: P.args, **keywords: P.kwargs) -> T:
         with lock_work(session.study.output, lambda: session.progress(0, 1, "waiting for another frictrack")):
             return method(session, *arguments, **keywords)
 
@@ -227,7 +227,7 @@ class Session:
         return {"runs": rows, "warnings": self.findings.summary, "output": str(self.study.output)}
 
     @exclusive
-    def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
+    def fit(self, /, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current.
 
         Parameters

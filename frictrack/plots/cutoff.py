@@ -94,7 +94,7 @@ def _draw_errors(ax: Axes, found: CutoffTradeOff, factor: float) -> None:
     f = found.frequency
     ax.loglog(f, factor * found.total, color=style.MEASURED_COLOUR, lw=1.8, label="total")
     ax.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise that passes")
-    ax.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
+    ax.loglog(f, factor * found.lost, color=style.VERMILION, lw=1.3, ls=":", label="signal lost")
     ax.axhline(
         factor * found.structural, color=style.GREEN, lw=1.6, ls="-.", label="total, vibrations and events modelled"
     )

@@ -189,7 +189,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     ax = figure.subplots()
     ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
     ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)
-    ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILLION, markersize=8)
+    ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILION, markersize=8)
     _set_x_axis(ax, name, shown)
     ax.set(ylabel="fall of chi-squared", ylim=(0, None))
     return figure

@@ -35,8 +35,8 @@ def unexplained(found: Mapping[str, Any]) -> Figure:
     ax.axhline(0, color="#666666", lw=0.7)
     if found.get("band"):
         band = 2 * np.asarray(found["band"], dtype=float)
-        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILLION, alpha=0.2, lw=0)
-    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILLION, lw=1.8)
+        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILION, alpha=0.2, lw=0)
+    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILION, lw=1.8)
     label = (
         axis_label("phase of the motion", "rad")
         if found["axis"] == "phase"

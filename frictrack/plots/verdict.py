@@ -36,7 +36,7 @@ MAX_LIMITS = 8
 LOG_AXIS_RATIO = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
 MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
 MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
-BEFORE, AFTER = style.VERMILLION, style.BLUE
+BEFORE, AFTER = style.VERMILION, style.BLUE
 FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
 
 

@@ -15,7 +15,7 @@ from frictrack.reproduce.papers_method import AccelerationSeries
 from frictrack.reproduce.recordings import SyntheticRecording
 
 CURVE_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": style.VERMILLION, "linestyle": "-"},
+    {"color": style.VERMILION, "linestyle": "-"},
     {"color": style.BLUE, "linestyle": (0, (5, 1.5))},
     {"color": style.GREEN, "linestyle": (0, (1, 1))},
 )
@@ -83,7 +83,7 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
     figure = style.new_figure(3.6, title)
     ax = figure.subplots()
     width = 0.8 / len(series)
-    fills = (style.VERMILLION, "#FFFFFF", style.SKY, "#BBBBBB", style.BLUE, "#FFFFFF")
+    fills = (style.VERMILION, "#FFFFFF", style.SKY, "#BBBBBB", style.BLUE, "#FFFFFF")
     hatches = ("", "///", "", "...", "", "xx")
     for i, (name, values) in enumerate(series.items()):
         place = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
@@ -111,7 +111,7 @@ def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
     figure = style.new_figure(2.9, "Fig. 17  Test function, Eq. 8")
     ax = figure.subplots()
     ax.plot(x, y, color=style.BLUE, linewidth=1.2)
-    ax.plot(*place, "o", color=style.VERMILLION, markersize=6)
+    ax.plot(*place, "o", color=style.VERMILION, markersize=6)
     ax.annotate(f"{place[1]:.6f} at x = {place[0]:.6f}", place, (-8, 6), textcoords="offset points", ha="right")
     ax.set(xlabel="x", ylabel="f = x sin(10 π x) + 2", ylim=(0, 4.3))
     return figure
@@ -125,7 +125,7 @@ def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figu
     for ax, (name, last) in zip(axes, runs.items(), strict=True):
         ax.plot(np.arange(1, len(last) + 1), last, **(style.DOT_STYLE | {"color": style.BLUE, "markersize": 4}))
         ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
-        ax.axhline(printed[name], color=style.VERMILLION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
+        ax.axhline(printed[name], color=style.VERMILION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
         ax.set(title=name, xlabel="seed")
         _place_legend(ax)
     axes[0].set_ylabel("generations")

@@ -128,7 +128,7 @@ class MotionTab:
                 if run is None:
                     return
                 found = await asyncio.to_thread(preview_motion, run, wanted[1])
-                if self._preview_cutoff is not None and self.state.run_results is run:
+                if self._preview_cutoff is not None and self.state.run_results is run:  # type: ignore[redundant-expr]  # may change meanwhile
                     self.plots_with_film.draw(plot_data.motion_plots(run, found, f"at {wanted[1]:.3g} Hz"))
                     shown = wanted
         except FrictrackError as e:

@@ -10,12 +10,12 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.plots import modelled_force, residual_unit, residuals
-from frictrack.plots.style import BAND_SIGMAS, BLUE, GREEN, ORANGE, PURPLE, RUN_STYLES, SKY, VERMILLION
+from frictrack.plots.style import BAND_SIGMAS, BLUE, GREEN, ORANGE, PURPLE, RUN_STYLES, SKY, VERMILION
 from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 
 BAND_COLOUR, FREE_COLOUR, MEASURED_COLOUR = "#e0e0e0", "rgba(0,158,115,.12)", "#333333"
-PREVIEW_COLOUR = VERMILLION
+PREVIEW_COLOUR = VERMILION
 TARGET = "target"
 TRACK_COLOURS = (ORANGE, SKY, GREEN, PURPLE)
 
@@ -374,10 +374,10 @@ def comparison_plots(results: Results, model: ModelResults, other: ModelResults 
     ]
     forces = [
         line("F", MEASURED_COLOUR, "measured", width=1),
-        line("F_model", VERMILLION, "model", width=2),
+        line("F_model", VERMILION, "model", width=2),
         *([line("F_other", GREEN, _model_label(other), dash=[5, 3])] if other is not None else []),
     ]
-    loops = [dots("F", by_run=True), dots("F_model", VERMILLION, "model")]
+    loops = [dots("F", by_run=True), dots("F_model", VERMILION, "model")]
     shown = [
         plot("Residual against time", ("t", "time / ms"), left, *marks, noise, *behind, now),
         plot("Residual against place", ("x", "displacement / mm"), left, *behind, now),

@@ -13,7 +13,7 @@ from frictrack.plots.style.colours import (
     PURPLE,
     RUN_STYLES,
     SKY,
-    VERMILLION,
+    VERMILION,
     run_styles,
 )
 from frictrack.plots.style.drawing import (
@@ -46,7 +46,7 @@ __all__ = [
     "PURPLE",
     "RUN_STYLES",
     "SKY",
-    "VERMILLION",
+    "VERMILION",
     "axis_label",
     "axis_scale",
     "draw_band",

@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from typing import Any
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILLION, "#CFE3F1", "#EAF3EA"
+YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
-    for color in (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION)
+    for color in (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
 ]  # one per run, then again dashed and dotted
 DOT_STYLE: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
 
