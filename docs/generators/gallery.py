@@ -1,0 +1,272 @@
+"""Make the gallery of effects: one page and two pictures for every effect of the library."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import gallery_figures
+import gallery_fit
+import gallery_runs
+import gallery_separation
+import markdown
+from gallery_fit import Failure, fit_without
+from gallery_figures import failure_figure, thumbnail
+from gallery_runs import EXAMPLES, Example
+from gallery_separation import separating_run
+from markdown import code, plain, sentence, table, write_page
+
+from frictrack import __version__, effects
+from frictrack.diagnose import MIN_CHI2_SEPARATED
+from frictrack.effects import Effect, Parameter
+from frictrack.effects.path import NEEDS
+from frictrack.number_format import format_number
+from frictrack.plots import png
+
+MAX_LOOKALIKES = 4  # effects in the table of what an effect is confused with
+MIN_SHARE_SHOWN = 0.2  # of the misfit, that an effect must explain to be listed
+PICTURE_DPI, THUMBNAIL_DPI = 110, 110
+GROUPS = {
+    "Forces that belong to friction": (
+        *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
+        *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
+    ),
+    "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
+    "Vibrations": (
+        *("vibration", "decaying_vibration", "beam_vibration"),
+        *("load_modulation", "measured_load", "viscous_modulation"),
+    ),
+    "Errors of the measurement": (
+        *("drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame"),
+        *("timebase", "clock_rate", "target_rotation"),
+    ),
+}
+SCALES = {
+    "load": "the normal load of the run",
+    "mass": "the mass of the run",
+    "drive": "the drive of the run",
+    "nothing": "nothing: it is the same in runs of another load",
+}
+
+
+def make_gallery(folder: Path) -> None:
+    """Write the pages and pictures of all effects into a folder, and the cards that lead to them.
+
+    An effect of which nothing has changed since the last build is not simulated again.
+
+    Parameters
+    ----------
+    folder
+        Folder of the generated files.
+
+    """
+    marks_file = folder / "made.json"
+    marks = json.loads(marks_file.read_text()) if marks_file.exists() else {}
+    for name in all_effects():
+        mark = _mark(name)
+        if marks.get(name) != mark or not all((folder / file).exists() for file in _files(name)):
+            _make_page(folder, name)
+            marks[name] = mark
+            write_page(marks_file, json.dumps(marks, indent=1))
+    write_page(folder / "cards.txt", _cards())
+
+
+def all_effects() -> list[str]:
+    """Return the names of all effects of the library, in the order of `frictrack effects`."""
+    return [entry["name"] for entry in effects.catalogue() if entry["name"] not in effects.DECLARED]
+
+
+def page_name(effect: str) -> str:
+    """Return the name of an effect's page, without suffix.
+
+    Examples
+    --------
+    >>> page_name("atm2:2")
+    'atm2'
+
+    """
+    return effect.split(":")[0]
+
+
+def _files(name: str) -> list[str]:
+    page = page_name(name)
+    return [f"{page}.md", f"{page}.png", f"{page}_small.png"]
+
+
+def _mark(name: str) -> str:
+    """Hash of what the page of an effect is made from: version, definition of the effect and generators."""
+    definition = f"frictrack.effects.{'' if ':' in name else 'library.'}{page_name(name)}"
+    modules = [import_module(definition), gallery_figures, gallery_fit, gallery_runs, gallery_separation, markdown]
+    sources = [__version__, *(inspect.getsource(module) for module in modules), Path(__file__).read_text()]
+    return hashlib.sha256("".join(sources).encode()).hexdigest()
+
+
+def _make_page(folder: Path, name: str) -> None:
+    failure = fit_without(name, EXAMPLES[name])
+    folder.mkdir(parents=True, exist_ok=True)
+    page, picture, small = (folder / file for file in _files(name))
+    picture.write_bytes(png(failure_figure(failure), PICTURE_DPI))
+    small.write_bytes(png(thumbnail(failure), THUMBNAIL_DPI))
+    write_page(page, effect_page(failure))
+
+
+def _cards() -> str:
+    """Return the cards of all effects by group, for the index page."""
+    listed = {name for names in GROUPS.values() for name in names}
+    groups = GROUPS | {"Further effects": tuple(name for name in all_effects() if name not in listed)}
+    return "\n".join(_group(title, names) for title, names in groups.items() if names)
+
+
+def _group(title: str, names: tuple[str, ...]) -> str:
+    cards = "\n".join(_card(name) for name in names)
+    return f"## {title}\n\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}\n::::\n"
+
+
+def _card(name: str) -> str:
+    page, effect = page_name(name), effects.get(name)
+    return (
+        f":::{{grid-item-card}} {name}\n:link: effects/{page}\n:link-type: doc\n"
+        f":img-bottom: effects/{page}_small.png\n:img-alt: What a fit leaves where {name} acts\n\n"
+        f"{plain(sentence(effect.looks_like))}\n:::\n"
+    )
+
+
+def effect_page(failure: Failure) -> str:
+    """Return the page of one effect as Markdown.
+
+    Parameters
+    ----------
+    failure
+        A fit without the effect to runs that have it.
+
+    """
+    effect = effects.get(failure.effect)
+    parts = [
+        f"# {failure.effect}\n\n{plain(effect.what)}\n",
+        f"```text\n{'F' if effect.acts_on == 'force' else 'y'} += {effect.equation.removeprefix('y: ')}\n```\n",
+        "The [symbols](../index.md#symbols) are those of all equations.\n",
+        _facts(effect),
+        _parameters(effect),
+        "## What a fit without it leaves\n",
+        f"How it shows: {plain(effect.looks_like)}.\n",
+        _figure(failure),
+        "## What it is confused with\n",
+        f"{plain(sentence(effect.mistaken_for))}\n",
+        _lookalikes(failure),
+        "## The run that separates them\n",
+        *_separation(failure),
+        "## Use it\n",
+        f"```sh\nfrictrack add study.toml {failure.effect}\n```\n",
+        f'```python\nfit = ft.fit([*fit.model.names, "{failure.effect}"], runs)\n```\n',
+    ]
+    return "\n".join(parts)
+
+
+def _facts(effect: Effect) -> str:
+    """Return a table: what the effect acts on, what it scales with, what it needs, where it is from."""
+    rows = [
+        ["acts on", "the force on the mass" if effect.acts_on == "force" else "the measured position"],
+        ["its size follows", SCALES[effect.scales_with]],
+        ["changes", ", ".join(_link(name) for name in sorted(effect.modifies))],
+        ["stands in place of", ", ".join(_link(name) for name in sorted(effect.replaces))],
+        ["needs", plain(" and ".join(NEEDS[need][0] for need in effect.needs))],
+        ["remembers", "the motion so far" if effect.memory else ""],
+        ["source", plain(effect.source)],
+    ]
+    return table(["", ""], [row for row in rows if row[1]])
+
+
+def _parameters(effect: Effect) -> str:
+    """Return the table of parameters with units and bounds."""
+    quoted = effect.quoted
+    rows = [
+        [code(p.name), plain(p.unit if p.unit != "1" else "–"), *_bounds(p, p.name in quoted), _kind(p)]
+        for p in effect.parameters
+    ]
+    note = "\nA value marked * is reported in another form than it is fitted, which has the bounds.\n"
+    return "## Parameters\n\n" + table(["parameter", "unit", "lowest", "highest", "fitted"], rows) + note * any(
+        p.name in quoted for p in effect.parameters
+    )
+
+
+def _bounds(p: Parameter, quoted: bool) -> list[str]:
+    """Return both bounds as text; those of a parameter that is quoted in another form are not its own."""
+    if quoted:
+        return ["\\*", "\\*"]
+    return [format_number(bound) if abs(bound) < float("inf") else "–" for bound in p.bounds]
+
+
+def _kind(p: Parameter) -> str:
+    if p.fixed is not None:
+        return f"no: {format_number(p.fixed)}, unless it is freed"
+    return "one value per run" if p.per_run else "one value for all runs"
+
+
+def _figure(failure: Failure) -> str:
+    page = page_name(failure.effect)
+    text = (
+        f"{_size_of(failure.example, failure.effect)}. The runs were fitted with {' + '.join(failure.example.law)}: "
+        f"reduced chi-squared {format_number(failure.fit.reduced_chi2)}. Above, measured less modelled displacement; "
+        "below, measured less modelled friction force."
+    )
+    return f"```{{figure}} {page}.png\n:alt: Residual and missing force over time, position and velocity\n\n{plain(text)}\n```\n"
+
+
+def _size_of(example: Example, effect: str) -> str:
+    """Describe the simulated effect in one sentence, without its full stop."""
+    varied = {name for own in example.per_run.values() for name in own}
+    values = {name: value for name, value in example.truth[effect].items() if name not in varied}
+    units = {p.name: p.unit for p in effects.get(effect).parameters}
+    known = effects.get(effect).quote
+    if known is not None:
+        everything = {f"{e}.{p}": v for e, own in example.truth.items() for p, v in own.items()}
+        values |= {k: v for k, v in known(dict(example.truth[effect]), everything).items() if k in values}
+    said = [f"{name} = {format_number(value)} {units[name]}".removesuffix(" 1") for name, value in values.items()]
+    count = {2: "Two", 4: "Four"}[len(example.design or gallery_runs.SLIDES)]
+    noise = format_number(1e6 * gallery_runs.NOISE_M)
+    return f"{count} simulated runs, noise {noise} µm per frame, with " + ", ".join(said) if said else (
+        f"{count} simulated runs, noise {noise} µm per frame"
+    )
+
+
+def _lookalikes(failure: Failure) -> str:
+    """Return the table of effects that would explain the most of the misfit of these runs."""
+    shown = [item for item in failure.lookalikes[:MAX_LOOKALIKES] if item[1] >= MIN_SHARE_SHOWN]
+    if not shown:
+        return "In the runs above, no other effect of the library explains a fifth of the misfit.\n"
+    rows = [[_link(name), f"{100 * share:.0f} %"] for name, share in shown]
+    return (
+        "In the runs above, another effect that is fitted in its place explains this share of the misfit:\n\n"
+        + table(["effect", "share of the misfit"], rows)
+    )
+
+
+def _separation(failure: Failure) -> Iterator[str]:
+    """Yield what to do: the effect's own test, the planned run for the pair, and a direct measurement."""
+    effect = effects.get(failure.effect)
+    yield f"{plain(sentence(effect.confirm))}\n"
+    rival = failure.lookalikes[0][0] if failure.lookalikes else ""
+    found = separating_run(failure.effect, rival)
+    if found is not None and found.is_separated:
+        yield (
+            f"By calculation, for {_link(failure.effect)} and {_link(rival)} of a tenth of the friction: after "
+            f"{plain(found.first)}, film **{plain(found.best)}**. The expected chi-squared between the two rises from "
+            f"{_rounded(found.before)} to {_rounded(found.after)}; {MIN_CHI2_SEPARATED:g} separates them. "
+            "`frictrack plan` makes this calculation for your own setup.\n"
+        )
+    if effect.invariant:
+        yield f"What stays the same when a run is made differently: {plain(effect.invariant)}.\n"
+    if effect.direct_check is not None:
+        yield f"Without a run: {plain(sentence(effect.direct_check.instruction))}\n"
+
+
+def _rounded(chi2: float) -> str:
+    return "below 1" if chi2 < 1 else f"{chi2:,.0f}" if chi2 < 1e5 else "more than 100,000"
+
+
+def _link(name: str) -> str:
+    return f"[{name}]({page_name(name)}.md)"

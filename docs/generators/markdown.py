@@ -1,0 +1,54 @@
+"""Write Markdown pages: tables, escapes, and files that change only when their text does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page if its text has changed, so that Sphinx reads again only what is new."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table; a bar in a cell is escaped.
+
+    Examples
+    --------
+    >>> print(table(["key", "type"], [["fps", "number | text"]]))
+    | key | type |
+    |---|---|
+    | fps | number \\| text |
+    <BLANKLINE>
+
+    """
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def code(text: str) -> str:
+    """Return inline code; nothing for an empty text."""
+    return f"`{text}`" if text else ""
+
+
+def plain(text: str) -> str:
+    r"""Escape what Markdown would read as emphasis, a heading or a tag.
+
+    Examples
+    --------
+    >>> plain("F_s < F_c * 2")
+    'F\\_s &lt; F\\_c \\* 2'
+
+    """
+    for sign in ("\\", "*", "_", "`", "[", "]", "|"):
+        text = text.replace(sign, f"\\{sign}")
+    return text.replace("<", "&lt;").replace(">", "&gt;")
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence: a capital letter first, a full stop last."""
+    return f"{text[:1].upper()}{text[1:]}".rstrip(".") + "."
