@@ -188,8 +188,10 @@ def _parameters(effect: Effect) -> str:
         for p in effect.parameters
     ]
     note = "\nA value marked * is reported in another form than it is fitted, which has the bounds.\n"
-    return "## Parameters\n\n" + table(["parameter", "unit", "lowest", "highest", "fitted"], rows) + note * any(
-        p.name in quoted for p in effect.parameters
+    return (
+        "## Parameters\n\n"
+        + table(["parameter", "unit", "lowest", "highest", "fitted"], rows)
+        + note * any(p.name in quoted for p in effect.parameters)
     )
 
 
@@ -228,8 +230,10 @@ def _size_of(example: Example, effect: str) -> str:
     said = [f"{name} = {format_number(value)} {units[name]}".removesuffix(" 1") for name, value in values.items()]
     count = {2: "Two", 4: "Four"}[len(example.design or gallery_runs.SLIDES)]
     noise = format_number(1e6 * gallery_runs.NOISE_M)
-    return f"{count} simulated runs, noise {noise} µm per frame, with " + ", ".join(said) if said else (
-        f"{count} simulated runs, noise {noise} µm per frame"
+    return (
+        f"{count} simulated runs, noise {noise} µm per frame, with " + ", ".join(said)
+        if said
+        else (f"{count} simulated runs, noise {noise} µm per frame")
     )
 
 

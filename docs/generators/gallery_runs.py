@@ -111,7 +111,10 @@ SLIDES = (
     PlannedRun("double mass", 2.6, 2.0),
     PlannedRun("reversed", -2.6),
 )
-SWINGS = (PlannedRun("small swing", 0.0, duration=0.4, drive=swing(2.6, 6.0)), PlannedRun("large swing", 0.0, duration=0.4, drive=swing(4.0, 6.0)))
+SWINGS = (
+    PlannedRun("small swing", 0.0, duration=0.4, drive=swing(2.6, 6.0)),
+    PlannedRun("large swing", 0.0, duration=0.4, drive=swing(4.0, 6.0)),
+)
 SPEED_SWINGS = (
     PlannedRun("5 Hz", 0.15, duration=0.6, drive=mean_and_swing(2.0, 5.0)),
     PlannedRun("10 Hz", 0.15, duration=0.6, drive=mean_and_swing(4.0, 10.0)),

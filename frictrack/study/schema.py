@@ -357,17 +357,44 @@ class Keys(BaseModel):
 
 
 class StudyTable(Keys):
-    """The keys of ``[study]``."""
+    """The keys of ``[study]``.
+
+    Attributes
+    ----------
+    name
+        Name of the study in the report; default the name of the folder.
+    mass
+        Sliding mass of all runs that do not state their own, or "fit".
+    model
+        First model: a name such as "tustin" or "atm1:2", or a list of effects.
+    output
+        Folder of the results; default the name of the study file with `_results`.
+    plausible
+        You have checked all numbers, although they look implausible.
+
+    """
 
     name: str = ""
     mass: Mass | None = None
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
     output: str = ""
-    plausible: Literal["checked"] | None = None  # the user has checked all numbers
+    plausible: Literal["checked"] | None = None
 
 
 class CameraTable(Keys):
-    """The keys of ``[camera]``; for a table of positions, `scale` is the size of a pixel."""
+    """The keys of ``[camera]``, which hold for all runs that do not state their own.
+
+    Attributes
+    ----------
+    fps
+        Frame rate while filming, not of the playback. Forces scale with its square.
+    scale
+        Size of a pixel on the course, in m, or what it is measured from: a ruler, the target, a board, known places.
+        For a table of positions, it is the size of the pixel of the camera that measured them.
+    lens
+        Camera matrix and distortion of a lens that was calibrated before (yml or json of OpenCV).
+
+    """
 
     fps: Frequency | None = None
     scale: Scale | None = None
@@ -375,7 +402,72 @@ class CameraTable(Keys):
 
 
 class RunTable(Keys):
-    """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``."""
+    """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``.
+
+    Attributes
+    ----------
+    name
+        Name of the run in results and figures; default the name of its file.
+    video
+        Film, or a folder of pictures; a path relative to the study file, or an address.
+    table
+        Table of measured positions or friction instead of a film, CSV or Excel.
+    mass
+        Sliding mass, where it differs from that of the study, or "fit" where the drive is measured.
+    fps, scale, lens
+        As in ``[camera]``, where they differ.
+    target
+        Where the target is in the first frame, or a picture of it, where it is not found automatically.
+    reference
+        Fixed object that shows the shake of the camera: a rectangle in px.
+    targets
+        Further targets to track, by name, each given as `target` is.
+    clamp_x
+        Position at which the beam under the course is clamped, for `beam_vibration`.
+    beam_length
+        Free length of that beam.
+    template
+        Number of the frame in which `target` is given; default the first.
+    exclude
+        Polygons or rectangles in that frame that move with the target and are not part of it.
+    obstacles
+        Polygons or rectangles fixed in the picture, behind which the target passes.
+    axis
+        Direction of +x in the picture, in px, or along the path of the target; default the picture's x.
+    origin_px
+        Place in the picture at which x is zero; default the corner of the picture, or the origin of known places.
+    x_offset
+        Length that is added to all positions, so that runs share one course.
+    free
+        Begin and end of the free section that is fitted, where the automatic choice is wrong.
+    cutoff
+        Cut-off of a plain low-pass, instead of the separation into trend, vibrations and events.
+    incline
+        Angle by which the course rises toward +x; negative where it falls.
+    normal_load
+        Normal load, where it is not m g cos(incline).
+    drive
+        Force that drives the mass: a table with its own clock, a constant, or a pressure with its area.
+    sensor
+        Accelerometer or load cell: a table with its own clock.
+    columns
+        Headers of the table by short name, where they are not the standard ones.
+    impact_energy
+        Energy of the hammer; the kinetic energy at release must be smaller.
+    noise
+        White noise of the instrument, rms: N of a load cell, m of positions.
+    drift
+        Slowly varying error of the instrument, rms, in the same units.
+    group
+        Name of a group of runs, for one fit per group.
+    role
+        Whether the run is fitted, or predicted only.
+    note
+        Remark for readers of the study file.
+    plausible
+        You have checked the numbers of this run, although they look implausible.
+
+    """
 
     name: str = ""
     video: Source | None = None
@@ -383,15 +475,15 @@ class RunTable(Keys):
     mass: Mass | None = None
     fps: Frequency | None = None
     scale: Scale | None = None
-    lens: File | None = None  # camera matrix and distortion, calibrated before
+    lens: File | None = None
     target: Target | None = None
-    reference: Reference = "auto"  # a fixed point in the picture, for camera shake
+    reference: Reference = "auto"
     targets: Targets = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
-    template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands
-    exclude: Areas = ()  # in that frame, moving with the target: not part of it
-    obstacles: Areas = ()  # fixed in the picture: the target passes behind them
+    template: Annotated[int, Field(ge=0)] | None = None
+    exclude: Areas = ()
+    obstacles: Areas = ()
     axis: Axis | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0
@@ -399,16 +491,16 @@ class RunTable(Keys):
     cutoff: Frequency | None = None
     incline: Angle | None = None
     normal_load: Load | None = None
-    drive: Drive | None = None  # a path, a constant in N, or a table of `DRIVE` keys
-    sensor: Sensor | None = None  # a path, or a table of `SENSOR` keys
+    drive: Drive | None = None
+    sensor: Sensor | None = None
     columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
     impact_energy: Energy | None = None
-    noise: Specification | None = None  # white noise of the load cell, N, or of the position, m; rms
-    drift: Specification | None = None  # slowly varying error of the same, rms
+    noise: Specification | None = None
+    drift: Specification | None = None
     group: str = ""
     role: Literal["fit", "validation"] = "fit"
     note: str = ""
-    plausible: Literal["checked"] | None = None  # the user has checked the numbers of this run
+    plausible: Literal["checked"] | None = None
 
     @property
     def source(self) -> Path | RemoteFile:
@@ -435,14 +527,37 @@ def _per_run(raw: Any) -> Any:
 
 
 class EffectTable(Keys):
-    """The keys of ``[[effect]]``: settings of one effect, or a new effect with `formula`."""
+    """The keys of ``[[effect]]``: settings of one effect, or a new effect with `formula`.
+
+    Attributes
+    ----------
+    effect
+        Name of an effect of the library, or of the new one.
+    fix
+        Values of parameters that are not fitted, by name; false frees one that is fixed by default.
+    bounds
+        Lowest and highest value of parameters, by name, in SI units.
+    prior
+        Mean and standard deviation of parameters, by name, known from elsewhere than the runs.
+    tie
+        Parameters that equal another one or a multiple of it, by name: "2*vibration.frequency".
+    per_run
+        Parameters with one value per run; {name = false} for one value for all runs.
+    formula
+        Force in N, or shift of the picture in m, of a new effect, as a text.
+    units
+        Units of the parameters of a formula, by name.
+    acts_on
+        Whether a formula is a force or an error of the measured position.
+
+    """
 
     effect: str
-    fix: Annotated[dict[str, float | Literal[False]], BeforeValidator(_fixed)] = {}  # false frees what is fixed
+    fix: Annotated[dict[str, float | Literal[False]], BeforeValidator(_fixed)] = {}
     bounds: dict[str, Pair] = {}
-    prior: dict[str, Pair] = {}  # mean and standard deviation
+    prior: dict[str, Pair] = {}
     tie: dict[str, str] = {}
     per_run: Annotated[dict[str, bool], BeforeValidator(_per_run)] = {}
     formula: str | None = None
-    units: dict[str, str] = {}  # of a formula's parameters
+    units: dict[str, str] = {}
     acts_on: Literal["force", "measurement"] = "force"
