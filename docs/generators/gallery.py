@@ -89,7 +89,7 @@ def page_name(effect: str) -> str:
     'atm2'
 
     """
-    return effect.split(":")[0]
+    return effect.partition(":")[0]
 
 
 def _files(name: str) -> list[str]:
@@ -215,7 +215,8 @@ def _figure(failure: Failure) -> str:
         f"reduced chi-squared {format_number(failure.fit.reduced_chi2)}. Above, measured less modelled displacement; "
         "below, measured less modelled friction force."
     )
-    return f"```{{figure}} {page}.png\n:alt: Residual and missing force over time, position and velocity\n\n{plain(text)}\n```\n"
+    alt = "Residual and missing force over time, position and velocity"
+    return f"```{{figure}} {page}.png\n:alt: {alt}\n\n{plain(text)}\n```\n"
 
 
 def _size_of(example: Example, effect: str) -> str:

@@ -1,7 +1,8 @@
 """Simulate the runs of the gallery: one fixed design per kind of effect, with the effect in a size that films show.
 
-A mass of 0.35 kg slides on a course of 0.6 m under a friction coefficient of 0.3: slowly until it nearly stops, fast, with the mass
-doubled, and the other way. An effect that needs reversals or a drive gets it: there the mass or its speed swings under a sinusoidal drive.
+A mass of 0.35 kg slides on a course of 0.6 m under a friction coefficient of 0.3: slowly until it nearly stops, fast,
+with the mass doubled, and the other way. An effect that needs reversals or a drive gets it: there the mass, or its
+speed, swings under a sinusoidal drive.
 """
 
 from __future__ import annotations

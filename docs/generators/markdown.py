@@ -14,7 +14,7 @@ def write_page(path: Path, text: str) -> None:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table; a bar in a cell is escaped.
+    r"""Return a Markdown table; a bar in a cell is escaped.
 
     Examples
     --------

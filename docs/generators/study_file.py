@@ -1,0 +1,184 @@
+"""Write the reference of the study file from its schema: every key with type, unit, default and meaning."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import NoneType
+from typing import Any, get_args
+
+from markdown import code, plain, table, write_page
+from numpydoc.docscrape import ClassDoc
+
+from frictrack.study import schema
+from frictrack.study.schema import COLUMNS, SCALE, SENSOR_COLUMNS, CameraTable, EffectTable, Keys, RunTable, StudyTable
+from frictrack.study.writing import CAMERA
+
+SECTIONS: dict[str, type[Keys]] = {
+    "[study]": StudyTable,
+    "[camera]": CameraTable,
+    "[[run]]": RunTable,
+    "[[effect]]": EffectTable,
+}
+# Types of the schema: what a study file writes, the unit, and an example.
+TYPES = {
+    "str": ("text", "", ""),
+    "int": ("whole number", "", "30"),
+    "Mass": ('number, text with unit, or "fit"', "kg", '"350 +/- 1 g"'),
+    "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
+    "Place": ("number or text with unit", "m", '"-12 mm"'),
+    "Length": ("number or text with unit, above 0", "m", '"0.30 m"'),
+    "Load": ("number or text with unit, above 0", "N", '"3.4 N"'),
+    "Energy": ("number or text with unit, above 0", "J", '"2 J"'),
+    "Angle": ("number or text with unit, within 90 degrees", "rad", '"22 deg"'),
+    "Times": ("start and end, numbers or texts with unit", "s", '["0.01 s", "0.2 s"]'),
+    "Pair": ("two numbers", "px", "[412, 230]"),
+    "Specification": ("text with unit", "N or m", '"0.004 N"'),
+    "Scale": ("number, text with unit, or table", "m/px", '"0.5 mm/px"'),
+    "File": ("path of a file", "", '"lens.yml"'),
+    "Source": ("path or address", "", '"strike_01.avi"'),
+    "Target": (schema.TARGETS, "px", "[410, 232, 96, 64]"),
+    "Targets": ("table of targets by name", "px", "{rod = [300, 20, 40, 60]}"),
+    "Areas": ("list of polygons or rectangles", "px", "[[600, 0, 24, 400]]"),
+    "Reference": ('"auto", "none" or a rectangle [x, y, width, height]', "px", "[8, 80, 64, 32]"),
+    "Axis": ('"track" or a vector [dx, dy]', "px", '"track"'),
+    "Drive": ("path, force, or table", "N", '"drive.csv"'),
+    "Sensor": ("path or table", "", '"acc.csv"'),
+}
+# The same for keys whose annotation says less than what they take.
+KEYS = {
+    "model": ("text or list of texts", "", '["coulomb", "viscous"]'),
+    "columns": ("table of headers by short name", "", '{t = "Time (ms)", x = "x (mm)"}'),
+    "effect": ("text", "", '"vibration"'),
+    "fix": ("table of numbers or false", "SI", "{frequency = 60}"),
+    "bounds": ("table of pairs", "SI", "{amplitude = [0, 2]}"),
+    "prior": ("table of pairs", "SI", "{frequency = [60, 0.5]}"),
+    "tie": ("table of texts", "", '{frequency = "2*vibration:2.frequency"}'),
+    "per_run": ("list of names, or table of true or false", "", '["amplitude"]'),
+    "formula": ("text", "N or m", '"F * s * exp(-((x - x_c)/w)^2)"'),
+    "units": ("table of units by name", "", '{F = "N", x_c = "m", w = "m"}'),
+}
+
+_HEAD = """# Study file
+
+A study file says what was filmed, what is known of it, and which model is fitted first. It is a
+[TOML](../../glossary.md) file; `frictrack init FOLDER` writes one with comments. Paths are relative to the file. A
+number without a unit is in the unit of the table below; a text may have another unit and an uncertainty: `"350 g"`,
+`"0.350 +/- 0.002 kg"`. Unknown keys are refused, and all faults of a file are reported at once.
+
+"""
+_EXAMPLE = """## A short example
+
+```toml
+[study]
+name = "steel on brass"
+mass = "350 +/- 1 g"
+
+[camera]
+fps = 4000
+scale = "0.500 +/- 0.002 mm/px"
+
+[[run]]
+video = "strike_01.avi"
+
+[[run]]
+video = "strike_02.avi"
+mass = "700 +/- 1 g"
+```
+"""
+
+
+def write_study_file(folder: Path) -> None:
+    """Write the page of the study file into a folder.
+
+    Parameters
+    ----------
+    folder
+        Folder of the generated pages.
+
+    """
+    write_page(folder / "study_file.md", study_file_page())
+
+
+def study_file_page() -> str:
+    """Return the page as Markdown."""
+    return _HEAD + "\n".join([_EXAMPLE, *map(_section, SECTIONS), _scale(), _tables()])
+
+
+def _section(name: str) -> str:
+    """Return the table of one section."""
+    kind = SECTIONS[name]
+    rows = [_row(kind, key) for key in kind.model_fields]
+    head = ["key", "what", "value", "unit", "default", "example"]
+    return f"## {name}\n\n{plain(described(kind)[''])}\n\n" + table(head, rows)
+
+
+def _row(kind: type[Keys], key: str) -> list[str]:
+    value, unit, example = value_of(kind, key)
+    return [code(key), plain(described(kind)[key]), plain(value), plain(unit), code(_default(kind, key)), code(example)]
+
+
+def value_of(kind: type[Keys], key: str) -> tuple[str, str, str]:
+    """Return what a key takes: its value in words, its unit, and an example.
+
+    Raises
+    ------
+    KeyError
+        If the schema has a type that is not described in `TYPES`.
+
+    Examples
+    --------
+    >>> value_of(RunTable, "cutoff")
+    ('number or text with unit, above 0', 'Hz', '4000')
+    >>> value_of(RunTable, "role")[0]
+    '"fit" or "validation"'
+
+    """
+    if key in KEYS:
+        return KEYS[key]
+    words = _literals(kind.model_fields[key].annotation)
+    if words:
+        return " or ".join(f'"{word}"' for word in words), "", f'"{words[-1]}"'
+    name = re.split(r"\W+", str(kind.__annotations__[key]).removeprefix("Annotated["))[0]
+    return TYPES[name]
+
+
+def _literals(annotation: Any) -> list[str]:
+    """Words of a key that takes nothing but these."""
+    parts = [part for part in get_args(annotation) if part is not NoneType]
+    nested = [_literals(part) for part in parts if get_args(part)]
+    if parts and all(isinstance(part, str) for part in parts):
+        return parts
+    return nested[0] if len(nested) == len(parts) == 1 else []
+
+
+def _default(kind: type[Keys], key: str) -> str:
+    found = kind.model_fields[key]
+    if found.is_required():
+        return "required"
+    plainly = found.default in (None, "", (), {})
+    return "" if plainly else f'"{found.default}"' if isinstance(found.default, str) else str(found.default)
+
+
+def described(kind: type[Keys]) -> dict[str, str]:
+    """Return what the docstring of a section says of every key; "" is the section itself."""
+    doc = ClassDoc(kind, config={"show_class_members": False})
+    out = {"": " ".join(doc["Summary"])}
+    for entry in doc["Attributes"]:
+        out |= dict.fromkeys(entry.name.replace(",", " ").split(), " ".join(entry.desc))
+    return out
+
+
+def _scale() -> str:
+    """Return the section on the forms of `scale`, from the comments that a new study file has."""
+    keys = ", ".join(f"`{key}`" for key in SCALE)
+    return f"## Forms of scale\n\n```text\n{CAMERA['scale'][1]}\n```\n\nKeys of the table: {keys}.\n"
+
+
+def _tables() -> str:
+    """Return the section on the headers of tables."""
+    rows = [[code(key), code(header), plain(unit)] for key, (header, unit) in (COLUMNS | SENSOR_COLUMNS).items()]
+    return (
+        "## Columns of tables\n\nA table of a run needs `t_s` and `x_m` or `friction_N`; the others are optional. "
+        "`columns` maps a short name to the header that your table has.\n\n" + table(["short name", "header", "unit"], rows)
+    )
