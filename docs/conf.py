@@ -5,9 +5,13 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from sphinx.application import Sphinx
+
 from frictrack.version import __version__
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "generators"))
+
+from generated_pages import write_generated_pages
 
 project = "frictrack"
 author = "The frictrack developers"
@@ -18,7 +22,6 @@ extensions = [
     "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx_copybutton",
     "sphinx_design",
 ]
@@ -27,7 +30,8 @@ myst_heading_anchors = 3
 nb_execution_mode = "off"
 exclude_patterns = ["_build", "generators"]
 
-autosummary_generate = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say them
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
@@ -41,3 +45,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+def setup(app: Sphinx) -> None:
+    """Write the generated pages before Sphinx looks for sources."""
+    app.connect("config-inited", write_generated_pages)

@@ -193,9 +193,9 @@ def impact(run: Run) -> str:
 def friction(run: Run) -> Friction:
     """Compute the friction force F = D - m a and its standard deviation, and select the free section.
 
-    The variance of F is the sum of those of m a, of the mass (sigma_mass |a + g sin(incline)|), of the scale (m |a|
-    times its relative error) and of the measured drive. Errors of mass and scale are common to all frames. Where
-    friction itself was measured, F is that series with gaps interpolated, and sigma_F its white noise.
+    The variance of F is the sum of those of m a, of the mass (`sigma_mass abs(a + g sin(incline))`), of the scale
+    (`m abs(a)` times its relative error) and of the measured drive. Errors of mass and scale are common to all frames.
+    Where friction itself was measured, F is that series with gaps interpolated, and sigma_F its white noise.
 
     Parameters
     ----------

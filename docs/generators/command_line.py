@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from markdown import code, plain, table, write_page
+from page_text import code, prose, table, write_page
 
 from frictrack.cli import study_commands, utility_commands  # noqa: F401 - they define the commands
 from frictrack.cli.common import app
@@ -39,8 +39,9 @@ def write_command_line(folder: Path) -> None:
 def command_line_page() -> str:
     """Return the page as Markdown."""
     commands = dict(all_commands())
-    index = table(["command", "what it does"], [[f"[`{name}`](#{_anchor(name)})", plain(_first_line(c))] for name, c in commands.items()])
-    return _HEAD + index + "\n" + "\n".join(_section(name, command) for name, command in commands.items())
+    rows = [[f"[`{name}`](#{_anchor(name)})", prose(_first_line(command))] for name, command in commands.items()]
+    sections = (_section(name, command) for name, command in commands.items())
+    return _HEAD + table(["command", "what it does"], rows) + "\n" + "\n".join(sections)
 
 
 def all_commands() -> Iterator[tuple[str, Any]]:
@@ -71,9 +72,9 @@ def _section(name: str, command: Any) -> str:
     """Return the section of one command: what it does, usage, arguments and options, examples."""
     context = typer.Context(command, info_name=name)
     usage = " ".join([name, *command.collect_usage_pieces(context)])
-    paragraphs = [plain(" ".join(part.split())) for part in cleandoc(command.help or "").split("\n\n")]
+    paragraphs = [prose(" ".join(part.split())) for part in cleandoc(command.help or "").split("\n\n")]
     records = [param.get_help_record(context) for param in command.get_params(context)]
-    rows = [[_option(left), plain(text)] for left, text in filter(None, records)]
+    rows = [[_option(left), prose(text)] for left, text in filter(None, records)]
     parts = [
         f"({_anchor(name)})=\n",
         f"## {name.removeprefix('frictrack ')}\n",

@@ -13,12 +13,12 @@ import gallery_figures
 import gallery_fit
 import gallery_runs
 import gallery_separation
-import markdown
-from gallery_fit import Failure, fit_without
+import page_text
 from gallery_figures import failure_figure, thumbnail
+from gallery_fit import Failure, fit_without
 from gallery_runs import EXAMPLES, Example
 from gallery_separation import separating_run
-from markdown import code, plain, sentence, table, write_page
+from page_text import code, plain, sentence, table, write_page
 
 from frictrack import __version__, effects
 from frictrack.diagnose import MIN_CHI2_SEPARATED
@@ -100,7 +100,7 @@ def _files(name: str) -> list[str]:
 def _mark(name: str) -> str:
     """Hash of what the page of an effect is made from: version, definition of the effect and generators."""
     definition = f"frictrack.effects.{'' if ':' in name else 'library.'}{page_name(name)}"
-    modules = [import_module(definition), gallery_figures, gallery_fit, gallery_runs, gallery_separation, markdown]
+    modules = [import_module(definition), gallery_figures, gallery_fit, gallery_runs, gallery_separation, page_text]
     sources = [__version__, *(inspect.getsource(module) for module in modules), Path(__file__).read_text()]
     return hashlib.sha256("".join(sources).encode()).hexdigest()
 

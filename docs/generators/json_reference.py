@@ -15,7 +15,7 @@ from typing import Any
 
 import pandas as pd
 from json_meanings import SHARED, meaning
-from markdown import code, plain, table, write_page
+from page_text import code, plain, table, write_page
 
 import frictrack as ft
 from frictrack.cli import main
@@ -44,8 +44,8 @@ With `--json`, a command prints one JSON object on the standard output and nothi
 in SI units where the name has no unit at its end. A value that is unknown is null. The tables list the fields of these
 commands as they were printed for the sample runs; `[]` marks a list, `<name>` a key that the study gives.
 
-`run` prints `fit`, `diagnose` and `output`; `demo` prints `diagnose`, `add`, `history` and `report`; `remove` prints the
-same as `add`.
+`run` prints `fit`, `diagnose` and `output`; `demo` prints `diagnose`, `add`, `history` and `report`; `remove` prints
+the same as `add`.
 
 """
 
@@ -69,9 +69,9 @@ def write_json_reference(folder: Path) -> None:
 
 
 def program_hash() -> str:
-    """Return a hash of the source code of frictrack and of this file."""
+    """Return a hash of the source code of frictrack and of the commands that are run."""
     sources = sorted(Path(ft.__file__).parent.rglob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in [*sources, Path(__file__)])).hexdigest()
+    return hashlib.sha256(repr(COMMANDS).encode() + b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
 def print_all() -> dict[str, Any]:

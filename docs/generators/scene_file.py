@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Iterable
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any
 
-from markdown import code, plain, table, write_page
 from numpydoc.docscrape import ClassDoc
+from page_text import code, plain, prose, table, write_page
 
-from frictrack.simulate import scene
+from frictrack import samples
 from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod
-from frictrack.simulate.scene import scene_file
 from frictrack.simulate.scene.scene_file import RUN_KEYS, SCENE_KEYS, TARGET_KEYS
 
 # Keys that no dataclass describes: meaning, unit and default.
@@ -44,17 +42,17 @@ RUN = {
     "incline": ("angle by which the course rises toward +x", "rad", "0"),
 }
 TARGET = {
-    "width": ("length of the block along the course", "px", ""),
-    "height": ("height of the block", "px", ""),
-    "speckle": ("size of the speckles", "px", ""),
+    "width": ("length of the block along the course", "px", "90"),
+    "height": ("height of the block", "px", "56"),
+    "speckle": ("size of the speckles", "px", "4"),
     "rotation": ("rocking, clockwise in the picture: amplitude (degrees), frequency (Hz), phase (rad)", "", ""),
 }
 
 _HEAD = """# Scene file
 
 A scene file (TOML) describes runs of known truth: the mass, the law that it obeys, and the camera that films it.
-`frictrack render SCENE -o FOLDER` simulates the runs and writes their films, a study file and `truth.json`. Unknown keys
-are refused.
+`frictrack render SCENE -o FOLDER` simulates the runs and writes their films, a study file and `truth.json`. Unknown
+keys are refused.
 
 """
 
@@ -104,12 +102,12 @@ def _check(keys: Iterable[str], described: dict[str, Any]) -> None:
 
 
 def _example() -> str:
-    text = (Path(inspect.getfile(scene)).parent / "sample.toml").read_text(encoding="utf-8").strip()
+    text = (samples.films_folder() / "scene.toml").read_text(encoding="utf-8").strip()
     return f"## The scene of the sample study\n\n```toml\n{text}\n```\n"
 
 
 def _table(keys: dict[str, tuple[str, str, str]]) -> str:
-    rows = [[code(key), text, plain(unit), plain(default)] for key, (text, unit, default) in keys.items()]
+    rows = [[code(key), prose(text), plain(unit), plain(default)] for key, (text, unit, default) in keys.items()]
     return table(["key", "meaning", "unit", "default"], rows)
 
 
@@ -119,7 +117,7 @@ def _of_class(kind: Any) -> str:
     said = {}
     for entry in [*doc["Parameters"], *doc["Attributes"]]:
         said |= dict.fromkeys(re.split(r"[,\s]+", entry.name), " ".join(entry.desc))
-    rows = [[code(f.name), said[f.name], _default(f)] for f in fields(kind)]
+    rows = [[code(f.name), prose(said[f.name]), _default(f)] for f in fields(kind)]
     return table(["key", "meaning", "default"], rows)
 
 
@@ -127,6 +125,3 @@ def _default(f: Field[Any]) -> str:
     if f.default is MISSING:
         return "" if f.default_factory is not MISSING else "required"
     return "" if f.default is None else plain(str(f.default))
-
-
-assert scene_file.__doc__  # the keys are listed there in short

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args
 
-from markdown import code, plain, table, write_page
 from numpydoc.docscrape import ClassDoc
+from page_text import code, prose, table, write_page
 
 from frictrack.study import schema
 from frictrack.study.schema import COLUMNS, SCALE, SENSOR_COLUMNS, CameraTable, EffectTable, Keys, RunTable, StudyTable
@@ -47,6 +47,10 @@ TYPES = {
 }
 # The same for keys whose annotation says less than what they take.
 KEYS = {
+    "table": ("path or address", "", '"run_01.csv"'),
+    "cutoff": ("number or text with unit, above 0", "Hz", '"120 Hz"'),
+    "drift": ("text with unit", "N or m", '"0.01 N"'),
+    "exclude": ("list of polygons or rectangles", "px", "[[[430, 240], [450, 240], [450, 260]]]"),
     "model": ("text or list of texts", "", '["coulomb", "viscous"]'),
     "columns": ("table of headers by short name", "", '{t = "Time (ms)", x = "x (mm)"}'),
     "effect": ("text", "", '"vibration"'),
@@ -62,8 +66,8 @@ KEYS = {
 _HEAD = """# Study file
 
 A study file says what was filmed, what is known of it, and which model is fitted first. It is a
-[TOML](../../glossary.md) file; `frictrack init FOLDER` writes one with comments. Paths are relative to the file. A
-number without a unit is in the unit of the table below; a text may have another unit and an uncertainty: `"350 g"`,
+TOML file; `frictrack init FOLDER` writes one with comments. Paths are relative to the file. A number without a unit is
+in the unit of the table below; a text may have another unit and an uncertainty: `"350 g"`,
 `"0.350 +/- 0.002 kg"`. Unknown keys are refused, and all faults of a file are reported at once.
 
 """
@@ -109,13 +113,14 @@ def _section(name: str) -> str:
     """Return the table of one section."""
     kind = SECTIONS[name]
     rows = [_row(kind, key) for key in kind.model_fields]
-    head = ["key", "what", "value", "unit", "default", "example"]
-    return f"## {name}\n\n{plain(described(kind)[''])}\n\n" + table(head, rows)
+    return f"## {name}\n\n{prose(described(kind)[''])}\n\n" + table(["key", "meaning", "value", "default"], rows)
 
 
 def _row(kind: type[Keys], key: str) -> list[str]:
     value, unit, example = value_of(kind, key)
-    return [code(key), plain(described(kind)[key]), plain(value), plain(unit), code(_default(kind, key)), code(example)]
+    known = f"{value}; {unit}" if unit else value
+    shown = f"{prose(known)}: {code(example)}" if example else prose(known)
+    return [code(key), prose(described(kind)[key]), shown, code(_default(kind, key))]
 
 
 def value_of(kind: type[Keys], key: str) -> tuple[str, str, str]:
@@ -128,7 +133,7 @@ def value_of(kind: type[Keys], key: str) -> tuple[str, str, str]:
 
     Examples
     --------
-    >>> value_of(RunTable, "cutoff")
+    >>> value_of(RunTable, "fps")
     ('number or text with unit, above 0', 'Hz', '4000')
     >>> value_of(RunTable, "role")[0]
     '"fit" or "validation"'
@@ -177,8 +182,9 @@ def _scale() -> str:
 
 def _tables() -> str:
     """Return the section on the headers of tables."""
-    rows = [[code(key), code(header), plain(unit)] for key, (header, unit) in (COLUMNS | SENSOR_COLUMNS).items()]
+    rows = [[code(key), code(header), prose(unit)] for key, (header, unit) in (COLUMNS | SENSOR_COLUMNS).items()]
     return (
         "## Columns of tables\n\nA table of a run needs `t_s` and `x_m` or `friction_N`; the others are optional. "
-        "`columns` maps a short name to the header that your table has.\n\n" + table(["short name", "header", "unit"], rows)
+        "`columns` maps a short name to the header that your table has.\n\n"
+        + table(["short name", "header", "unit"], rows)
     )

@@ -50,7 +50,7 @@ class Path:
 
     @cached_property
     def speed(self) -> Array:
-        """|v| along the direction of motion, never below zero."""
+        """Size of v along the direction of motion, m/s, never below zero."""
         return np.maximum(self.s * self.v, 0.0)
 
     @property

@@ -21,6 +21,15 @@ MIN_GAUSSIAN_ELECTRONS = 1000  # from here on shot noise is drawn from a Gaussia
 class Oscillation:
     """Sinusoid amplitude * sin(2 pi frequency t + phase).
 
+    Attributes
+    ----------
+    amplitude
+        In the unit of what oscillates.
+    frequency
+        Hz.
+    phase
+        At t = 0, rad.
+
     Examples
     --------
     >>> round(float(Oscillation(2.0, frequency=50.0)(np.array(0.005))), 12)

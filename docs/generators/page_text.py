@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -47,6 +48,22 @@ def plain(text: str) -> str:
     for sign in ("\\", "*", "_", "`", "[", "]", "|"):
         text = text.replace(sign, f"\\{sign}")
     return text.replace("<", "&lt;").replace(">", "&gt;")
+
+
+def prose(text: str) -> str:
+    r"""Escape a text, code between backticks excepted.
+
+    Examples
+    --------
+    >>> prose("a key such as `F_s` of [study]")
+    'a key such as `F_s` of \\[study\\]'
+
+    """
+    parts = re.split(r"(`+)(.+?)\1", text)
+    out = [plain(parts[0])]
+    for ticks, inside, after in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
+        out += [f"{ticks}{inside}{ticks}", plain(after)]
+    return "".join(out)
 
 
 def sentence(text: str) -> str:

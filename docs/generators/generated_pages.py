@@ -1,0 +1,32 @@
+"""Write all generated pages of the documentation: the reference and the gallery of effects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from command_line import write_command_line
+from gallery import make_gallery
+from hdf5 import write_hdf5
+from json_reference import write_json_reference
+from python_api import write_python_api
+from scene_file import write_scene_file
+from study_file import write_study_file
+
+DOCS = Path(__file__).resolve().parents[1]
+REFERENCE = DOCS / "reference" / "generated"
+GALLERY = DOCS / "gallery" / "effects"
+
+
+def write_generated_pages(*_: Any) -> None:
+    """Write all pages; Sphinx calls it before it looks for sources. What has not changed is not made again."""
+    for write in (
+        write_command_line,
+        write_study_file,
+        write_json_reference,
+        write_hdf5,
+        write_scene_file,
+        write_python_api,
+    ):
+        write(REFERENCE)
+    make_gallery(GALLERY)
