@@ -36,6 +36,8 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
 html_theme = "pydata_sphinx_theme"
+html_static_path = ["_static"]
+html_css_files = ["frictrack.css"]
 html_title = "frictrack"
 html_show_sourcelink = False
 html_theme_options = {

@@ -31,6 +31,12 @@ def find_events(run: Run) -> RunEvents:
     RunEvents
         Events in order as (kind, begin s, end s), rests as (begin s, end s), and the noise at rest, m.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> [kind for kind, _, _ in ft.find_events(ft.samples.runs()[2]).events]
+    ['release', 'stop']
+
     """
     t, v = run.motion.t, run.motion.v
     motions = [

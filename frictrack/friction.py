@@ -64,6 +64,15 @@ def free_section(run: Run) -> tuple[Mask, str]:
     FrictrackError
         If fewer than 8 frames are left.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> mask, reason = ft.free_section(ft.samples.runs()[2])
+    >>> int(mask.sum())
+    503
+    >>> reason
+    'from the highest speed at 0.004 s and 18 frames for the filter to the last moving frame at 0.134 s'
+
     """
     valid, moving = run.displacement.valid, is_moving(run)
     if run.free is not None:

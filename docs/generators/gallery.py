@@ -148,17 +148,17 @@ def effect_page(failure: Failure) -> str:
     parts = [
         f"# {failure.effect}\n\n{plain(effect.what)}\n",
         f"```text\n{'F' if effect.acts_on == 'force' else 'y'} += {effect.equation.removeprefix('y: ')}\n```\n",
-        "The [symbols](../index.md#symbols) are those of all equations.\n",
-        _facts(effect),
-        _parameters(effect),
         "## What a fit without it leaves\n",
-        f"How it shows: {plain(effect.looks_like)}.\n",
+        f"{plain(sentence(effect.looks_like))}\n",
         _figure(failure),
         "## What it is confused with\n",
         f"{plain(sentence(effect.mistaken_for))}\n",
         _lookalikes(failure),
         "## The run that separates them\n",
         *_separation(failure),
+        "## Parameters\n",
+        _parameters(effect),
+        _facts(effect),
         "## Use it\n",
         f"```sh\nfrictrack add study.toml {failure.effect}\n```\n",
         f'```python\nfit = ft.fit([*fit.model.names, "{failure.effect}"], runs)\n```\n',
@@ -177,7 +177,8 @@ def _facts(effect: Effect) -> str:
         ["remembers", "the motion so far" if effect.memory else ""],
         ["source", plain(effect.source)],
     ]
-    return table(["", ""], [row for row in rows if row[1]])
+    symbols = "The equation uses the [symbols](../index.md#symbols) of all effects.\n\n"
+    return symbols + table(["property", "value"], [row for row in rows if row[1]])
 
 
 def _parameters(effect: Effect) -> str:
@@ -187,12 +188,10 @@ def _parameters(effect: Effect) -> str:
         [code(p.name), plain(p.unit if p.unit != "1" else "–"), *_bounds(p, p.name in quoted), _kind(p)]
         for p in effect.parameters
     ]
-    note = "\nA value marked * is reported in another form than it is fitted, which has the bounds.\n"
-    return (
-        "## Parameters\n\n"
-        + table(["parameter", "unit", "lowest", "highest", "fitted"], rows)
-        + note * any(p.name in quoted for p in effect.parameters)
-    )
+    found = table(["parameter", "unit", "lowest", "highest", "fitted"], rows)
+    if not any(p.name in quoted for p in effect.parameters):
+        return found
+    return f"{found}\nA bound marked \\* belongs to another form of the parameter, in which it is fitted.\n"
 
 
 def _bounds(p: Parameter, quoted: bool) -> list[str]:

@@ -63,12 +63,12 @@ GROUPS = (
     Group(
         "Records and results",
         "What the functions return. Columns are arrays with one value per frame, in SI units.",
-        "frictrack.records",
+        "frictrack",
         (
-            *("Track", "Displacement", "Motion", "Friction", "Curve", "ModelledMotion", "CutoffTradeOff"),
-            *("frictrack.fit.Fit", "frictrack.fit.GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap"),
-            *("frictrack.compare.Comparison", "frictrack.diagnose.Diagnosis", "frictrack.diagnose.Candidate"),
-            *("frictrack.simulate.Trajectory", "frictrack.simulate.Conditions", "frictrack.FrictrackError"),
+            *("Track", "Displacement", "Motion", "frictrack.records.Friction", "frictrack.records.Curve"),
+            *("frictrack.records.ModelledMotion", "frictrack.records.CutoffTradeOff"),
+            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison"),
+            *("Diagnosis", "frictrack.diagnose.Candidate", "FrictrackError"),
         ),
     ),
     Group(

@@ -73,6 +73,14 @@ def budget(
     -----
     Sources are independent and add in quadrature (JCGM 100:2008, GUM, section 5.1).
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> found = ft.budget(run, ft.low_pass(run.displacement))
+    >>> [row.source for row in found.rows][:2]
+    ['pixel noise', 'filter']
+
     """
     if run.mass is None and run.friction_N is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for an error budget but got none; weigh the slider')

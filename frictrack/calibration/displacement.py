@@ -78,7 +78,10 @@ def calibrate(
     Examples
     --------
     >>> import frictrack as ft
-    >>> displacement = ft.calibrate(track, scale="0.5 mm/px")  # doctest: +SKIP
+    >>> track = ft.track(ft.open_recording(ft.samples.films_folder() / "fast.avi"))
+    >>> displacement = ft.calibrate(track, scale="0.5 mm/px")
+    >>> float(displacement.x[140].round(4))
+    0.2254
 
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)

@@ -64,6 +64,13 @@ def plane_map(
     FrictrackError
         For a malformed scale, unreadable files, a board that is not found, or points that determine no plane.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> plane = ft.plane_map("0.500 +/- 0.002 mm/px")
+    >>> plane(np.array([[100.0, 40.0]])).tolist()
+    [[0.05, 0.02]]
+
     """
     kind = scale_input.scale_kind(scale)
     if kind == "several":

@@ -51,6 +51,14 @@ class Comparison(NotebookView):
     fails_at
         Failing spans, largest share of the misfit first; see `failing_spans`.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.samples.runs()[:2]
+    >>> fits = [ft.fit(model, runs) for model in ("coulomb", ["coulomb", "viscous"])]
+    >>> list(ft.compare(fits).to_dataframe().index)
+    ['1_coulomb', '2_coulomb+viscous']
+
     """
 
     models: list[dict[str, Any]]
@@ -100,6 +108,14 @@ def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
     FrictrackError
         If `fits` is empty.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous"], ft.samples.runs()[:2])
+    >>> place = ft.compare(fit).fails_at[0]
+    >>> place["run"], [round(x, 2) for x in place["x"]]
+    ('slow', [0.09, 0.11])
+
     """
     tried = [fits] if isinstance(fits, Fit) else list(fits)
     if not tried:
@@ -111,7 +127,17 @@ def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
 
 
 def history(fits: Sequence[Fit], current: int = -1) -> Comparison:
-    """Compare all models of a session in the order tried; see `compare`."""
+    """Compare all models of a session in the order tried; see `compare`.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.samples.runs()[:2]
+    >>> first = ft.fit(["coulomb"], runs)
+    >>> [entry["name"] for entry in ft.history([first, ft.fit(["coulomb", "viscous"], runs)]).models]
+    ['1_coulomb', '2_coulomb+viscous']
+
+    """
     return compare(list(fits), current)
 
 

@@ -82,6 +82,12 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     FrictrackError
         If `fit` holds one fit per group.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> ft.diagnose(ft.fit("tustin", ft.samples.runs())).missing
+    ['patch']
+
     """
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):

@@ -168,6 +168,13 @@ class Diagnosis(NotebookView):
     complete
         False for the verdict alone: `fails_at`, `importance`, `evidence`, `repeats` and `next_experiment` are empty.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> found = ft.diagnose(ft.fit(["coulomb", "viscous"], ft.samples.runs()[1:2]), quick=True)
+    >>> found.verdict, found.missing, found.candidates[0].effect
+    ('missing', ['patch'], 'patch')
+
     """
 
     drawn_by: ClassVar[str] = "frictrack.plots:candidates"

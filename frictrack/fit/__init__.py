@@ -152,6 +152,14 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     Golub, G. H. & Pereyra, V. (1973). The differentiation of pseudo-inverses and nonlinear least squares problems
     whose variables separate. SIAM J. Numer. Anal. 10, 413-432.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+    >>> estimate = fit.parameters["coulomb.F_c"]
+    >>> round(estimate.value, 1), estimate.unit
+    (0.9, 'N')
+
     """
     check_route(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)

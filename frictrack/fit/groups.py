@@ -23,7 +23,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GroupFits(StorableFit):
-    """The same model fitted to every group of runs separately; `fits` by the name of the group."""
+    """The same model fitted to every group of runs separately; `fits` by the name of the group.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> from dataclasses import replace
+    >>> runs = [replace(run, group="low" if run.name == "to_a_stop" else "high") for run in ft.samples.runs()]
+    >>> ft.fit(["coulomb", "viscous"], runs, per="group")
+    <GroupFits: coulomb+viscous, fitted to each of high (3 runs), low (1 runs)>
+
+    """
 
     fits: dict[str, Fit]
 

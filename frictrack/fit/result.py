@@ -56,6 +56,15 @@ class Fit(FittedRuns, StorableFit):
     uncertainty : UncertaintyAnalysis
         Profiles and bootstrap, where they were computed. For the others see `FittedRuns`.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+    >>> fit.model.names, sorted(fit.parameters)
+    (['coulomb', 'viscous', 'patch'], ['coulomb.F_c', 'patch.F', 'patch.w', 'patch.x_c', 'viscous.F_v'])
+    >>> round(fit.parameters["patch.x_c"].value, 3)
+    0.1
+
     """
 
     uncertainty: UncertaintyAnalysis = field(default=UncertaintyAnalysis())

@@ -46,6 +46,15 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
         Residual, noise and lost signal at each frequency, and the chosen cut-off: the given one, or that of the highest
         likelihood, which the force domain uses. Warnings name vibrations and events above it.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> filtered = ft.low_pass(run.displacement)
+    >>> found = ft.cutoff_tradeoff(run.displacement, filtered, ft.differentiate(filtered))
+    >>> bool(found.noise[0] < found.noise[-1])
+    True
+
     """
     displacement = displacement.rows(displacement.span)
     grid, known = frame_grid(displacement.t), displacement.known

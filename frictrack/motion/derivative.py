@@ -132,6 +132,14 @@ def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = Non
     FrictrackError
         For another quantity.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> filtered = ft.low_pass(ft.samples.runs()[0].displacement)
+    >>> matrix = ft.covariance(filtered, "v", np.arange(60, 70))
+    >>> matrix.shape, bool(np.allclose(np.diag(matrix) ** 0.5, ft.differentiate(filtered).sigma_v[60:70]))
+    ((10, 10), True)
+
     """
     if of not in QUANTITIES:
         raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')

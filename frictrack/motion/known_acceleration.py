@@ -20,6 +20,15 @@ class KnownAcceleration:
     sigma
         Standard deviation of its white noise, m/s^2, one number or (n,).
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> known = ft.KnownAcceleration(run.motion.a, 5.0)
+    >>> fused = ft.differentiate(ft.low_pass(run.displacement, acceleration=known))
+    >>> bool(fused.sigma_a[75] < run.motion.sigma_a[75])
+    True
+
     """
 
     a: Array

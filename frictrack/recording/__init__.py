@@ -45,7 +45,9 @@ def open_recording(path: str | Path, fps: float | None = None) -> Recording:
     Examples
     --------
     >>> import frictrack as ft
-    >>> recording = ft.open_recording("strike_01.avi", fps=4000)  # doctest: +SKIP
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi", fps=4000)
+    >>> film.n_frames, film.frame(0).shape
+    (150, (72, 512))
 
     """
     path = Path(path)

@@ -25,6 +25,14 @@ class Track(FrameTable):
     `sigma_px`, `sigma_y_px` and `sigma_angle` are standard deviations per frame; `score` is the match score, at most 1.
     Use `found` for the frames in which the target was found and `lost` for the reasons of the others.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> track = ft.track(film)
+    >>> float(track.x_px[140].round(1)), bool(track.sigma_px[140] < 0.002)
+    (450.9, True)
+
     """
 
     t: Array = column("s")
@@ -69,6 +77,14 @@ class Displacement(FrameTable):
     -----
     `x`, `y`, `sigma_x`, `sigma_y` are in m, `angle` in rad, NaN where not measured. Frames with `valid` False are
     outliers. `pixel_pitch` is the size of a pixel on the course, None for tables.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> displacement = ft.calibrate(ft.track(film), scale="0.5 mm/px")
+    >>> float(displacement.x[140].round(4)), int(displacement.valid.sum())
+    (0.2254, 147)
 
     """
 
@@ -137,6 +153,13 @@ class Motion(FrameTable):
     -----
     `x` (m), `v` (m/s) and `a` (m/s^2) are along the course, `a_y` (m/s^2) is across it. Rows closer than `guard` to
     either end or to a jump are distorted by the smoother.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> motion = ft.samples.runs()[0].motion
+    >>> float(motion.v.max().round(1)), list(motion.to_dataframe())[:4]
+    (6.0, ['t', 'x', 'v', 'a'])
 
     """
 

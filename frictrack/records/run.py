@@ -60,6 +60,13 @@ class Run(NotebookView):
     FrictrackError
         If the parts do not fit together.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> run.name, run.mass, len(run.motion.t)
+    ('fast', 0.35, 150)
+
     """
 
     drawn_by: ClassVar[str] = "frictrack.plots:motion"

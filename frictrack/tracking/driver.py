@@ -84,7 +84,9 @@ def track(
     Examples
     --------
     >>> import frictrack as ft
-    >>> track = ft.track(ft.open_recording("strike_01.avi", fps=4000))  # doctest: +SKIP
+    >>> track = ft.track(ft.open_recording(ft.samples.films_folder() / "fast.avi"))
+    >>> len(track.t), float(track.x_px[0].round(1))
+    (150, 59.0)
 
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
@@ -266,6 +268,15 @@ def learn_target(
     ------
     FrictrackError
         As `track` does.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> target = ft.learn_target(film)
+    >>> track = ft.track(film, known=target)
+    >>> len(track.t)
+    150
 
     """
     with random_access(recording) as film:

@@ -46,6 +46,15 @@ def align_track(track: Track, reference: Track) -> Track:
     Track
         With a note of what was done; unchanged, with a note, where the pictures do not show the same body.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> track = ft.track(film)
+    >>> aligned = ft.align_track(track, track)
+    >>> bool(abs(aligned.x_px - track.x_px)[:140].max() < 0.01)
+    True
+
     """
     found = target_offset(track.picture, reference.picture)
     if found is None:

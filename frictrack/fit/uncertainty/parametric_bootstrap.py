@@ -172,6 +172,14 @@ def bootstrap(
     ----------
     Efron, B. & Tibshirani, R. J. (1993). An Introduction to the Bootstrap, ch. 12. Chapman & Hall.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+    >>> draws = ft.bootstrap(fit, 20, rng=1)
+    >>> draws.names[:2], draws.values.shape
+    (['coulomb.F_c', 'viscous.F_v'], (20, 5))
+
     """
     if draws < MIN_DRAWS:
         raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)

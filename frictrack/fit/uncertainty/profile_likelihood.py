@@ -131,6 +131,14 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
     ----------
     Venzon, D. J. & Moolgavkar, S. H. (1988). Applied Statistics 37, 87-94.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+    >>> found = ft.profile(fit, "patch.x_c")
+    >>> found.low < 0.1 < found.high, found.unit
+    (True, 'm')
+
     """
     if not 0 < level < 1:
         raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)

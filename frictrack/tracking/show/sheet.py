@@ -73,6 +73,14 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     Path
         The file.
 
+    Examples
+    --------
+    >>> import tempfile
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> ft.contact_sheet(film, ft.track(film), Path(tempfile.mkdtemp()) / "fast.png").name
+    'fast.png'
+
     """
     sheet = _sheet(recording, track, others)
     with atomic_write(Path(path)) as part:
