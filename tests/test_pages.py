@@ -125,3 +125,4 @@ def test_dots_stand_for_output_that_is_not_shown():
     assert same("...\na\n...\n", "a\n")
     assert not same("a\n...\ne", "a\nb\nc\nd\n")
     assert not same("...\na\n...\n", "b\n")
+    assert not same("", "a\n")

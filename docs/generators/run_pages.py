@@ -169,7 +169,7 @@ class PageRun:
                 first += 1
             shown, command = "".join(lines[first:until]), "".join(lines[i:first])[2:]
             printed, failed = self._command(command)
-            if not same(shown, printed) or (failed and not shown.strip()):
+            if not same(shown, printed) if shown.strip() else failed:
                 begin = block.begin + len("".join(lines[:first]))
                 yield Difference(command, shown, printed, begin, begin + len(shown))
 
@@ -218,11 +218,11 @@ class PageRun:
 
 
 def same(shown: str, printed: str) -> bool:
-    """Return whether output is the one shown, where ``...`` stands for anything; an empty one shows nothing."""
+    """Return whether output is the one shown, where ``...`` stands for anything."""
     starts = {shown.strip(), shown.strip().removeprefix("...\n")}
     expected = {part for start in starts for part in (start, start.removesuffix("\n..."))}
     check = doctest.OutputChecker().check_output
-    return not shown.strip() or any(check(one, printed.strip(), SAME) for one in expected)
+    return any(check(one, printed.strip(), SAME) for one in expected)
 
 
 def update(path: Path, differences: list[Difference], folder: Path) -> None:
