@@ -328,6 +328,9 @@ def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
     assert found.complete
     assert patch.at_place
     assert (patch.size, patch.centre, patch.width) == pytest.approx((0.4, 0.1, 0.008), rel=0.1)
-    repeats = find_failure_pattern(solution, np.random.default_rng(0)).repeats
-    assert repeats.best.axis == "x"
-    assert "repeats at the same place in 3 of 4 runs" in repeats.words
+    pattern = find_failure_pattern(solution, np.random.default_rng(0))
+    assert pattern.repeats.best.axis == "x"
+    assert "repeats at the same place in 3 of 4 runs" in pattern.repeats.words
+    assert pattern.local.law.solution.chi2 > 2 * solution.chi2  # refitted beside the patch, without it
+    compared = pattern.forces.solution  # with it formulas and effects are compared
+    assert compared.chi2 == pytest.approx(solution.chi2, rel=1e-6)

@@ -26,6 +26,8 @@ class FailurePattern:
 
     Parameters
     ----------
+    fit
+        The fit, with the frames that are compared.
     local
         The local forces in the residual of the fit. A fit with a large misfit is far from its linearisation; what runs
         have in common is sought beside the model refitted together with these forces.
@@ -34,13 +36,15 @@ class FailurePattern:
 
     """
 
+    fit: Solution
     local: LocalForces
     rng: np.random.Generator
 
     @cached_property
     def repeats(self) -> Repeatability:
         """Whether the misfit repeats from run to run, and over which axis."""
-        return assess_repeatability(self._solution, self.rng, waves=self._waves, forces=self.forces)
+        smooth = self.forces if self._solution is self.fit else ResidualForces(self._solution)
+        return assess_repeatability(self._solution, self.rng, waves=self._waves, forces=smooth)
 
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
@@ -49,8 +53,8 @@ class FailurePattern:
 
     @cached_property
     def forces(self) -> ResidualForces:
-        """Smooth forces in the residual."""
-        return ResidualForces(self._solution)
+        """Smooth forces in the residual of the fit itself, with which effects and formulas are compared."""
+        return ResidualForces(self.fit)
 
     @property
     def _solution(self) -> Solution:
@@ -78,7 +82,8 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
     FailurePattern
 
     """
-    return FailurePattern(find_local_forces(keep_compared_frames(solution)), rng)
+    fit = keep_compared_frames(solution)
+    return FailurePattern(fit, find_local_forces(fit), rng)
 
 
 def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:
