@@ -319,6 +319,23 @@ def test_candidates_that_pass_are_filled():
     assert figure.axes[0].get_xscale() == "linear"
 
 
+def test_colours_of_candidates_say_what_they_mean_and_a_common_p_is_said_once():
+    found = [
+        candidate("lens", 0.001, 900.0) | {"heldout_rms_after_um": 15.0},
+        candidate("texture", 0.001, 812.0, ["patch"]),
+        candidate("patch", 0.001, 811.0) | {"heldout_rms_after_um": 10.3},
+    ]
+    figure = plots.candidates(diagnosis("missing", [found[1], found[0], found[2]], ["texture"]))
+    shown = {name: bar.get_facecolor() for name, bar in bars(figure).items()}
+    assert list(shown) == ["texture", "patch", "lens"]  # by held-out error
+    assert len(set(shown.values())) == 3
+    words = drawn(figure)
+    assert sum("p = 0.001" in text for text in words) == 1
+    assert " +812, held-out error 10.2 µm" in words
+    found[0]["p"] = 0.002
+    assert sum("p = " in text for text in drawn(plots.candidates(diagnosis("missing", found, ["texture"])))) == 3
+
+
 def test_candidates_far_apart_get_a_logarithmic_axis():
     found = [candidate("texture", 0.001, 81200.0), candidate("patch", 0.001, 30.0)]
     assert plots.candidates(diagnosis("missing", found, ["texture"])).axes[0].get_xscale() == "log"

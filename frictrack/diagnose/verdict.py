@@ -177,7 +177,7 @@ class Diagnosis(NotebookView):
 
     """
 
-    drawn_by: ClassVar[str] = "frictrack.plots:candidates"
+    drawn_by: ClassVar[str] = "frictrack.plots:verdict"
     model: list[str]
     verdict: str
     missing: list[str]

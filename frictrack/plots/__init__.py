@@ -5,8 +5,9 @@ plots.motion(run).savefig("v3.pdf")
 
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
+from frictrack.plots.candidates import candidates, held_out_order, passes
 from frictrack.plots.cutoff import cutoff, cutoffs
-from frictrack.plots.evidence import candidates, has_limits, has_scan, history, limits, passes, scan
+from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -39,6 +40,7 @@ __all__ = [
     "has_limits",
     "has_missing_force",
     "has_scan",
+    "held_out_order",
     "history",
     "html",
     "is_rejected",

@@ -1,4 +1,4 @@
-"""Draw the evidence for each candidate effect, the held-out error of each model, and the detection limits."""
+"""Draw the scan of a candidate effect, the held-out error of each model, and the detection limits."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack import effects
 from frictrack.errors import FrictrackError
-from frictrack.number_format import format_change, format_number, format_unit
+from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel, AnySummary, as_model, as_summary
 from frictrack.plots.model import noise_um
@@ -21,118 +20,9 @@ from frictrack.plots.style import axis_label, new_figure, plain_name, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults
 
-MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
-LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
 MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is given in the title only
 LOG_AXIS_RATIO_ERRORS = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
 RESULT_CURVES = ("limit", "rise")  # curves of a candidate; the other curves are its settings
-
-
-def passes(candidate: Mapping[str, Any]) -> bool:
-    """Whether a candidate is significant for the whole search, improves the BIC, and is plausible.
-
-    Parameters
-    ----------
-    candidate : mapping
-        A candidate of a diagnosis: `p`, `delta_bic` and, where it is not plausible, `implausible`.
-
-    Examples
-    --------
-    >>> passes({"p": 0.001, "delta_bic": 40.0}), passes({"p": 0.2, "delta_bic": 40.0})
-    (True, False)
-
-    """
-    return bool(candidate["p"] < MAX_P and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
-
-
-@styled
-def candidates(diagnosis: AnySummary) -> Figure:
-    """Draw delta BIC of every candidate as a bar, the best on top.
-
-    Bars of candidates that pass are filled, the others hatched. A bracket joins candidates that these runs cannot
-    distinguish.
-
-    Parameters
-    ----------
-    diagnosis : mapping or Diagnosis
-        A diagnosis with its `candidates`.
-
-    """
-    diagnosis = as_summary(diagnosis)
-    found = diagnosis["candidates"]
-    figure = new_figure(0.45 * max(len(found), 2) + 1.5, _candidates_title(diagnosis))
-    ax = figure.subplots()
-    gains = np.array([max(c["delta_bic"], 0.0) for c in found])
-    logarithmic = _needs_log_axis(gains)
-    floor = 1.0 if logarithmic else 0.0
-    for y, c in enumerate(found):
-        good = passes(c)
-        look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
-        ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
-        label = f" {format_change(c['delta_bic'])}, p = {format_number(c['p'], 1)}"
-        ax.text(max(c["delta_bic"], floor), y, label, va="center", fontsize=9)
-    if logarithmic:
-        ax.set_xscale("log")
-    top = float(gains.max()) if len(gains) and gains.max() > 0 else 1.0
-    ax.set_xlim(floor, top ** (1.45) if logarithmic else 1.45 * top)
-    ax.set_yticks(range(len(found)), [c["effect"] for c in found])
-    ax.set_ylim(len(found) - 0.4, -0.6)
-    ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
-    _draw_brackets(ax, found)
-    handles = [
-        Patch(color=style.BLUE, label="passes: significant for the whole search"),
-        Patch(fc="white", ec="#777777", hatch="////", label="does not pass"),
-    ]
-    figure.legend(handles=handles, loc="outside lower left", ncols=2)
-    return figure
-
-
-def _needs_log_axis(gains: Array) -> bool:
-    positive = gains[gains > 1]
-    return len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
-
-
-def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
-    good = [c["effect"] for c in diagnosis["candidates"] if passes(c)]
-    if not diagnosis["candidates"]:
-        return "No effect of the library could be tried"
-    if not good:
-        return "No candidate is significant for the whole search"
-    rivals = diagnosis["candidates"][0].get("indistinguishable_from") or []
-    if rivals:
-        return f"{good[0]} explains most, but {' and '.join(rivals)} cannot be distinguished from it"
-    return f"{good[0]} explains most" + (f", {len(good) - 1} more pass with less evidence" if len(good) > 1 else "")
-
-
-def _draw_brackets(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
-    """Draw a bracket at the right of each group whose members predict the same data."""
-    drawn: set[frozenset[int]] = set()
-    for c in found:
-        group = _peers(found, c)
-        if len(group) < 2 or any(group <= earlier for earlier in drawn):
-            continue
-        x = 0.985 - 0.03 * len(drawn)
-        drawn.add(group)
-        across = ax.get_yaxis_transform()
-        ax.plot([x, x], [min(group), max(group)], transform=across, color="black", lw=1.5)
-        for y in group:
-            ax.plot([x - 0.012, x], [y, y], transform=across, color="black", lw=1.5)
-        ax.text(
-            x - 0.018, (min(group) + max(group)) / 2, "cannot be\ndistinguished",
-            transform=across, ha="right", va="center", fontsize=8.5, style="italic",
-        )  # fmt: skip
-
-
-def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozenset[int]:
-    """Rows of a passing candidate and of its rivals; a better rival counts only if it names this one too."""
-    place = found.index(c)
-    named = [
-        y
-        for y, other in enumerate(found)
-        if other["effect"] in c["indistinguishable_from"]
-        and (y > place or c["effect"] in other["indistinguishable_from"])
-    ]
-    return frozenset((place, *named)) if passes(c) else frozenset()
 
 
 def has_scan(curves: Mapping[str, Array]) -> str | None:

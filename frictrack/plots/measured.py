@@ -22,6 +22,7 @@ from frictrack.results import RunResults
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
 MAX_PUSH_RATIO = 4.0  # range of all accelerations over that of the free section; beyond it the push is not shown
 MAX_NAMED_EVENTS = 8
+MAX_POINTS_OF_ALL = 6000  # of the force of all runs together; more only make the file larger
 MAX_MOTIONS = 8  # runs drawn as small multiples
 MOTION_LABELS = (
     axis_label("displacement x", "m"),
@@ -260,9 +261,10 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         f, look = run.friction, styles[run.name]
         assert f is not None
         shown = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
+        rows = slice(None, None, max(1, len(f) * len(able) // MAX_POINTS_OF_ALL))
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
-            draw_band(ax, at, shown, f.sigma_F, color=look["color"], alpha=0.18)
-            ax.plot(at, shown, lw=1.0, alpha=0.85, label=run.name, **look)
+            draw_band(ax, at[rows], shown[rows], f.sigma_F[rows], color=look["color"], alpha=0.18)
+            ax.plot(at[rows], shown[rows], lw=1.0, alpha=0.85, label=run.name, **look)
         everything += [shown - f.sigma_F, shown + f.sigma_F]
     style.set_y_limits(left, everything)
     left.set(xlabel=axis_label("time since the free section begins", "ms"), ylabel=axis_label("friction force F", "N"))

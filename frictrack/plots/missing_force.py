@@ -18,6 +18,7 @@ from frictrack.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Mask
 
 MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the step is longer
+MAX_RUNS = 12  # drawn one by one; of more runs, those with the largest missing force
 MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
 FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
 
@@ -41,7 +42,7 @@ def missing_force(
     styles: Mapping[str, Mapping[str, Any]],
     repeats: Sequence[Mapping[str, Any]] = (),
 ) -> Figure:
-    """Draw the missing force of all runs over time, place, speed, acceleration and phase.
+    """Draw the missing force over time, place, speed, acceleration and phase: of at most 12 runs, and of all together.
 
     A black line shows the part that is common to all runs. Bands are two standard deviations wide on each side.
 
@@ -70,10 +71,11 @@ def missing_force(
     factor, unit = style.axis_scale(whole["F"], "N")
     low, high = force_limits(whole)
     shares = {r["axis"]: r for r in repeats}
+    drawn, styles = _strongest_runs(whole, styles)
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        draw_runs(ax, whole, name, factor, list(styles.values()))
+        draw_runs(ax, drawn, name, factor, list(styles.values()))
         draw_common(ax, figures.get(f"common_{name}"), factor)
-        _mark_spans(ax, whole, name, spans, styles)
+        _mark_spans(ax, drawn, name, spans, styles)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
         foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
         ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
@@ -84,7 +86,23 @@ def missing_force(
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
     _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
+    if len(styles) < len(np.unique(whole["run"])):
+        figure.suptitle(f"{_title(repeats)} ({len(styles)} runs of {len(np.unique(whole['run']))})", x=0.01, ha="left")
     return figure
+
+
+def _strongest_runs(
+    whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
+) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
+    """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
+    run, size = whole["run"], (whole["F"] / whole["sigma_F"]) ** 2
+    known = np.unique(run)
+    kept = np.sort(sorted(known, key=lambda k: -float(np.mean(size[run == k])))[:MAX_RUNS])
+    rows = np.isin(run, kept)
+    drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
+    names = list(styles)
+    looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
+    return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
 
 
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:

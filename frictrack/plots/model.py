@@ -66,7 +66,7 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     shown = worst_runs(model, runs)
     columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = new_figure(3.3 * rows + 0.7, fit_title(model))
+    figure = new_figure(3.3 * rows + 0.7, fit_title(model) + _how_many(model, shown))
     panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
     by_name = {run.name: run for run in runs}
     for k, name in enumerate(shown):
@@ -116,7 +116,7 @@ def failing(
     shown = worst_runs(model, runs)
     columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = new_figure(2.0 * rows + 0.9, _failing_title(model, runs, spans))
+    figure = new_figure(2.0 * rows + 0.9, _failing_title(model, runs, spans) + _how_many(model, shown))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for k, name in enumerate(shown):
         ax = panels[k // columns, k % columns]
@@ -175,6 +175,12 @@ def fit_title(model: ModelResults) -> str:
         return f"{name}: {figures}"
     word = {"complete": "is complete", "undetermined": "is undetermined"}.get(verdict, "fails")
     return f"{name} {word}: {figures}"
+
+
+def _how_many(model: ModelResults, shown: Sequence[str]) -> str:
+    """How many runs are drawn, if not all."""
+    n = len({curve.run for curve in model.curves})
+    return f" ({len(shown)} worst of {n} runs)" if len(shown) < n else ""
 
 
 def _residual_title(model: ModelResults, runs: Sequence[RunResults]) -> str:

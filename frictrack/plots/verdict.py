@@ -21,6 +21,7 @@ from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.plots.verdict_data import (
     DiagnosisLike,
     HeldOutError,
+    Residuals,
     VerdictData,
     data_of_diagnosis,
     data_of_study,
@@ -30,7 +31,7 @@ from frictrack.results import ModelResults, Results
 from frictrack.verdicts import VERDICTS, indistinguishable_effects
 
 HEIGHT_IN = 3.3
-MAX_RUNS_DRAWN = 8  # one by one in the panel of the force; of more runs only the common part
+MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
 MAX_NAMED_MODELS = 4  # below the panel of errors; more models are numbered
 MAX_LIMITS = 8
 LOG_AXIS_RATIO = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
@@ -100,10 +101,12 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
     if data.before is None:
         return _say(ax, "No residual is stored; diagnose again")
     handles: list[Any] = []
-    for one, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
-        if one is not None:
+    shown = _worst_runs(data.before)
+    for whole, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
+        if whole is not None:
+            one = whole.of_runs(shown)
             _draw_lines(ax, one.along["run"], one.along[data.axis], one.values, color=colour, lw=0.9, alpha=0.85)
-            handles.append(Line2D([], [], color=colour, lw=1.8, label=one.name))
+            handles.append(Line2D([], [], color=colour, lw=1.8, label=one.name + _how_many(whole)))
     band = style.BAND_SIGMAS * float(np.median(data.before.sigma))
     ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
@@ -116,6 +119,14 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
     return handles
 
 
+def _worst_runs(residuals: Residuals) -> Array:
+    """The runs to draw: of many, those with the largest residual over its noise."""
+    run, size = residuals.along["run"], (residuals.values / residuals.sigma) ** 2
+    names = np.unique(run)
+    worst = sorted(names, key=lambda k: -float(np.mean(size[run == k])))
+    return np.array(worst[:MAX_RUNS_DRAWN])
+
+
 def _residual_title(data: VerdictData) -> str:
     before, after = data.before, data.after
     assert before is not None
@@ -125,6 +136,12 @@ def _residual_title(data: VerdictData) -> str:
     if not data.diagnosis or data.noise is None:
         return f"Residual: {size}"
     return f"Residual: {size}, noise {format_number(data.noise)} {data.unit}"
+
+
+def _how_many(residuals: Residuals) -> str:
+    """How many runs are drawn, if not all."""
+    n = len(np.unique(residuals.along["run"]))
+    return f", {MAX_RUNS_DRAWN} worst of {n} runs" if n > MAX_RUNS_DRAWN else ""
 
 
 def _x_label(axis: str) -> str:

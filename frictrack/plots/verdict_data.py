@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -44,6 +44,8 @@ class Residuals:
         (n,) residual and its noise, um or N.
     force : Array or None
         (n,) force that the added effects exert against the motion, N.
+    quoted : float or None
+        Root mean square of the fit, um or N; the drawn values are thinned out.
 
     """
 
@@ -52,11 +54,18 @@ class Residuals:
     values: Array
     sigma: Array
     force: Array | None = None
+    quoted: float | None = None
 
     @property
     def rms(self) -> float:
         """Root mean square, um or N."""
-        return float(np.sqrt(np.mean(self.values**2)))
+        return float(np.sqrt(np.mean(self.values**2))) if self.quoted is None else self.quoted
+
+    def of_runs(self, runs: Array) -> Residuals:
+        """Return the rows of some runs."""
+        rows = np.isin(self.along["run"], runs)
+        along = {name: self.along[name][rows] for name in ("run", *DRAWN_AXES)}
+        return replace(self, along=along, values=self.values[rows], sigma=self.sigma[rows], force=None)
 
 
 @dataclass(frozen=True)
@@ -161,15 +170,22 @@ def data_of_study(results: Results) -> VerdictData:
     shown = failed_model(results) or current
     diagnosis, unit = shown.diagnosis or {}, residual_unit(current)
     figures = shown.figures if diagnosis else {}
-    before = _stored(figures, plain_name(shown.name), unit) or _of_model(shown, results, figures)
+    before = _stored(figures, plain_name(shown.name), unit)
+    before = _of_model(shown, results, figures) if before is None else replace(before, quoted=_rms(shown, unit))
     after = None if shown is current else _of_model(current, results, figures, shown)
-    tried = [] if shown is not current else _errors_tried(diagnosis, unit)
     errors = _errors_of_models(results.models, unit)
+    tried = _errors_tried(diagnosis, unit) if shown is current else []
+    if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
+        errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
     return VerdictData(
-        plain_name(shown.name), diagnosis, figures, before,
-        after or _tried(figures, diagnosis, unit), [*errors, *tried[1:]],
+        plain_name(shown.name), diagnosis, figures, before, after or _tried(figures, diagnosis, unit), errors,
         noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit, None if diagnosis else current,
     )  # fmt: skip
+
+
+def _rms(model: ModelResults, unit: str) -> float | None:
+    found: float | None = model.summary["errors"].get("rms_displacement_um" if unit == "µm" else "rms_N")
+    return found
 
 
 def data_of_diagnosis(found: DiagnosisLike, better: AnyModel | None = None) -> VerdictData:
@@ -247,7 +263,8 @@ def _residuals_of(
     run, t, x, v, values, sigma, force = (np.concatenate(column) for column in zip(*rows, strict=True))
     name = f"with {_named(added)}" if added else plain_name(model.name)
     along = {"run": run, "t": t, "x": x, "v": v}
-    return Residuals(name, along, values, sigma, force if np.any(force) else None)
+    quoted = _rms(model, residual_unit(model))
+    return Residuals(name, along, values, sigma, force if np.any(force) else None, quoted)
 
 
 @dataclass(frozen=True)

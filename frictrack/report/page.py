@@ -45,6 +45,7 @@ class RejectedModel:
     unexplained: dict[str, Any] | None
     correlated_signals: list[dict[str, Any]]
     importance: tables.TextTable
+    undetermined: tables.TextTable
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
@@ -242,6 +243,7 @@ def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
         unexplained=unexplained.unexplained_force(diagnosis, draw),
         correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),
         importance=tables.importance_table(diagnosis),
+        undetermined=tables.undetermined_table(diagnosis),
     )
 
 

@@ -59,7 +59,8 @@ def _missing(results: Results) -> str:
     if not diagnosis.get("missing"):
         left = diagnosis.get("unexplained")
         more = f"a force over {AXES[left['axis']].name} that no effect explains; " if left else ""
-        return f"{more}{tried}, {sum(map(passes, found)) or 'none'} significant"
+        significant = sum(map(passes, found))
+        return f"{more}{significant} effects are significant" if significant else f"{more}no effect is significant"
     best = next((c for c in found if c["effect"] == diagnosis["missing"][0]), None)
     change = held_out_change(best) if best else ""
     words = join_words(diagnosis["missing"])

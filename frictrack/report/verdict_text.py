@@ -190,8 +190,13 @@ def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator
     yield Markup("These runs cannot show whether something is missing: {}lack of fit has p = {}.").format(
         _residual(model), format_number(diagnosis["p_lack_of_fit"], 2)
     )
-    for gap in diagnosis["undetermined"]:
+    for gap in diagnosis["undetermined"][:MAX_GAPS_NAMED]:
         yield Markup("Undetermined: <b>{}</b>: {}.").format(gap["what"], mark_code(gap["why"]))
+    more = len(diagnosis["undetermined"]) - MAX_GAPS_NAMED
+    if more > 0:
+        yield Markup('{} more {} under <a href="#missing">What is missing</a>.').format(
+            more, "question is" if more == 1 else "questions are"
+        )
 
 
 def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:

@@ -7,6 +7,7 @@ from frictrack.report.tables.candidates import (
     candidate_table,
     detection_limit_table,
     importance_table,
+    undetermined_table,
 )
 from frictrack.report.tables.errors import failing_span_table, history_table, route_table
 from frictrack.report.tables.experiments import (
@@ -51,5 +52,6 @@ __all__ = [
     "shared_parameters",
     "short_parameter_table",
     "track_table",
+    "undetermined_table",
     "with_expected_evidence",
 ]

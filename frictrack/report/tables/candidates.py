@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.number_format import DASH, format_number, format_quantity, format_size, format_unit
-from frictrack.plots import passes
+from frictrack.plots import held_out_order, passes
 from frictrack.report.candidate_text import held_out_change
 from frictrack.report.markup import mark_code
 from frictrack.report.tables.parameters import PER_RUN_NAME
@@ -141,7 +141,7 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> CandidateTable:
         The JSON of a diagnosis.
 
     """
-    found = sorted(diagnosis["candidates"], key=_held_out_order)
+    found = sorted(diagnosis["candidates"], key=held_out_order)
     same_p = len({c["p"] for c in found if not c.get("implausible")}) <= 1
     shares = {row["effect"]: row["explained_alone"] for row in diagnosis.get("importance") or []}
     kinds = {c["effect"]: _kind(c, diagnosis) for c in found}
@@ -154,11 +154,6 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> CandidateTable:
         return make_table(heads, rows, (1, 2, 3, 4))
 
     return CandidateTable(_candidates_note(found, diagnosis, same_p=same_p), table(apart), table(rest))
-
-
-def _held_out_order(c: Mapping[str, Any]) -> tuple[bool, float, float]:
-    error = _held_out(c, "after")
-    return error is None, 0.0 if error is None else error, -c["delta_bic"]
 
 
 def _held_out(c: Mapping[str, Any], when: str) -> float | None:
@@ -237,6 +232,22 @@ def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
 
 def _share_of_misfit(share: float | None) -> str:
     return "" if share is None else f"{100 * share:.1f} %"
+
+
+def undetermined_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the questions that the runs leave open, and what would answer them.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis. Without `undetermined` the table is empty.
+
+    """
+    rows = [
+        (mark_code(gap["what"]), mark_code(gap["why"]), mark_code(gap["settled_by"] or ""))
+        for gap in diagnosis.get("undetermined") or []
+    ]
+    return make_table(("not determined", "why", "what settles it"), rows)
 
 
 def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:

@@ -15,6 +15,7 @@ from frictrack.records import Array
 
 SUBPIXEL_BITS = 4  # fractional bits of OpenCV's drawing coordinates
 TICK_PX, LABEL_GAP_PX, MIN_TICK_PX = 4, 3, 50  # length, distance of its label, distance of the next tick
+X_NAME, Y_NAME = "x / px", "y / px"
 HATCH_STEP_PX = 7  # from one line to the next
 FAST_COMPRESSION = 2  # of zlib: the file grows by a tenth, and the image takes a third less time
 BLACK = "#000000"
@@ -120,21 +121,28 @@ class Panel:
         self.canvas.text((min(float(x), right - _font(size).getlength(text)), float(y)), text, size, "ld", colour)
 
     def title(self, text: str, size: float) -> None:
-        """Write a text above the panel."""
-        self.canvas.text((self._corner[0] + self._size[0] / 2, self._corner[1] - 6), text, size, "md")
+        """Write a text above the middle of the panel, or from its left edge if it is wider than the panel."""
+        is_wide = _font(size).getlength(text) > self._size[0]
+        middle = 0.0 if is_wide else self._size[0] / 2
+        self.canvas.text((self._corner[0] + middle, self._corner[1] - 6), text, size, "ld" if is_wide else "md")
 
     def label_edges(self, size: float) -> None:
-        """Draw a frame, and label columns below and rows at the left."""
+        """Draw a frame, and label columns below and rows at the left, each axis with its name and unit."""
         (left, top), (width, height) = self._corner, self._size
         cv2.rectangle(self.canvas.pixels, (left - 1, top - 1), (left + width, top + height), _rgb(BLACK))
+        below = top + height + TICK_PX + LABEL_GAP_PX
+        self.canvas.text((left + width, below), X_NAME, size, "ra")
+        self.canvas.text((left - TICK_PX - _font(size).getlength(Y_NAME), top - 2 * LABEL_GAP_PX), Y_NAME, size, "ld")
+        name_begins = left + width - _font(size).getlength(X_NAME)
         for axis in (0, 1):
             for place in _ticks(self._view[axis], self._view[2 + axis], MIN_TICK_PX / self._scale):
                 x, y = self._on_canvas(np.full((1, 2), float(place)))[0].tolist()
                 start = (x, top + height) if axis == 0 else (left - 1 - TICK_PX, y)
                 end = (x, top + height + TICK_PX) if axis == 0 else (left - 1, y)
                 self.canvas.line(start, end)
-                at = (x, end[1] + LABEL_GAP_PX) if axis == 0 else (start[0] - LABEL_GAP_PX, y)
-                self.canvas.text(at, str(place), size, "ma" if axis == 0 else "rm")
+                at = (x, below) if axis == 0 else (start[0] - LABEL_GAP_PX, y)
+                if axis == 1 or x + _font(size).getlength(str(place)) < name_begins:
+                    self.canvas.text(at, str(place), size, "ma" if axis == 0 else "rm")
 
     @property
     def _pixels(self) -> NDArray[np.uint8]:
