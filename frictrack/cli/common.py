@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from frictrack.cli.examples import EXAMPLES, WHOLE_PROGRAM, format_examples
 from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
     no_args_is_help=True,
-    add_completion=False,
+    epilog=format_examples(WHOLE_PROGRAM),
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -33,6 +34,25 @@ FilmWorkers = Annotated[
 ]
 Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
+
+
+def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that makes a function a command, with its examples at the end of the help.
+
+    Parameters
+    ----------
+    name
+        Name of the command; that of the function if None.
+    group
+        The commands to which it belongs.
+
+    """
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        examples = format_examples(EXAMPLES[name or function.__name__])
+        return group.command(name, epilog=examples)(function)
+
+    return register
 
 
 def _print_version(wanted: bool) -> None:
@@ -67,7 +87,8 @@ def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session,
         from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
 
         opened = open_study(study)
-        progress(0, 0, f"study {opened.name}, {len(opened.runs)} runs")
+        count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
+        progress(0, 0, f"study {opened.name}, {count}")
         yield Session(opened, progress, author="cli", pool=pool), progress
 
 
@@ -105,7 +126,7 @@ def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callab
     return None if as_json else show_verdict
 
 
-def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
+def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "", look: str = "") -> None:
     """Print the result of a command, as JSON or as tables, and where the files are.
 
     Parameters
@@ -118,6 +139,8 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
         Name of the function in `frictrack.cli.output` that prints the tables; empty for none.
     where
         The path that is printed last.
+    look
+        What to look at, printed before it.
 
     """
     if as_json:
@@ -130,5 +153,7 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
     out = Console(highlight=False)
     if show:
         getattr(output, show)(out, result)
+    if look:
+        out.print(f"look at: {look}", markup=False)
     if where:
         out.print(f"results: {where}", soft_wrap=True, markup=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -10,26 +11,34 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+MAX_SILENCE_S = 5.0  # between two lines, if the work reports progress
 OWN_BAR = ("studies", "runs")  # each has its own bar; one more bar shows the current work
 
 
 class ProgressDisplay:
     """Progress of a command; call it as ``progress(done, total, what)``, with 0 of 0 for a new step."""
 
+    def __init__(self) -> None:
+        self._last_line = time.monotonic()
+
     def clear(self) -> None:
         """Remove what is drawn, before something is printed; the next call draws it again."""
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """Write one line for a new step, for example into a log file."""
-        if total == 0:
-            sys.stderr.write(f"{what}\n")
-            sys.stderr.flush()
+        """Write one line for a new step, for example into a log file; within a long step one every few seconds."""
+        if total and time.monotonic() - self._last_line < MAX_SILENCE_S:
+            return
+        count = f": {done} of {total}" if total else ""
+        sys.stderr.write(f"{what}{count}\n")
+        sys.stderr.flush()
+        self._last_line = time.monotonic()
 
 
 class ProgressBars(ProgressDisplay):
     """Progress bars on a terminal."""
 
     def __init__(self, drawn: Progress) -> None:
+        super().__init__()
         self._drawn = drawn
         self._tasks: dict[str, TaskID] = {}
 

@@ -17,12 +17,13 @@ from frictrack.cli.common import (
     Search,
     Seed,
     Study,
-    app,
+    command,
     open_session,
     open_with_progress,
     print_result,
     print_verdict,
 )
+from frictrack.cli.look_at import after_diagnosis, after_run, look_at
 from frictrack.errors import FrictrackError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 Announce = Callable[[Mapping[str, Any]], None]
 
 
-@app.command()
+@command()
 def run(  # noqa: PLR0913, PLR0917 - one argument per option
     paths: Annotated[list[Path], typer.Argument(metavar="STUDY | RECORDING...", help="a study file, or recordings")],
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
@@ -51,7 +52,8 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
         result, shown = _streamed(
             lambda announce: session.run(seed, on_verdict=announce), print_verdict(progress, as_json, "run_verdict")
         )
-    print_result(result, as_json, "run_rest" if shown else "run", session.study.output / "report.html")
+    show, look = "run_rest" if shown else "run", after_run(result["diagnose"], path)
+    print_result(result, as_json, show, session.study.output / "report.html", look)
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
@@ -86,7 +88,7 @@ def _tell(line: str) -> None:
     sys.stderr.write(f"{line}\n")
 
 
-@app.command()
+@command()
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")],
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
@@ -112,10 +114,11 @@ def init(
 def _measure(stage: str, study: Path, as_json: bool) -> None:
     with open_session(study) as session:
         result = session.measure(stage)
-    print_result(result, as_json, "stages", session.study.output)
+    look = look_at(stage, study=study)
+    print_result(result, as_json, "stages", session.study.output, look)
 
 
-@app.command()
+@command()
 def track(
     study: Study,
     overlay: Annotated[
@@ -131,10 +134,11 @@ def track(
     """
     with open_session(study, workers) as session:
         result = session.measure("track", overlay=overlay)
-    print_result(result, as_json, "track", session.study.output)
+    look = look_at("track", study=study, output=session.study.output)
+    print_result(result, as_json, "track", session.study.output, look)
 
 
-@app.command()
+@command()
 def motion(study: Study, as_json: Json = False) -> None:
     """Compute displacement, velocity and acceleration of every run.
 
@@ -143,7 +147,7 @@ def motion(study: Study, as_json: Json = False) -> None:
     _measure("motion", study, as_json)
 
 
-@app.command()
+@command()
 def friction(study: Study, as_json: Json = False) -> None:
     """Compute the friction force and the free section of every run.
 
@@ -152,7 +156,7 @@ def friction(study: Study, as_json: Json = False) -> None:
     _measure("friction", study, as_json)
 
 
-@app.command()
+@command()
 def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study,
     model: Annotated[
@@ -181,10 +185,10 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
-    print_result(result, as_json, "fit", session.path)
+    print_result(result, as_json, "fit", session.path, look_at("fit", study=study))
 
 
-@app.command()
+@command()
 def compare(study: Study, as_json: Json = False) -> None:
     """Compare the errors of all models tried.
 
@@ -192,10 +196,10 @@ def compare(study: Study, as_json: Json = False) -> None:
     """
     with open_session(study) as session:
         result = session.compare()
-    print_result(result, as_json, "compare", session.path)
+    print_result(result, as_json, "compare", session.path, look_at("compare"))
 
 
-@app.command()
+@command()
 def diagnose(
     study: Study,
     quick: Annotated[
@@ -214,7 +218,8 @@ def diagnose(
             lambda announce: session.diagnose(seed, quick=quick, on_verdict=announce),
             None if quick else print_verdict(progress, as_json, "verdict"),
         )
-    print_result(result, as_json, "diagnosis_rest" if shown else "diagnose", session.path)
+    show = "diagnosis_rest" if shown else "diagnose"
+    print_result(result, as_json, show, session.path, after_diagnosis(result, study))
 
 
 def _streamed(
@@ -234,10 +239,10 @@ def _streamed(
 def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: bool) -> None:
     with open_session(study) as session:
         result = how(session)
-    print_result(result, as_json, "edit", session.path)
+    print_result(result, as_json, "edit", session.path, look_at("edit", study=study))
 
 
-@app.command()
+@command()
 def add(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
     """Add one effect to the current model and fit again.
 
@@ -246,7 +251,7 @@ def add(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> 
     _edit(lambda session: session.add(effect, seed), study, as_json)
 
 
-@app.command()
+@command()
 def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
     """Remove one effect from the current model and fit again.
 
@@ -255,7 +260,7 @@ def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) 
     _edit(lambda session: session.remove(effect, seed), study, as_json)
 
 
-@app.command()
+@command()
 def history(study: Study, as_json: Json = False) -> None:
     """List every model tried, in order, with its errors.
 
@@ -263,12 +268,12 @@ def history(study: Study, as_json: Json = False) -> None:
     """
     with open_session(study) as session:
         result = session.history()
-    print_result(result, as_json, "history", session.path)
+    print_result(result, as_json, "history", session.path, look_at("compare"))
 
 
-@app.command()
+@command()
 def plan(study: Study, as_json: Json = False) -> None:
-    """Plan which runs to film so that the effects can be distinguished.
+    """Plan which runs to film next, to separate the effects.
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
     plan.html.
@@ -279,10 +284,10 @@ def plan(study: Study, as_json: Json = False) -> None:
 
     with progress_bars() as progress:
         result = make(open_study(study, allow_no_runs=True), progress)
-    print_result(result, as_json, "plan", result["page"])
+    print_result(result, as_json, "plan", result["page"], look_at("plan"))
 
 
-@app.command()
+@command()
 def report(
     study: Study,
     pdf: Annotated[bool, typer.Option("--pdf", help="also print the page to report.pdf")] = False,
@@ -300,10 +305,10 @@ def report(
 
         path = print_pdf(path)
         files["pdf"] = str(path)
-    print_result({**files, "output": str(session.study.output)}, as_json, "", path)
+    print_result({**files, "output": str(session.study.output)}, as_json, "", path, look_at("report"))
 
 
-@app.command()
+@command()
 def export(
     study: Study,
     to: Annotated[Literal["csv", "xlsx"], typer.Option(help="file format")] = "csv",
@@ -318,10 +323,11 @@ def export(
     with open_session(study) as session:
         files = write(session.results(), to)
     where = files[0].parent if len(files) > 1 else files[0]
-    print_result({"files": [str(f) for f in files], "output": str(session.study.output)}, as_json, "", where)
+    result = {"files": [str(f) for f in files], "output": str(session.study.output)}
+    print_result(result, as_json, "", where, look_at("export"))
 
 
-@app.command()
+@command()
 def effects(
     study: Annotated[
         Path | None, typer.Argument(metavar="[STUDY]", help="study whose own effects are listed, too")
@@ -345,24 +351,28 @@ def _own_effects(study: Path) -> list[Any]:
     return user_effects(open_study(study).effects)
 
 
-@app.command()
+@command()
 def render(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="description of the slide and the camera")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="film to be written")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="folder of the films and the study file")],
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Render a synthetic film whose true motion is known.
+    """Render synthetic films whose true motion is known.
 
-    Reads the scene file. Writes the film and the true values beside it.
+    Reads the scene file; the documentation describes its keys. Writes the films, a study file without the truth, and
+    truth.json.
     """
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
-    render_scene(scene, out, rng=seed)
-    print_result({"output": str(out)}, as_json, "", out)
+    with progress_bars() as progress:
+        progress(0, 0, f"rendering {scene}")
+        render_scene(scene, out, rng=seed, progress=progress)
+    print_result({"output": str(out)}, as_json, "", out, look_at("render"))
 
 
-@app.command("app")
+@command("app")
 def workbench(
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
     host: Annotated[

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from frictrack.cli.common import Json, Seed, Workers, app, print_result
+from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
+from frictrack.cli.look_at import look_at
 from frictrack.errors import FrictrackError
 
 
-@app.command()
+@command()
 def batch(
     paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
     workers: Workers = None,
@@ -34,13 +37,13 @@ def batch(
 
     with watch_batch() as watch:
         result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
-    print_result(result, as_json, "batch", result["output"])
+    print_result(result, as_json, "batch", result["output"], look_at("batch"))
     if result["failed"]:
         failed = {one["study"] for one in result["failed"]}
         raise FrictrackError(f"{len(failed)} of {len(result['studies'])} studies failed; see {result['output']}")
 
 
-@app.command()
+@command()
 def verify(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="study files, results, or folders with them")],
     as_json: Json = False,
@@ -60,21 +63,52 @@ def verify(
         raise FrictrackError(f"{n} fault(s) in {result['files']} file(s); each line above says what to do")
 
 
-@app.command()
+@command()
 def demo(seed: Seed = 0, as_json: Json = False) -> None:
     """Run the whole analysis on a sample study.
 
     Writes the study and its results into ./frictrack_demo.
     """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
-    from frictrack.flow import demo as show_it  # noqa: PLC0415
 
     with progress_bars() as progress:
+        progress(0, 0, "opening the sample study in frictrack_demo")
+        from frictrack.flow import demo as show_it  # noqa: PLC0415 - the first line does not wait for it
+
         result = show_it(Path("frictrack_demo"), seed, progress)
-    print_result(result, as_json, "demo", result["report"])
+    print_result(result, as_json, "demo", result["report"], look_at("demo"))
 
 
-@app.command()
+@command()
+def docs(
+    where: Annotated[bool, typer.Option("--path", help="print the place of the pages, open no browser")] = False,
+    as_json: Json = False,
+) -> None:
+    """Open the documentation in the browser.
+
+    Looks for the pages in the installed package, then in docs/_build/html of a checkout. Writes nothing.
+    """
+    page = _documentation()
+    if as_json:
+        print_result({"output": str(page)}, True, "")
+    elif where or not webbrowser.open(page.as_uri()):
+        sys.stdout.write(f"{page}\n")
+
+
+def _documentation() -> Path:
+    """Return the first page of the documentation."""
+    package = Path(__file__).parents[1]
+    places = (package / "pages" / "index.html", package.parent / "docs" / "_build" / "html" / "index.html")
+    found = next((page for page in places if page.is_file()), None)
+    if found is None:
+        raise FrictrackError(
+            f"expected the documentation in {places[0].parent} or {places[1].parent} but found none; in a checkout, "
+            "`sphinx-build docs docs/_build/html` builds it"
+        )
+    return found
+
+
+@command()
 def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="use few seeds: a test run without statistics")] = False,
     out: Annotated[Path, typer.Option("-o", "--out", help="folder of the page, figures, tables and JSON")] = Path(
@@ -104,7 +138,7 @@ app.add_typer(blind, name="blind", rich_help_panel=None)
 Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their sealed truth")]
 
 
-@blind.command()
+@command(group=blind)
 def make(
     out: Blind,
     n: Annotated[int | None, typer.Option("--n", help="number of studies (default: 420, or 40 with --film)")] = None,
@@ -126,7 +160,7 @@ def make(
     print_result(result, as_json, "", out)
 
 
-@blind.command()
+@command(group=blind)
 def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = False) -> None:
     """Diagnose the blind studies, open the seal and count.
 

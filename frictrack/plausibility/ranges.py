@@ -39,6 +39,8 @@ FPS = Range(5.0, 1e7, "1/s", "from a slow time lapse to in-situ storage sensors 
 SPEED = Range(0.0, 100.0, "m/s", "gas guns aside; the fastest rocket sled ran 2885 m/s (Holloman, 2003)", limit=2885.0)
 TRAVEL = Range(0.0, 100.0, "m", "a free slide; a curling stone goes 30 to 45 m (World Curling)")
 FRICTION = Range(1e-4, 10.0, "1", "from an air bearing to ten times the weight; dry solids in air reach about 1.5")
+ROLLING = Range(1e-3, 0.02, "1", "from a ball bearing (0.0010 to 0.0015, SKF catalogue) to a wheel on a hard floor")
+DRY_FRICTION = Range(0.02, 2.0, "1", "from ice or PTFE on steel to rubber; most dry pairs lie between 0.1 and 1")
 USUAL_FRICTION = 0.3  # most pairs of solids, dry or with boundary lubrication, lie within a decade of it
 USUAL_SPEED = 1.0  # m/s
 USUAL_TRAVEL = Range(1e-4, 20.0, "m", "courses in a laboratory")

@@ -12,12 +12,15 @@ from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
 from frictrack.plausibility.ranges import (
     BLOW_ENERGY,
+    DRY_FRICTION,
     FRICTION,
+    ROLLING,
     SPEED,
     TRAVEL,
     USUAL_FRICTION,
     USUAL_SPEED,
     USUAL_TRAVEL,
+    Range,
 )
 from frictrack.plausibility.strokes import Stroke, find_strokes, mean_acceleration, total_distance
 from frictrack.records import GRAVITY, Run
@@ -32,10 +35,12 @@ FILM_UNITS = (  # what a number of a film may have been mistyped by: length, tim
     (1.0, 1e-1, "fps is ten times too small"),
     (1.0, 1e1, "fps is ten times too large"),
 )
+MS_AND_MM = 't_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}'
+MIN_TRAVEL_MS_MM = 1.0  # m: in a laboratory a free slide is shorter
 TABLE_UNITS = (
     (1e-3, 1.0, 'x_m holds mm: give columns = {x = "x_m (mm)"}'),
     (1.0, 1e-3, 't_s holds ms: give columns = {t = "t_s (ms)"}'),
-    (1e-3, 1e-3, 't_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}'),
+    (1e-3, 1e-3, MS_AND_MM),
     (1e-6, 1.0, 'x_m holds um: give columns = {x = "x_m (um)"}'),
     (1.0, 1e-6, 't_s holds us: give columns = {t = "t_s (us)"}'),
     (1e-2, 1.0, 'x_m holds cm: give columns = {x = "x_m (cm)"}'),
@@ -147,8 +152,20 @@ def _found(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
     elif slide.friction is not None and slide.travel not in TRAVEL:
         words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
         yield Finding("scale", words, correction, grade=grade)
+    elif not film and _holds_ms_and_mm(slide):
+        seconds = float(run.displacement.t[-1] - run.displacement.t[0])
+        words = f"{_friction_text(run, slide, ROLLING)}, over {slide.travel:.3g} m in {seconds:.3g} s"
+        yield Finding("friction", f"{words}; probably {MS_AND_MM}", MS_AND_MM)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
         yield from _check_energy(run.mass, slide)
+
+
+def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
+    """Whether a long slide with hardly any friction is a usual one in ms and mm; its speed is the same in both."""
+    if slide.friction is None or slide.friction >= ROLLING.low or slide.travel < MIN_TRAVEL_MS_MM:
+        return False
+    usual = slide.scaled(1e-3, 1e-3)
+    return usual.friction in DRY_FRICTION and usual.travel in USUAL_TRAVEL
 
 
 def _check_measured_friction(run: Run) -> Iterator[Finding]:
@@ -165,7 +182,7 @@ def _check_measured_friction(run: Run) -> Iterator[Finding]:
     yield Finding("friction", words, line)
 
 
-def _friction_text(run: Run, slide: SlideEstimate) -> str:
+def _friction_text(run: Run, slide: SlideEstimate, least: Range = FRICTION) -> str:
     assert slide.friction is not None
     assert slide.deceleration is not None
     load = "normal load" if run.normal_load is not None else "weight"
@@ -173,7 +190,7 @@ def _friction_text(run: Run, slide: SlideEstimate) -> str:
     if slide.friction > FRICTION.high:
         pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
         return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
-    return f"{out}, less than on an air bearing"
+    return f"{out}, less than {'on an air bearing' if least is FRICTION else 'in a ball bearing'}"
 
 
 def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, bool]:

@@ -78,6 +78,8 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
 
     """
     try:
+        if path.stat().st_size == 0:
+            raise ValueError("the file is empty")
         if path.suffix.lower() in (".xlsx", ".xls"):
             return _table_of_rows(_workbook_rows(path), wanted)
         if path.suffix.lower() == ".xml":

@@ -1,0 +1,73 @@
+"""Say what to look at when a command has ended: the file or the column, what to see in it, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_TEXTS = {
+    "track": "{output}/<run>_track.png: the frame must lie on the slider in every picture. Then: frictrack run {study}",
+    "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong. "
+    "frictrack export {study} writes the curves as tables",
+    "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
+    "enclose the slide alone. Then: frictrack fit {study}",
+    "fit": "displacement, rms: close to the noise of the positions, the model suffices. "
+    "frictrack diagnose {study} finds what is missing",
+    "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
+    "edit": "held out, before and after: if it falls, the effect belongs to the law. "
+    "frictrack diagnose {study} looks for a further one",
+    "plan": "the first rows of the table; plan.html shows which pairs of effects each run separates",
+    "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
+    "export": "parameters and errors, with one row per model and parameter; one table per run holds the curves",
+    "batch": "the page: failures first, then verdicts and trends; frictrack_batch.csv has one row per run",
+    "demo": "the first screen of the report; frictrack_demo/study.toml is a study file to copy from",
+    "render": "the films; truth.json holds the true motion and forces, which study.toml does not tell",
+}
+
+
+def look_at(command: str, **places: Any) -> str:
+    """Return what to look at after a command.
+
+    Parameters
+    ----------
+    command
+        Name of the command.
+    **places
+        Paths that the text names: study, output.
+
+    """
+    return _TEXTS[command].format(**places)
+
+
+def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:
+    """Return what to look at after a diagnosis; it depends on the verdict.
+
+    Parameters
+    ----------
+    diagnosis
+        JSON of `frictrack diagnose`.
+    study
+        Path of the study file.
+
+    """
+    return f"the verdict above. {_next_step(diagnosis, study)}"
+
+
+def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
+    """Return what to look at after the whole analysis; it depends on the verdict.
+
+    Parameters
+    ----------
+    diagnosis
+        JSON of `frictrack diagnose`.
+    study
+        Path of the study file.
+
+    """
+    return f"{_TEXTS['report']}. {_next_step(diagnosis, study)}"
+
+
+def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
+    if diagnosis["missing"]:
+        return f"Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
+    return f"Then: frictrack plan {study} lists which runs would tell more"
