@@ -164,8 +164,7 @@ def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
     """Whether a long slide with hardly any friction is a usual one in ms and mm; its speed is the same in both."""
     if slide.friction is None or slide.friction >= ROLLING.low or slide.travel < MIN_TRAVEL_MS_MM:
         return False
-    usual = slide.scaled(1e-3, 1e-3)
-    return usual.friction in DRY_FRICTION and usual.travel in USUAL_TRAVEL
+    return 1e3 * slide.friction in DRY_FRICTION and 1e-3 * slide.travel in USUAL_TRAVEL
 
 
 def _check_measured_friction(run: Run) -> Iterator[Finding]:
