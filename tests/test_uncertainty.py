@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 
 import frictrack as ft
 from frictrack import models, plots
-from frictrack.cli.study_commands import app
+from frictrack.cli import study_commands  # noqa: F401 - registers the commands
+from frictrack.cli.common import app
 from frictrack.errors import FrictrackError
 from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
 from frictrack.fit.uncertainty import merge_uncertainty
