@@ -11,7 +11,7 @@ A page is run from top to bottom in a folder that holds only the files that the 
 
 ``...`` stands for output that is not shown; a command without shown output must succeed. A block with ``:class: slow``
 is left out of the quick tests. With ``--update``, outputs that differ are written into the page, and pictures that the
-page made in its folder replace those of the same name in the folder ``figures`` beside the page.
+page made replace those of the same name in ``figures`` beside the page (``report.png`` shows ``report.html``).
 """
 
 from __future__ import annotations
@@ -226,16 +226,30 @@ def same(shown: str, printed: str) -> bool:
 
 
 def update(path: Path, differences: list[Difference], folder: Path) -> None:
-    """Write outputs into a page, and copy the pictures that it made."""
+    """Write outputs into a page, and copy the pictures that it made in a folder."""
     page = path.read_text(encoding="utf-8")
     for one in sorted(differences, key=lambda one: -one.begin):
         page = page[: one.begin] + _trimmed(one.printed) + page[one.end :]
     path.write_text(page, encoding="utf-8")
     for match in FIGURE.finditer(page):
-        name = match[1] or match[2]
-        if (folder / name).exists():
-            (path.parent / "figures").mkdir(exist_ok=True)
-            shutil.copy(folder / name, path.parent / "figures" / name)
+        target = path.parent / "figures" / (match[1] or match[2])
+        target.parent.mkdir(exist_ok=True)
+        for source in folder.rglob(target.name):
+            shutil.copy(source, target)
+        for source in folder.rglob(f"{target.stem}.html"):
+            _take_first_screen(source, target)
+
+
+def _take_first_screen(page: Path, target: Path) -> None:
+    """Write what a screen of 1280 x 800 px shows of an HTML page."""
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only for pictures of pages
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"))
+        view = browser.new_page(viewport={"width": 1280, "height": 800})
+        view.goto(page.as_uri())
+        view.screenshot(path=target)
+        browser.close()
 
 
 def run_page(path: Path, folder: Path, *, quick: bool = False) -> list[Difference]:
