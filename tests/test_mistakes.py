@@ -272,6 +272,9 @@ def test_init_lists_what_it_found_and_what_it_left_out(capsys: pytest.CaptureFix
         assert words in said
     text = Path("study.toml").read_text()
     assert "# FILL IN: the sliding mass; weigh it" in text
+    assert "# FILL IN: size of a pixel on the course" in text
+    assert "# a ruler        scale = {points" in text
+    assert "# from its name: frame rate while filming (not the playback rate)" in text
     assert '# FILL IN the units: columns = {t = "t (s)", x = "pos (m)"}' in text
     raw = tomllib.loads(text)
     assert raw["camera"] == {"fps": 4000.0}
@@ -300,7 +303,9 @@ def test_a_playback_rate_is_to_be_filled_in(capsys: pytest.CaptureFixture[str]) 
     """Neither the file nor its name tells the rate of the camera."""
     film("slow.tif")
     assert "frame rate of the camera not stated" in " ".join(typed(capsys, "init .")[1].split())
-    assert "# FILL IN the frame rate while filming: the files do not state it" in Path("study.toml").read_text()
+    assert (
+        "# FILL IN: (not stated by slow.tif; an .avi or .mp4 often states the speed" in Path("study.toml").read_text()
+    )
 
 
 # ---- the program itself

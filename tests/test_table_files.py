@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from frictrack.errors import FrictrackError
-from frictrack.study import load, read_run_table, read_table
+from frictrack.study import find_recordings, load, read_run_table, read_table
 
 # What Tracker 6 writes: the name of the track, the names of the columns, numbers as Java prints them.
 TRACKER = """mass_A\t\t
@@ -220,3 +220,17 @@ def test_a_sheet_with_titles_ends_where_the_next_table_begins(tmp_path: Path) ->
     ]
     pd.DataFrame(rows).to_excel(tmp_path / "k.xlsx", index=False, header=False)
     assert columns(tmp_path / "k.xlsx", {"t": "Time (ms)", "x": "X (cm)"}) == ([0, 0.04], [0.015, 0.025])
+
+
+def test_texts_that_hold_times_and_positions_are_recordings(written, tmp_path: Path) -> None:
+    for name, text in {
+        "tracker.txt": TRACKER,
+        "kinovea.txt": KINOVEA_TEXT,
+        "kinovea.xml": KINOVEA_XML,
+        "plain.dat": "t_s x_m\n0 0\n1 1\n",
+        "notes.txt": "film 3: t, x\nand more\n",
+        "page.xml": "<a>t x</a>",
+        "binary.dat": "\x00\x01",
+    }.items():
+        written(text, name)
+    assert [p.name for p in find_recordings(tmp_path)] == ["kinovea.txt", "kinovea.xml", "plain.dat", "tracker.txt"]

@@ -12,6 +12,7 @@ from frictrack.axes import AXES
 from frictrack.cli.findings_output import findings
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
+from frictrack.cli.tables import filled_columns
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus
 from frictrack.verdicts import VERDICT_ONLY, describe_verdict
@@ -92,7 +93,7 @@ def candidates(found: list[dict[str, Any]]) -> Table:
         "candidates" of the JSON of `frictrack diagnose`; their values per run are not shown.
 
     """
-    table = _table("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from")
+    rows = []
     for c in found:
         shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
         values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
@@ -101,10 +102,9 @@ def candidates(found: list[dict[str, Any]]) -> Table:
         rivals = ", ".join(c["indistinguishable_from"])
         known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
         held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
-        table.add_row(
-            c["effect"], "\n".join(values), format_plain(c["p"], 2), format_plain(c["delta_bic"], 3), held_out, rivals
-        )
-    return table
+        p, bic = format_plain(c["p"], 2), format_plain(c["delta_bic"], 3)
+        rows.append((c["effect"], "\n".join(values), p, bic, held_out, rivals))
+    return filled_columns(("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from"), rows)
 
 
 def importance(rows: list[dict[str, Any]]) -> Table:

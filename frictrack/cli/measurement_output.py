@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from frictrack.cli.tables import cell
+from frictrack.cli.tables import cell, filled_columns
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain
 
@@ -99,12 +99,7 @@ def track(out: Console, result: dict[str, Any]) -> None:
         return
     heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
              "blur / px")  # fmt: skip
-    rows = [_measured(row) for row in result["runs"]]
-    measured = [i for i in range(len(heads)) if any(row[i] != "-" for row in rows)]  # blur only of some films, ...
-    table = _table(*(heads[i] for i in measured))
-    for row in rows:
-        table.add_row(*(row[i] for i in measured))
-    out.print(table)
+    out.print(filled_columns(heads, [_measured(row) for row in result["runs"]]))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
         "fixed: noise of the fixed reference",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from rich.markup import escape
@@ -27,6 +28,24 @@ def table(*headers: str, **style: Any) -> Table:
     new = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
     for i, header in enumerate(headers):
         new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=max(map(len, header.split()), default=None))
+    return new
+
+
+def filled_columns(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table of the columns in which any row has a value; others are left out, for the width of the terminal.
+
+    Parameters
+    ----------
+    headers
+        Heads of the columns.
+    rows
+        Cells of the rows; empty or "-" without a value.
+
+    """
+    filled = [i for i in range(len(headers)) if i == 0 or any(row[i] not in ("", "-") for row in rows)]
+    new = table(*(headers[i] for i in filled))
+    for row in rows:
+        new.add_row(*(row[i] for i in filled))
     return new
 
 

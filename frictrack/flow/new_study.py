@@ -20,7 +20,6 @@ from frictrack.study import NewRun, Study, list_files, refuse_existing, write_st
 from frictrack.units import parse_quantity
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
-PLAYBACK = "FILL IN the frame rate while filming: the files do not state it (that of an .avi or .mp4 is for showing)"
 _KEY = re.compile(r'\b(mass|scale|fps) = (?="?[\d.])')
 
 
@@ -164,11 +163,16 @@ def _new_run(one: Surveyed, keys: Mapping[str, Any]) -> NewRun:
     """Return the entry of a run: the frame rate of its name, if nothing else tells it, and the columns of a table."""
     entry: dict[str, Any] = {}
     if one.fps and one.fps_source != FROM_FILE and not keys.get("fps"):
-        entry["fps"] = one.fps
+        entry["fps"] = _whole(one.fps)
     if one.columns:
         entry["columns"] = one.columns
     confirm = f"FILL IN the units: {one.columns_to_confirm}" if one.columns_to_confirm else ""
     return NewRun(one.path, entry, confirm)
+
+
+def _whole(rate: float | None) -> float | None:
+    """Return a whole number as an integer, which a study file shows without a fraction."""
+    return int(rate) if rate is not None and rate == int(rate) else rate
 
 
 def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,7 +207,7 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
         reasons = "".join(f"; {one['file']}: {one['reason']}" for one in skipped)
         raise FrictrackError(f"expected films or tables in {folder} but found none{reasons}")
     rates = {one.fps for one in found if not one.is_table}
-    common = {"fps": next(iter(rates))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
+    common = {"fps": _whole(next(iter(rates)))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
     remarks = _remarks(found, known)
     path = write_study(
@@ -221,18 +225,12 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
-    """Return comments on the keys that are not known, and where a known frame rate comes from."""
+    """Return words before the explanation of a key: that it is to be filled in, or where its value comes from."""
     films = [one for one in found if not one.is_table]
-    remarks = {}
-    if "mass" not in known:
-        remarks["mass"] = f"{FILL_IN}the sliding mass; weigh it: the friction force is proportional to it"
-    if films and "scale" not in known:
-        remarks["scale"] = (
-            f"{FILL_IN}size of a pixel on the course, with its uncertainty (forces are proportional to it)"
-        )
-    if films and any(one.fps is None for one in films) and "fps" not in known:
-        names = ", ".join(one.path.name for one in films if one.fps is None)
-        remarks["fps"] = f"{PLAYBACK}: {names}"
-    elif films and films[0].fps_source and known.get("fps") == films[0].fps:
-        remarks["fps"] = f"frame rate while filming, {films[0].fps_source}; the friction force scales with its square"
+    remarks = {key: FILL_IN for key in ("mass", "scale") if key not in known and (films or key == "mass")}
+    unknown = ", ".join(one.path.name for one in films if one.fps is None)
+    if unknown and "fps" not in known:
+        remarks["fps"] = f"{FILL_IN}(not stated by {unknown}; an .avi or .mp4 often states the speed of showing) "
+    elif films and known.get("fps") == films[0].fps:
+        remarks["fps"] = f"{films[0].fps_source}: "
     return remarks

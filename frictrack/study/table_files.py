@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 MAX_UNPACKED_BYTES = 256 << 20  # of a workbook, or of an XML file
 MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 KINOVEA_TEXT = "#Kinovea Trajectory"  # first line of its text export
+KINOVEA_COLUMNS = ("T", "X", "Y")
 SHEET_XML = "{urn:schemas-microsoft-com:office:spreadsheet}"
 _COORDINATES = re.compile(r"Coords \(x,y:\s*([^;]*?)\s*; *t:\s*([^)]*?)\s*\)")
 _TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
@@ -114,6 +115,9 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
     if path.suffix.lower() in (".xlsx", ".xls", ".xml"):
         return tuple(map(str, open_table(path, wanted).frame.columns))
     try:
+        with path.open(encoding="utf-8-sig") as file:
+            if file.readline().startswith(KINOVEA_TEXT):
+                return KINOVEA_COLUMNS
         return find_layout(path, wanted).header
     except (OSError, ValueError) as e:
         raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
@@ -165,7 +169,7 @@ def _kinovea_text(text: str) -> TableFile:
     if len(blocks) != 1:
         raise ValueError(f"it holds {len(blocks)} trajectories; export one trajectory per file")
     rows = [[cell.replace(",", ".") for cell in row] for row in blocks[0] if row]
-    return TableFile(pd.DataFrame([row[:3] for row in rows], columns=["T", "X", "Y"]), program="Kinovea")
+    return TableFile(pd.DataFrame([row[:3] for row in rows], columns=list(KINOVEA_COLUMNS)), program="Kinovea")
 
 
 def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> TableFile:

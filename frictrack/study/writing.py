@@ -153,7 +153,7 @@ def write_study(
     commented
         Write the other keys as comments, with an explanation of each.
     remarks
-        Explanations of keys that replace the usual ones.
+        Words before the explanation of a key.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def write_study(
         document.add(tomlkit.comment(line))
     runs = [one if isinstance(one, NewRun) else NewRun(one) for one in recordings]
     said = remarks or {}
-    study, camera = ({k: (e, said.get(k, why)) for k, (e, why) in table.items()} for table in (STUDY, CAMERA))
+    study, camera = ({k: (e, said.get(k, "") + why) for k, (e, why) in table.items()} for table in (STUDY, CAMERA))
     document["study"] = _commented_table(
         {"name": path.resolve().parent.name} | known, ("name", *STUDY), study, commented
     )
@@ -218,17 +218,17 @@ def _is_recording(path: Path) -> bool:
 
 
 def _holds_times_and_positions(path: Path) -> bool:
-    """Return whether a text can be read as a table with two columns of numbers."""
-    from frictrack.study.reading_tables import propose_columns  # noqa: PLC0415 - loads NumPy
+    """Return whether the headers of a text or an XML spreadsheet name times and positions."""
+    from frictrack.study.column_names import REQUIRED, guess_columns  # noqa: PLC0415 - only for such files
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
-    from frictrack.study.table_files import open_table  # noqa: PLC0415
+    from frictrack.study.table_files import table_headers  # noqa: PLC0415
 
     try:
-        table = open_table(path)
+        headers = table_headers(path)
     except FrictrackError:
         return False
-    present = {key for key in ("t", "x") if COLUMNS[key][0] in table.frame.columns}
-    return {"t", "x"} <= present | propose_columns(table.frame).keys()
+    standard = {key for key in REQUIRED if COLUMNS[key][0] in headers}
+    return standard | guess_columns(headers).keys() >= set(REQUIRED)
 
 
 def _many_pages(path: Path) -> bool:
