@@ -145,7 +145,7 @@ def test_the_page_of_an_effect_holds_what_the_definition_says(texture):
     assert effect.equation in page
     for p in effect.parameters:
         assert f"| `{p.name}` | {p.unit} |" in page
-    assert "period = 0.100 m" in page
+    assert "period = 0.1 m" in page
     linked = re.findall(r"\]\((\w+)\.md\)", page)
     assert linked
     assert set(linked) <= {gallery.page_name(name) for name in gallery.all_effects()}

@@ -17,8 +17,8 @@ import page_text
 from gallery_figures import failure_figure, thumbnail
 from gallery_fit import Failure, fit_without
 from gallery_runs import EXAMPLES, Example
-from gallery_separation import separating_run
-from page_text import code, plain, sentence, table, write_page
+from gallery_separation import Separation, separating_run
+from page_text import code, plain, prose, sentence, table, write_page
 
 from frictrack import __version__, effects
 from frictrack.diagnose import MIN_CHI2_SEPARATED
@@ -227,9 +227,9 @@ def _size_of(example: Example, effect: str) -> str:
     if known is not None:
         everything = {f"{e}.{p}": v for e, own in example.truth.items() for p, v in own.items()}
         values |= {k: v for k, v in known(dict(example.truth[effect]), everything).items() if k in values}
-    said = [f"{name} = {format_number(value)} {units[name]}".removesuffix(" 1") for name, value in values.items()]
-    count = {2: "Two", 4: "Four"}[len(example.design or gallery_runs.SLIDES)]
-    noise = format_number(1e6 * gallery_runs.NOISE_M)
+    said = [f"{name} = {value:.4g} {units[name]}".removesuffix(" 1") for name, value in values.items()]
+    count = {2: "Two", 3: "Three", 4: "Four"}[len(example.design or gallery_runs.SLIDES)]
+    noise = f"{1e6 * gallery_runs.NOISE_M:g}"
     return (
         f"{count} simulated runs, noise {noise} µm per frame, with " + ", ".join(said)
         if said
@@ -252,24 +252,31 @@ def _lookalikes(failure: Failure) -> str:
 def _separation(failure: Failure) -> Iterator[str]:
     """Yield what to do: the effect's own test, the planned run for the pair, and a direct measurement."""
     effect = effects.get(failure.effect)
-    yield f"{plain(sentence(effect.confirm))}\n"
+    yield f"{prose(sentence(effect.confirm))}\n"
     rival = failure.lookalikes[0][0] if failure.lookalikes else ""
     found = separating_run(failure.effect, rival)
     if found is not None and found.is_separated:
-        yield (
-            f"By calculation, for {_link(failure.effect)} and {_link(rival)} of a tenth of the friction: after "
-            f"{plain(found.first)}, film **{plain(found.best)}**. The expected chi-squared between the two rises from "
-            f"{_rounded(found.before)} to {_rounded(found.after)}; {MIN_CHI2_SEPARATED:g} separates them. "
-            "`frictrack plan` makes this calculation for your own setup.\n"
-        )
+        yield _calculation(f"{_link(failure.effect)} and {_link(rival)}", found)
     if effect.invariant:
         yield f"What stays the same when a run is made differently: {plain(effect.invariant)}.\n"
     if effect.direct_check is not None:
-        yield f"Without a run: {plain(sentence(effect.direct_check.instruction))}\n"
+        yield f"Without a run: {prose(sentence(effect.direct_check.instruction))}\n"
+
+
+def _calculation(pair: str, found: Separation) -> str:
+    """Describe the planned run for a pair."""
+    sizes = f"By calculation, for {pair} of the sizes that `frictrack plan` assumes"
+    needed = (
+        f"(expected chi-squared {{}}; {MIN_CHI2_SEPARATED:g} is enough). `frictrack plan` plans for your own setup.\n"
+    )
+    if found.before >= MIN_CHI2_SEPARATED:
+        return f"{sizes}: {plain(found.first)} distinguishes the two {needed.format(_rounded(found.before))}"
+    film = f"after {plain(found.first)}, which does not distinguish the two, film **{prose(found.best)}**"
+    return f"{sizes}: {film} {needed.format(_rounded(found.after))}"
 
 
 def _rounded(chi2: float) -> str:
-    return "below 1" if chi2 < 1 else f"{chi2:,.0f}" if chi2 < 1e5 else "more than 100,000"
+    return f"{chi2:,.0f}" if chi2 < 1e5 else "more than 100,000"
 
 
 def _link(name: str) -> str:

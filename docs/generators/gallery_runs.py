@@ -65,6 +65,8 @@ class Example:
         The axis over which the effect shows best, "t", "x" or "v", and the quantity, "residual" or "F".
     is_event
         Whether it acts for a moment only.
+    fps
+        Frames per second.
 
     """
 
@@ -76,6 +78,7 @@ class Example:
     axis: str = "t"
     shows_in: str = "F"
     is_event: bool = False
+    fps: float = FPS
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,11 @@ SPEED_SWINGS = (
     PlannedRun("5 Hz", 0.15, duration=0.6, drive=mean_and_swing(2.0, 5.0)),
     PlannedRun("10 Hz", 0.15, duration=0.6, drive=mean_and_swing(4.0, 10.0)),
 )
+CREEPS = (  # less than a pixel per frame
+    PlannedRun("0.3 m/s", 0.3),
+    PlannedRun("0.2 m/s", 0.2),
+    PlannedRun("double mass", 0.25, 2.0),
+)
 PHASES = {"slow": 0.4, "fast": 2.1, "double mass": -1.3, "reversed": 3.0}
 
 
@@ -157,7 +165,7 @@ def _simulate_run(
     known = dict(example.conditions) | ({"drive": planned.drive} if planned.drive else {})
     ratio = planned.mass_ratio
     held = Conditions(MASS_KG * ratio, ratio, ratio, PITCH_M, **known)
-    t = np.arange(round(planned.duration * FPS)) / FPS
+    t = np.arange(round(planned.duration * example.fps)) / example.fps
     start = (0.0 if planned.speed >= 0 else COURSE_M, planned.speed)
     if not planned.drive:
         t = t[: _frames_on_course(simulate(law, values, held, t, start))]
@@ -232,7 +240,9 @@ EXAMPLES: dict[str, Example] = {
     ),
     "drive_error": _with("drive_error", {"e": 0.1, "tau": 0.004}, design=SPEED_SWINGS),
     "lens": _with("lens", {"k": 0.02, "x_c": 0.25}, axis="x"),
-    "peak_locking": _with("peak_locking", {"amplitude": 0.05, "phase": 0.5}, axis="x", shows_in="residual"),
+    "peak_locking": _with(
+        "peak_locking", {"amplitude": 0.05, "phase": 0.5}, design=CREEPS, axis="x", shows_in="residual", fps=4000.0
+    ),
     "camera_shake": _with("camera_shake", {"amplitude": 5e-5, "frequency": 15.0}, per_run=_phases("phase")),
     "dropped_frame": _with(
         "dropped_frame",

@@ -85,7 +85,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     Examples
     --------
     >>> import frictrack as ft
-    >>> ft.diagnose(ft.fit("tustin", ft.samples.runs())).missing
+    >>> ft.diagnose(ft.fit(["coulomb", "viscous"], ft.samples.runs()[1:2])).missing
     ['patch']
 
     """
