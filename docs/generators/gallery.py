@@ -27,9 +27,10 @@ from frictrack.effects.path import NEEDS
 from frictrack.number_format import format_number
 from frictrack.plots import png
 
+WIDE_PAGE = "---\nhtml_theme.sidebar_secondary.remove: true\n---\n"
 MAX_LOOKALIKES = 4  # effects in the table of what an effect is confused with
 MIN_SHARE_SHOWN = 0.2  # of the misfit, that an effect must explain to be listed
-PICTURE_DPI, THUMBNAIL_DPI = 110, 110
+PICTURE_DPI, THUMBNAIL_DPI = 130, 110
 GROUPS = {
     "Forces that belong to friction": (
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
@@ -123,7 +124,9 @@ def _cards() -> str:
 
 def _group(title: str, names: tuple[str, ...]) -> str:
     cards = "\n".join(_card(name) for name in names)
-    return f"## {title}\n\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}\n::::\n"
+    pages = "\n".join(f"{name} <effects/{page_name(name)}>" for name in names)
+    tree = f"```{{toctree}}\n:hidden:\n:caption: {title}\n\n{pages}\n```\n"
+    return f"## {title}\n\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}\n::::\n\n{tree}"
 
 
 def _card(name: str) -> str:
@@ -146,6 +149,7 @@ def effect_page(failure: Failure) -> str:
     """
     effect = effects.get(failure.effect)
     parts = [
+        WIDE_PAGE,
         f"# {failure.effect}\n\n{plain(effect.what)}\n",
         f"```text\n{'F' if effect.acts_on == 'force' else 'y'} += {effect.equation.removeprefix('y: ')}\n```\n",
         "## What a fit without it leaves\n",
@@ -182,23 +186,21 @@ def _facts(effect: Effect) -> str:
 
 
 def _parameters(effect: Effect) -> str:
-    """Return the table of parameters with units and bounds."""
-    quoted = effect.quoted
-    rows = [
-        [code(p.name), plain(p.unit if p.unit != "1" else "–"), *_bounds(p, p.name in quoted), _kind(p)]
-        for p in effect.parameters
-    ]
-    found = table(["parameter", "unit", "lowest", "highest", "fitted"], rows)
-    if not any(p.name in quoted for p in effect.parameters):
+    """Return the table of parameters with their units, and with bounds where one has any."""
+    names = ["parameter", "unit", "lowest", "highest", "fitted"]
+    rows = [[code(p.name), plain(p.unit if p.unit != "1" else "–"), *_bounds(p), _kind(p)] for p in effect.parameters]
+    if all(low == high == "–" for _, _, low, high, _ in rows):
+        return table(names[:2] + names[4:], [row[:2] + row[4:] for row in rows])
+    found = table(names, rows)
+    if not any(p.name in effect.quoted and row[2] != "–" for p, row in zip(effect.parameters, rows, strict=True)):
         return found
-    return f"{found}\nA bound marked \\* belongs to another form of the parameter, in which it is fitted.\n"
+    forms = ", ".join(code(p.name) for p in effect.parameters if p.name in effect.quoted)
+    return f"{found}\nThe bounds of {forms} belong to the form in which it is fitted.\n"
 
 
-def _bounds(p: Parameter, quoted: bool) -> list[str]:
-    """Return both bounds as text; those of a parameter that is quoted in another form are not its own."""
-    if quoted:
-        return ["\\*", "\\*"]
-    return [format_number(bound) if abs(bound) < float("inf") else "–" for bound in p.bounds]
+def _bounds(p: Parameter) -> list[str]:
+    """Return both bounds as text."""
+    return [f"{bound:g}" if abs(bound) < float("inf") else "–" for bound in p.bounds]
 
 
 def _kind(p: Parameter) -> str:

@@ -15,6 +15,7 @@ AXIS_LABELS = {"t": "time / s", "x": "position / m", "v": "velocity / (m/s)"}
 UNITS = {"residual": "m", "F": "N"}
 NAMES = {"residual": "residual", "F": "missing force"}
 USUAL_PERCENT = 98.0  # of the samples, which the force axis shows with a quarter of room
+WIDTH_IN = 9.0  # of a figure: narrower than a page, so that its texts are large enough
 MARGIN = 0.08  # of the range of an axis
 
 
@@ -28,7 +29,9 @@ def failure_figure(failure: Failure) -> Figure:
         The fit without the effect.
 
     """
-    figure = new_figure(5.4, f"What a fit of {' + '.join(failure.example.law)} leaves where {failure.effect} acts")
+    figure = new_figure(
+        5.0, f"What a fit of {' + '.join(failure.example.law)} leaves where {failure.effect} acts", width=WIDTH_IN
+    )
     panels = figure.subplots(2, 3, sharey="row", sharex="col")
     for row, quantity in zip(panels, UNITS, strict=True):
         for ax, axis in zip(row, AXIS_LABELS, strict=True):
