@@ -73,12 +73,12 @@ def test_the_page_of_the_command_line_has_every_option_of_every_command():
 @pytest.mark.parametrize("section", study_file.SECTIONS)
 def test_every_key_of_the_study_file_is_described(section):
     kind = study_file.SECTIONS[section]
-    described = study_file.described(kind)
+    described, page = study_file.described(kind), study_file.study_file_page()
     assert described.keys() - {""} == kind.model_fields.keys()
     for key in kind.model_fields:
         value, _, _ = study_file.value_of(kind, key)
         assert value
-        assert f"| `{key}` |" in study_file.study_file_page()
+        assert f"\n`{key}` – *" in page
 
 
 def test_the_types_of_the_schema_that_are_described_exist():

@@ -110,17 +110,24 @@ def study_file_page() -> str:
 
 
 def _section(name: str) -> str:
-    """Return the table of one section."""
+    """Return the section of one table: its keys as a list of definitions."""
     kind = SECTIONS[name]
-    rows = [_row(kind, key) for key in kind.model_fields]
-    return f"## {name}\n\n{prose(described(kind)[''])}\n\n" + table(["key", "meaning", "value", "default"], rows)
+    entries = "\n".join(_entry(kind, key) for key in kind.model_fields)
+    return f"## {name}\n\n{prose(described(kind)[''])}\n\n{entries}"
 
 
-def _row(kind: type[Keys], key: str) -> list[str]:
+def _entry(kind: type[Keys], key: str) -> str:
+    """Return one key: its name, what it takes, its meaning, its default and an example."""
     value, unit, example = value_of(kind, key)
-    known = f"{value}; {unit}" if unit else value
-    shown = f"{prose(known)}: {code(example)}" if example else prose(known)
-    return [code(key), prose(described(kind)[key]), shown, code(_default(kind, key))]
+    taken = f"{value}; {unit}" if unit else value
+    default = _default(kind, key)
+    said = [
+        prose(described(kind)[key]),
+        f"Default {code(default)}." if default else "",
+        f"Example: {code(f'{key} = {example}')}." if example else "",
+        "Required." if kind.model_fields[key].is_required() else "",
+    ]
+    return f"{code(key)} – *{prose(taken)}*\n: {' '.join(filter(None, said))}\n"
 
 
 def value_of(kind: type[Keys], key: str) -> tuple[str, str, str]:
@@ -159,9 +166,7 @@ def _literals(annotation: Any) -> list[str]:
 
 def _default(kind: type[Keys], key: str) -> str:
     found = kind.model_fields[key]
-    if found.is_required():
-        return "required"
-    plainly = found.default in (None, "", (), {})
+    plainly = found.is_required() or found.default in (None, "", (), {})
     return "" if plainly else f'"{found.default}"' if isinstance(found.default, str) else str(found.default)
 
 
