@@ -67,6 +67,8 @@ def test_the_page_of_the_command_line_has_every_option_of_every_command():
         section = page.partition(f"({name.replace(' ', '-')})=")[2].partition("\n(frictrack-")[0]
         wanted = [opt for param in command.params for opt in param.opts if opt.startswith("--")]
         assert [opt for opt in wanted if opt not in section] == [], name
+        assert "\b" not in section
+        assert f"```sh\n{name}" in section, name
     assert "{STUDY}" in page
 
 

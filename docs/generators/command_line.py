@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from inspect import cleandoc
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import typer
@@ -82,9 +83,13 @@ def _section(name: str, command: Any) -> str:
         f"```text\n{usage}\n```\n",
         table(["argument or option", "meaning"], rows),
     ]
-    if command.epilog:
-        parts.append(f"\n```text\n{cleandoc(command.epilog)}\n```\n")
-    return "\n".join(parts)
+    return "\n".join(parts) + _examples(command)
+
+
+def _examples(command: Any) -> str:
+    """Return the examples at the end of a command's help; click marks their block with a backspace."""
+    text = cleandoc((command.epilog or "").replace("\b", "")).strip().removeprefix("Examples:")
+    return f"\nExamples:\n\n```sh\n{dedent(text).strip()}\n```\n" if text else ""
 
 
 def _option(left: str) -> str:

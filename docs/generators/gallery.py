@@ -246,7 +246,7 @@ def _lookalikes(failure: Failure) -> str:
         return "In the runs above, no other effect of the library explains a fifth of the misfit.\n"
     rows = [[_link(name), f"{100 * share:.0f} %"] for name, share in shown]
     return (
-        "In the runs above, another effect that is fitted in its place explains [this share](../index.md) of the misfit:\n\n"
+        "In the runs above, another effect in its place explains [this share](../index.md) of the misfit:\n\n"
         + table(["effect", "share of the misfit"], rows)
     )
 
