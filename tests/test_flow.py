@@ -44,9 +44,9 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         calls.append(f"compare {len(fits)}")
         return {"models": [{"name": "+".join(f.model.names), "errors": f.errors} for f in fits], "fails_at": []}
 
-    def diagnose(fit: Any, *, seed: int, progress: Any, **beside: Any) -> Found:
+    def diagnose(fit: Any, *, rng: int, progress: Any, **beside: Any) -> Found:
         calls.append("diagnose")
-        return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": seed})
+        return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": rng})
 
     # by their modules: `frictrack.compare` and `frictrack.diagnose` are the functions
     monkeypatch.setattr(import_module("frictrack.compare"), "compare", lambda fits: Found(errors(fits)))
@@ -292,7 +292,7 @@ def test_results_hold_all_a_report_needs(study_file: Path, called: list[str]) ->
 def test_a_diagnosis_failing_leaves_the_fit(
     study_file: Path, called: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(fit: Any, *, seed: int, progress: Any, **beside: Any) -> Found:
+    def broken(fit: Any, *, rng: int, progress: Any, **beside: Any) -> Found:
         raise FrictrackError("expected frames to bootstrap")
 
     monkeypatch.setattr(import_module("frictrack.diagnose"), "diagnose", broken)

@@ -76,7 +76,7 @@ def pair_separation(plan: Mapping[str, Any]) -> Figure:
     hidden = np.isin(names, [one["effect"] for one in plan["unseen"]])
     table[hidden | hidden[:, None]] = UNSEEN
     table[np.triu_indices(len(names))] = np.nan
-    figure = new_figure(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs", width=9.0)
+    figure = new_figure(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs")
     ax = figure.subplots()
     picture = ax.imshow(
         table[1:, :-1],

@@ -236,7 +236,8 @@ def _some_runs(run: Array) -> Mask:
 
 def _force_name(data: VerdictData) -> str:
     assert data.after is not None
-    return f"force of {data.after.name.removeprefix('with ').removesuffix(', as tried')}"
+    several = ", each run" if len(np.unique(data.after.along["run"])) > 1 else ""
+    return f"force of {data.after.name.removeprefix('with ').removesuffix(', as tried')}{several}"
 
 
 def _force_title(data: VerdictData) -> str:

@@ -31,6 +31,7 @@ from frictrack.report.templates import SvgEmbedder, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 
 MAX_FILMS = 4  # films of which the first frame is shown
+MAX_MODELS_FIRST_SCREEN = 4  # whose errors are named on the first screen; of more, a figure names them
 MIN_CORRELATION = 0.95  # of two parameters; less is not reported
 
 
@@ -149,7 +150,7 @@ def _model_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
     """The current model: its errors, its parameters, and both routes."""
     model = results.current
     return {
-        "history": draw(plots.history(results.models)) if len(results.models) > 1 else None,
+        "history": draw(plots.history(results.models)) if len(results.models) > MAX_MODELS_FIRST_SCREEN else None,
         "fits": [draw(plots.fit(m, results.runs)) for m in _current_model(results)],
         "loops": _loops(results, draw),
         "model_motion": _model_motion(results, draw),
