@@ -334,3 +334,23 @@ def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
     assert pattern.local.law.solution.chi2 > 2 * solution.chi2  # refitted beside the patch, without it
     compared = pattern.forces.solution  # with it formulas and effects are compared
     assert compared.chi2 == pytest.approx(solution.chi2, rel=1e-6)
+
+
+def test_a_run_counts_only_where_it_has_been():
+    """The second run is short, at rest in the end; its zero force does not reach to places that only the first saw."""
+    axis = np.concatenate([np.linspace(0, 1, 400), np.linspace(0, 0.2, 400)])
+    run, force = np.repeat([0.0, 1.0], 400), np.repeat([1.0, 0.0], 400)
+    curve = mean_curve(run, axis, force, np.full(800, 0.01))
+    alone = curve["at"] > 0.26
+    assert curve["F"][alone] == pytest.approx(1.0)
+    assert curve["sigma_F"][alone] == pytest.approx(0.01)
+
+
+def test_runs_of_other_mass_agree_in_the_force_over_the_load():
+    found = find_failure_pattern(fit("tustin", samples.runs()).solution, np.random.default_rng(0)).figures
+    load = found["residual_force"]["load"]
+    assert sorted(set(np.round(load, 6))) == [1.0, 2.0]
+    curve = found["common_x"]
+    k = np.nanargmax(curve["F"])
+    assert curve["at"][k] == pytest.approx(0.1, abs=0.003)
+    assert curve["F"][k] == pytest.approx(0.4, abs=max(3 * curve["sigma_F"][k], 0.04))

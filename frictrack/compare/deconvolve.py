@@ -51,6 +51,8 @@ class DeconvolvedForce:
         Time since release s, and the model's motion in m, m/s, m/s^2.
     F, sigma_F
         Force and its standard deviation, N.
+    load
+        Mean normal load over that of the reference run.
 
     """
 
@@ -61,6 +63,7 @@ class DeconvolvedForce:
     a: Array
     F: Array
     sigma_F: Array
+    load: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -217,7 +220,8 @@ def _make_process(
 def _deconvolved_piece(response: PieceResponse, mean: Array, variance: Array) -> DeconvolvedForce:
     x, v = position_and_velocity(response)
     a = _acceleration(response, v)
-    return DeconvolvedForce(response.piece.run, response.piece.t, x, v, a, mean, np.sqrt(variance))
+    load = float(np.mean(response.piece.path.load))
+    return DeconvolvedForce(response.piece.run, response.piece.t, x, v, a, mean, np.sqrt(variance), load)
 
 
 def _acceleration(response: PieceResponse, v: Array) -> Array:

@@ -50,7 +50,8 @@ def missing_force(
     ----------
     figures : mapping
         Curves of the stored diagnosis. `residual_force` has one row per sample of all runs: `run` (index), `F` and
-        `sigma_F` in N, and one column per axis; `common_<axis>` has `at`, `F` and `sigma_F`.
+        `sigma_F` in N, one column per axis, and the load if forces are drawn at the reference load; `common_<axis>` has
+        `at`, `F` and `sigma_F`.
     spans : sequence of mappings
         Where the model fails; marked at the foot of every panel.
     styles : mapping
@@ -64,7 +65,7 @@ def missing_force(
         If the diagnosis has no missing force; see `has_missing_force`.
 
     """
-    whole = figures["residual_force"]
+    whole = at_reference_load(figures["residual_force"])
     shown = [name for name in AXES if name in whole]
     figure = new_figure(5.4, _title(repeats))
     panels = figure.subplots(2, 3)
@@ -82,7 +83,7 @@ def missing_force(
         ax.set_xlabel(_label(name, whole))
         ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
     for ax in panels[:, 0]:
-        ax.set_ylabel(axis_label("missing force", unit))
+        ax.set_ylabel(axis_label(force_label(whole), unit))
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
     _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
@@ -123,6 +124,17 @@ def _label(name: str, whole: Mapping[str, Array]) -> str:
     if name == "phase" and "frequency" in whole:
         return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
     return axis_label(axis.label, axis.unit)
+
+
+def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
+    """Divide the missing force by the load, if that is stored: runs then agree better."""
+    load = whole.get("load", np.ones(1))
+    return dict(whole) | {name: whole[name] / load for name in ("F", "sigma_F")}
+
+
+def force_label(whole: Mapping[str, Array]) -> str:
+    """Name of the missing force on an axis."""
+    return "missing force\nat reference load" if "load" in whole else "missing force"
 
 
 def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from frictrack.axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel
-from frictrack.plots.missing_force import draw_common, draw_runs, force_limits
+from frictrack.plots.missing_force import at_reference_load, draw_common, draw_runs, force_label, force_limits
 from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.plots.verdict_data import (
     DiagnosisLike,
@@ -201,7 +201,7 @@ def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
 
 
 def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
-    whole, axis = data.figures["residual_force"], data.axis
+    whole, axis = at_reference_load(data.figures["residual_force"]), data.axis
     factor, unit = style.axis_scale(whole["F"], "N")
     n = len(np.unique(whole["run"]))
     handles: list[Any] = []
@@ -214,7 +214,8 @@ def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
     after = data.after
     if after is not None and after.force is not None:
         rows = _some_runs(after.along["run"])
-        _draw_lines(ax, after.along["run"][rows], after.along[axis][rows], factor * after.force[rows], color=AFTER,
+        force = after.force[rows] / _load_of(whole, after.along["run"][rows])
+        _draw_lines(ax, after.along["run"][rows], after.along[axis][rows], factor * force, color=AFTER,
                     lw=1.5, ls=(0, (4, 1.2)), zorder=5)  # fmt: skip
         handles.append(Line2D([], [], color=AFTER, lw=1.5, ls=(0, (4, 1.2)), label=_force_name(data)))
     _shade_spans(ax, data)
@@ -222,9 +223,17 @@ def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
     ax.set_ylim(factor * low, factor * high)
     ax.set_xlabel(_x_label(axis))
-    ax.set_ylabel(axis_label("missing force", unit))
+    ax.set_ylabel(axis_label(force_label(whole), unit))
     ax.set_title(_force_title(data))
     return handles
+
+
+def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
+    """Load by which the force of every row is divided, (n,)."""
+    if "load" not in whole:
+        return np.ones(len(run))
+    by_run = {k: whole["load"][whole["run"] == k][0] for k in np.unique(whole["run"])}
+    return np.array([by_run.get(k, 1.0) for k in run])
 
 
 def _some_runs(run: Array) -> Mask:

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.plots.inputs import AnyModel, as_model
 from frictrack.plots.model import noise_um, residual_unit, residuals
-from frictrack.plots.style import plain_name
+from frictrack.plots.style import joined_name, plain_name
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results
 
@@ -192,7 +192,7 @@ def data_of_diagnosis(found: DiagnosisLike, better: AnyModel | None = None) -> V
     """Select the data of a diagnosis, and of a later fit if there is one."""
     diagnosis, figures = found.summary(), found.figures
     unit = "N" if diagnosis.get("noise_N") is not None else "µm"
-    name = " + ".join(diagnosis["model"])
+    name = joined_name(diagnosis["model"])
     errors = _errors_tried(diagnosis, unit)
     after = _tried(figures, diagnosis, unit)
     if better is not None:
@@ -307,4 +307,4 @@ def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]
     after = [HeldOutError(f"+ {row['effect']}", row[f"heldout_rms_after_{key}"], tried=True) for row in found]
     if not after and best.get(f"heldout_rms_after_{key}") is not None:
         after = [HeldOutError(f"+ {best['effect']}", best[f"heldout_rms_after_{key}"], tried=True)]
-    return [HeldOutError(" + ".join(diagnosis["model"]), bare), *after]
+    return [HeldOutError(joined_name(diagnosis["model"]), bare), *after]

@@ -17,7 +17,7 @@ from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve
 SMOOTHING_WIDTH = 1 / 80  # of the axis
-MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point for a run to count there
+MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point of a run's range, for the run to count there
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,8 @@ class FailurePattern:
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
         """Curves of the missing force; see `residual_figures`."""
-        return residual_figures(*deconvolve_force(self.local, self._waves))
+        best = self.repeats.best
+        return residual_figures(*deconvolve_force(self.local, self._waves), "x" if best is None else best.axis)
 
     @cached_property
     def forces(self) -> ResidualForces:
@@ -86,7 +87,9 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
     return FailurePattern(fit, find_local_forces(fit), rng)
 
 
-def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:
+def residual_figures(
+    pieces: list[DeconvolvedForce], line: SpectralLine | None, axis: str = "x"
+) -> dict[str, dict[str, Array]]:
     """Curves of the missing force for plots and files.
 
     Parameters
@@ -95,24 +98,40 @@ def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) 
         The deconvolved force of every piece.
     line
         The sinusoid that defines the phase; None without.
+    axis
+        The axis over which the misfit repeats: there runs are compared with and without their load.
 
     Returns
     -------
     dict
         `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and
         sigma_F (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis,
-        `at`, F, sigma_F, (k,).
+        `at`, F, sigma_F, (k,). If runs agree better in the force over the load, `residual_force` has the load (over
+        that of the reference run), and the mean curves are forces at the reference load.
 
     """
     frames = [_run_series(p, line) for p in pieces]
     series = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
+    load = series.pop("load")
+    plain, per_load = (_scatter(series, axis, factor) for factor in (np.ones_like(load), load))
+    if per_load < plain:
+        series["load"] = load
+    divisor = series.get("load", np.ones_like(load))
+    out = {"residual_force": series}
+    for name in AXES:
+        if name in series:
+            mean = mean_curve(series["run"], series[name], series["F"] / divisor, series["sigma_F"] / divisor)
+            out[f"common_{name}"] = mean
     if line is not None:
         series["frequency"] = np.array([line.frequency])
-    out = {"residual_force": series}
-    for axis in AXES:
-        if axis in series:
-            out[f"common_{axis}"] = mean_curve(series["run"], series[axis], series["F"], series["sigma_F"])
     return out
+
+
+def _scatter(series: dict[str, Array], axis: str, divisor: Array) -> float:
+    """Mean chi-squared between the runs over an axis of the force over a divisor."""
+    if axis not in series:
+        return 0.0
+    return _pooled_curve(series["run"], series[axis], series["F"] / divisor, series["sigma_F"] / divisor)[1]
 
 
 def _run_series(piece: DeconvolvedForce, line: SpectralLine | None) -> dict[str, Array]:
@@ -122,7 +141,7 @@ def _run_series(piece: DeconvolvedForce, line: SpectralLine | None) -> dict[str,
     out |= {"v": direction * piece.v, "a": direction * piece.a}
     if line is not None:
         out["phase"] = (line.phase(piece.run, piece.t) + np.where(direction < 0, 0.5, 0.0)) % 1.0
-    return out | {"F": direction * piece.F, "sigma_F": piece.sigma_F}
+    return out | {"F": direction * piece.F, "sigma_F": piece.sigma_F, "load": np.full(len(piece.t), piece.load)}
 
 
 def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str, Array]:
@@ -150,6 +169,11 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
     DerSimonian & Laird (1986), Control. Clin. Trials 7, 177-188.
 
     """
+    return _pooled_curve(run, axis, force, sigma)[0]
+
+
+def _pooled_curve(run: Array, axis: Array, force: Array, sigma: Array) -> tuple[dict[str, Array], float]:
+    """The mean curve, and the mean chi-squared between the runs."""
     low, high = float(axis.min()), float(axis.max())
     at = np.linspace(low, high, N_POINTS)
     width = max(high - low, 1e-12) * SMOOTHING_WIDTH
@@ -158,16 +182,17 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
         rows = run == r
         kernel = np.exp(-(((axis[rows] - at[:, None]) / width) ** 2) / 2)
         weight = kernel.sum(axis=1)
-        covered = weight > MIN_WEIGHT_SHARE * np.median(weight[weight > 0])
+        within = (at >= axis[rows].min()) & (at <= axis[rows].max())
+        covered = weight > MIN_WEIGHT_SHARE * np.median(weight[within] if within.any() else weight.max())
         share = kernel / np.maximum(weight, 1e-300)[:, None]
         means.append(np.where(covered, share @ force[rows], np.nan))
         variances.append(np.where(covered, share @ sigma[rows] ** 2, np.nan))
-    force, deviation = _pool_runs(np.array(means), np.maximum(np.array(variances), 1e-30))
-    return {"at": at, "F": force, "sigma_F": deviation}
+    force, deviation, q = _pool_runs(np.array(means), np.maximum(np.array(variances), 1e-30))
+    return {"at": at, "F": force, "sigma_F": deviation}, q
 
 
-def _pool_runs(means: Array, variances: Array) -> tuple[Array, Array]:
-    """Random-effects mean over runs (R, k) with known variances; NaN where none is known."""
+def _pool_runs(means: Array, variances: Array) -> tuple[Array, Array, float]:
+    """Random-effects mean over runs (R, k) with known variances, NaN where none is known; mean chi-squared of runs."""
     weight = np.nan_to_num(1 / variances)
     count = np.sum(weight > 0, axis=0)
     total = np.maximum(weight.sum(axis=0), 1e-300)
@@ -180,4 +205,5 @@ def _pool_runs(means: Array, variances: Array) -> tuple[Array, Array]:
     weight = np.nan_to_num(weight)
     total = np.maximum(weight.sum(axis=0), 1e-300)
     mean = np.sum(weight * value, axis=0) / total
-    return np.where(count > 0, mean, np.nan), np.where(count > 0, 1 / np.sqrt(total), np.nan)
+    between = float(np.sum(q) / max(np.sum(count > 1), 1))
+    return np.where(count > 0, mean, np.nan), np.where(count > 0, 1 / np.sqrt(total), np.nan), between

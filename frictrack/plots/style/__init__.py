@@ -28,7 +28,7 @@ from frictrack.plots.style.drawing import (
     unsmeared_frames,
 )
 from frictrack.plots.style.figures import PAGE_WIDTH_IN, new_figure, png, styled, svg
-from frictrack.plots.style.model_names import numbered_name, plain_name
+from frictrack.plots.style.model_names import joined_name, numbered_name, plain_name
 
 __all__ = [
     "BAND_SIGMAS",
@@ -50,6 +50,7 @@ __all__ = [
     "axis_label",
     "axis_scale",
     "draw_band",
+    "joined_name",
     "masked",
     "new_figure",
     "numbered_name",

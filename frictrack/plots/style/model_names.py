@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
+
 _CAPITALISED = {
     "tustin": "Tustin",
     "coulomb": "Coulomb",
@@ -24,7 +28,26 @@ def plain_name(group: str) -> str:
     'Tustin + texture'
 
     """
-    parts = group.split("_", 1)[-1].split("+")
+    return joined_name(group.split("_", 1)[-1].split("+"))
+
+
+def joined_name(effects: Sequence[str]) -> str:
+    """Convert the effects of a model to words.
+
+    Parameters
+    ----------
+    effects : sequence of str
+        Names of effects or models.
+
+    Examples
+    --------
+    >>> joined_name(["coulomb", "stribeck", "viscous", "patch"]), joined_name(["coulomb", "drag"])
+    ('Tustin + patch', 'Coulomb + drag')
+
+    """
+    parts = list(effects)
+    if set(TUSTIN) <= set(parts):
+        parts = ["tustin", *(part for part in parts if part not in TUSTIN)]
     return " + ".join(_CAPITALISED.get(part, part.upper() if part.startswith("atm") else part) for part in parts)
 
 
