@@ -12,6 +12,7 @@ from frictrack.fit.least_squares import Solution, covariance_of
 from frictrack.fit.parameters import MASS
 from frictrack.fit.uncertainty.identifiability import correlated_partners, identifiability_remarks, undetermined_reasons
 from frictrack.fit.uncertainty.reported_values import reported_gradient, reported_slots, reported_values_and_jacobian
+from frictrack.number_format import format_plus_minus
 from frictrack.records import Array
 
 NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
@@ -23,6 +24,12 @@ class Estimate:
     """The estimate of one parameter: value and standard deviation in `unit`, or None with the reason.
 
     If the friction level scatters over few runs, +-1.96 `std` covers 95 % (Student's t with runs - 1 degrees).
+
+    Examples
+    --------
+    >>> print(Estimate(0.09986, 0.00012, "m"))
+    0.09986 ± 0.00012 m
+
     """
 
     value: float | None
@@ -32,6 +39,9 @@ class Estimate:
     reason: str | None = None
     interval: tuple[float | None, float | None] | None = None  # 95 %, from a profile or bootstrap; None: unbounded
     std_misfit: float | None = None  # including the missing force of a rejected model
+
+    def __str__(self) -> str:
+        return f"{format_plus_minus(self.value, self.reported_std)} {'' if self.unit == '1' else self.unit}".strip()
 
     @property
     def reported_std(self) -> float | None:
