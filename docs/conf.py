@@ -40,6 +40,7 @@ html_static_path = ["_static"]
 html_css_files = ["frictrack.css"]
 html_title = "frictrack"
 html_show_sourcelink = False
+html_sidebars = {"benchmarks": [], "glossary": []}  # pages without a section
 html_theme_options = {
     "navigation_with_keys": False,
     "show_toc_level": 2,
