@@ -412,6 +412,11 @@ def of(names: Iterable[str | Effect], extra: Iterable[Effect] = ()) -> Model:
     extra : iterable of Effect
         Effects that are not in the library, such as the formulas of a study.
 
+    Examples
+    --------
+    >>> of(["coulomb", "texture"]).names
+    ['coulomb', 'texture']
+
     """
     extra = list(extra)
     return Model(tuple(effects.get(n, extra) if isinstance(n, str) else n for n in names))
@@ -430,7 +435,14 @@ def tustin() -> Model:
 
 
 def stribeck_model() -> Model:
-    """Stribeck model: the Tustin model with a free exponent delta (first paper, Eq. 1)."""
+    """Stribeck model: the Tustin model with a free exponent delta (first paper, Eq. 1).
+
+    Examples
+    --------
+    >>> stribeck_model().names
+    ['coulomb', 'stribeck', 'viscous']
+
+    """
     free = effects.get("stribeck").adjusted(delta={"fixed": None})
     return of(["coulomb", free, "viscous"])
 
@@ -440,12 +452,26 @@ def _instances(kind: str, n: int) -> list[str]:
 
 
 def atm1(n: int) -> Model:
-    """Augmented Tustin model 1: Tustin model and n sinusoidal forces in time (first paper, Eq. 3)."""
+    """Augmented Tustin model 1: Tustin model and n sinusoidal forces in time (first paper, Eq. 3).
+
+    Examples
+    --------
+    >>> atm1(1).names
+    ['coulomb', 'stribeck', 'viscous', 'vibration']
+
+    """
     return of(["coulomb", "stribeck", "viscous", *_instances("vibration", n)])
 
 
 def atm2(n: int) -> Model:
-    """Augmented Tustin model 2 as printed (first paper, Eq. 4)."""
+    """Augmented Tustin model 2 as printed (first paper, Eq. 4).
+
+    Examples
+    --------
+    >>> atm2(2).names
+    ['atm2:2']
+
+    """
     return of([f"atm2:{n}"])
 
 
@@ -455,6 +481,11 @@ def dahl() -> Model:
     References
     ----------
     P. R. Dahl (1968): A Solid Friction Model, The Aerospace Corporation, TOR-0158(3107-18)-1.
+
+    Examples
+    --------
+    >>> dahl().names
+    ['coulomb', 'viscous', 'presliding']
 
     """
     return of(["coulomb", "viscous", "presliding"])
@@ -467,6 +498,11 @@ def lugre() -> Model:
     ----------
     C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky (1995): A new model for control of systems with friction,
     IEEE Trans. Automatic Control 40(3), 419-425.
+
+    Examples
+    --------
+    >>> lugre().names
+    ['lugre', 'viscous']
 
     """
     return of(["lugre", "viscous"])
@@ -554,6 +590,11 @@ def from_toml(source: str | FilePath) -> Model:
     ------
     FrictrackError
         If the text is not TOML, a name is unknown, or settings contradict each other.
+
+    Examples
+    --------
+    >>> from_toml(of(["coulomb", "drag"]).to_toml()).names
+    ['coulomb', 'drag']
 
     """
     file = FilePath(source) if isinstance(source, FilePath) or str(source).endswith(".toml") else None

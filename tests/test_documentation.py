@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "generators"))
 
 import command_line
+import figure_pictures
 import gallery
 import gallery_fit
 import gallery_runs
@@ -59,6 +60,13 @@ def test_every_figure_and_every_member_of_a_public_module_has_a_page():
     }
     assert drawn <= set(figures)
     assert {f"frictrack.models.{n}" for n in ("tustin", "atm1", "of")} <= python_api.pages_of("frictrack.models").keys()
+
+
+def test_the_pages_of_figures_show_the_code_that_draws_them():
+    assert sorted(figure_pictures.CALLS.keys() - set(plots.__all__)) == []
+    page = python_api.pages_of("frictrack.plots.fit")["frictrack.plots.fit"]
+    assert "plots.fit(fit, runs)\n```" in page
+    assert "pictures/fit.png" in page
 
 
 def test_the_page_of_the_command_line_has_every_option_of_every_command():

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from figure_pictures import draw_pictures, example_of
 from page_text import prose, table, write_page
 
 import frictrack
@@ -23,6 +24,11 @@ class Group:
     words: str
     module: str
     names: tuple[str, ...]
+
+
+def returns_figure(found: Any) -> bool:
+    """Return whether a function draws a figure."""
+    return callable(found) and inspect.signature(found).return_annotation == "Figure"
 
 
 GROUPS = (
@@ -75,7 +81,7 @@ GROUPS = (
         "Figures",
         "Every function draws one matplotlib figure of what the interface returns.",
         "frictrack.plots",
-        tuple(name for name in plots.__all__ if not name.startswith(("has_", "noise_", "residual_unit"))),
+        (*(name for name in plots.__all__ if returns_figure(getattr(plots, name))), "svg", "png"),
     ),
 )
 
@@ -100,6 +106,7 @@ def write_python_api(folder: Path) -> None:
         Folder of the generated pages.
 
     """
+    draw_pictures(folder / "api" / "pictures")
     pages = {name: page for group in GROUPS for full in full_names(group) for name, page in pages_of(full).items()}
     for name, page in pages.items():
         write_page(folder / "api" / f"{name}.md", page)
@@ -147,8 +154,9 @@ def _object_page(full: str, found: Any) -> str:
         directive, options = "autoclass", "\n   :members:" * (not issubclass(found, Exception))
     else:
         directive, options = "autofunction", ""
+    picture = example_of(name) if module == plots.__name__ else ""
     body = f".. currentmodule:: {module}\n\n.. {directive}:: {name}{options}"
-    return f"# {full}\n\n```{{eval-rst}}\n{body}\n```\n"
+    return f"# {full}\n\n```{{eval-rst}}\n{body}\n```\n{picture}"
 
 
 def _module_page(full: str, members: list[str]) -> str:
