@@ -31,6 +31,7 @@ def test_the_example_on_arrays_runs(capsys):
     verdict, place, *_ = capsys.readouterr().out.splitlines()
     assert verdict == "missing ['patch']"
     assert f"# {verdict}" in README
-    assert "0.0998" in place or "0.0999" in place or "0.100" in place
+    assert place.endswith(" ± 0.00012 m")
+    assert f"# {place}" in README
     held_out = names["ft"].compare([names["fit"], names["better"]]).to_dataframe()["heldout_rms_um"]
     assert held_out.iloc[1] < 0.35 * held_out.iloc[0]
