@@ -13,6 +13,7 @@ from blocks import SHAPE, SLIDE, N, a_film
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import contact_sheet, target_line, track
+from frictrack.tracking.show.canvas import Canvas
 from frictrack.tracking.show.overlay import COLOURS, corners, overlay_video
 
 
@@ -42,6 +43,16 @@ def test_contact_sheet(tmp_path):
     orange = np.all(np.abs(picture.astype(int) - (0x1C, 0x9F, 0xFF)) < 30, axis=2)
     assert orange.sum() > 500  # the rectangles
     assert target_line(result).startswith("target = [")
+
+
+def test_axes_of_the_sheet_are_named(tmp_path, monkeypatch):
+    written = []
+    monkeypatch.setattr(Canvas, "text", lambda self, at, text, *_, **__: written.append((text, at)))
+    contact_sheet(a_film(SLIDE), a_track(SLIDE), tmp_path / "sheet.png")
+    names = [text for text, _ in written]
+    assert names.count("x / px") == names.count("y / px") == 6
+    at = {text: place for text, place in written[:20]}
+    assert at["x / px"][0] > max(x for text, (x, y) in written[:20] if text.isdigit() and y == at["x / px"][1])
 
 
 def test_the_sheet_shows_the_target_where_it_is(tmp_path):

@@ -231,6 +231,35 @@ def test_a_push_does_not_dwarf_the_slide():
     assert low < -FORCE / MASS < 0 < high < 100
 
 
+def test_the_axis_of_the_velocity_holds_what_the_title_says():
+    run = run_results(v0=1.0)  # slows until the last frame, which the filter smears
+    run = replace(run, friction=replace(run.friction, free=np.ones(N, dtype=bool)))
+    for figure in (plots.motion(run), plots.motions([run])):
+        low, high = figure.axes[1].get_ylim()
+        assert low < run.motion.v.min() < run.motion.v.max() < high
+
+
+def test_motions_share_a_page_and_say_how_many_are_left_out():
+    runs = [run_results(f"v{k}") for k in range(20)]
+    figure = plots.motions(runs)
+    assert len([ax for ax in figure.axes if ax.axison]) == 3 * 8
+    assert figure.get_suptitle() == "20 runs with a highest speed of 1.0 m/s; the first 8 are drawn"
+    assert plots.motions(runs[:1]).get_suptitle() == "1 run with a highest speed of 1.0 m/s"
+
+
+def test_budgets_of_several_runs_have_a_mark_per_run_and_source():
+    def one(mass):
+        rows = [("pixel noise", 0.01), ("mass", mass), ("scale", None), ("total", 0.05)]
+        return {"rows": [{"source": s, "mean_N": n, "frame_N": n} for s, n in rows], "says": []}
+
+    figure = plots.budgets({"v1": one(0.02), "v2": one(0.03)})
+    left = figure.axes[0]
+    assert [t.get_text() for t in left.get_yticklabels()] == ["pixel noise", "mass", "scale", "total"]
+    assert [line.get_xdata().tolist() for line in left.lines] == [[0.01, 0.02, 0.05], [0.01, 0.03, 0.05]]
+    assert drawn(figure).count("not known") == 2
+    assert figure.get_suptitle() == "Standard deviation of the mean force 0.050 N; largest source: mass"
+
+
 def test_friction_leaves_out_what_the_filter_smears():
     run = run_results()
     figure = plots.friction([run])

@@ -83,8 +83,27 @@ def held_out_change(candidate: Mapping[str, Any]) -> str:
     '21.2 to 10.2 µm'
 
     """
-    for key, unit in (("um", "µm"), ("N", "N")):
-        before, after = (candidate.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
-        if before is not None and after is not None:
-            return f"{format_number(before)} to {format_number(after)} {unit}"
-    return ""
+    before, after, unit = _held_out_pair(candidate)
+    return "" if before is None or after is None else f"{format_number(before)} to {format_number(after)} {unit}"
+
+
+def held_out_clause(candidate: Mapping[str, Any]) -> str:
+    """Describe what a candidate makes of the held-out error, as a clause; "" if nothing was held out.
+
+    Examples
+    --------
+    >>> held_out_clause({"heldout_rms_before_um": 21.2, "heldout_rms_after_um": 10.2})
+    'with it the held-out error falls from 21.2 to 10.2 µm'
+
+    """
+    before, after, _ = _held_out_pair(candidate)
+    if before is None or after is None:
+        return ""
+    verb = "falls" if after < before else "does not fall:"
+    return f"with it the held-out error {verb} from {held_out_change(candidate)}"
+
+
+def _held_out_pair(candidate: Mapping[str, Any]) -> tuple[float | None, float | None, str]:
+    """Held-out errors without and with a candidate, and their unit."""
+    key, unit = ("um", "µm") if candidate.get("heldout_rms_after_um") is not None else ("N", "N")
+    return candidate.get(f"heldout_rms_before_{key}"), candidate.get(f"heldout_rms_after_{key}"), unit

@@ -32,6 +32,7 @@ from frictrack.results import ModelResults, Results, RunResults
 
 MAX_FILMS = 4  # films of which the first frame is shown
 MAX_MODELS_FIRST_SCREEN = 4  # whose errors are named on the first screen; of more, a figure names them
+MAX_RUNS_FIRST_SCREEN = 4  # whose motion is drawn where there is neither a model nor a force
 MIN_CORRELATION = 0.95  # of two parameters; less is not reported
 
 
@@ -117,7 +118,7 @@ def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
     elif _has_force(results):
         figure = draw(plots.friction(results.runs))
     else:
-        figure = draw(plots.motions(results.runs[:1]))
+        figure = draw(plots.motions(results.runs[:MAX_RUNS_FIRST_SCREEN]))
     return {
         "verdict": verdict_text.study_verdict(results),
         "verdict_figure": figure,

@@ -15,7 +15,7 @@ from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.candidate_text import (
     evidence_text,
     find_candidate,
-    held_out_change,
+    held_out_clause,
     held_out_error,
     join_words,
     lower_first,
@@ -204,12 +204,12 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
     for effect in diagnosis["missing"]:
         found = find_candidate(diagnosis, effect)
         if found is not None:
-            change = held_out_change(found)
+            clause = held_out_clause(found)
             yield Markup("Missing effect: <b>{}</b> ({}; {}{}).").format(
                 effect,
                 lower_first(found["words"].get("what", "")),
                 evidence_text(found),
-                f"; with it the held-out error changes from {change}" if change else "",
+                f"; {clause}" if clause else "",
             )
         else:
             yield Markup("With it in the model, <b>{}</b> is missing too.").format(effect)
