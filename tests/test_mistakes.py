@@ -15,7 +15,9 @@ import pytest
 import tifffile
 from film import block_film
 
+from frictrack.batch import BatchState
 from frictrack.cli import main, study_commands, utility_commands  # noqa: F401 - registers the commands
+from frictrack.cli.batch_progress import LinePrinter
 from frictrack.cli.common import app
 from frictrack.cli.examples import EXAMPLES
 from frictrack.cli.progress_bars import ProgressDisplay
@@ -322,6 +324,21 @@ def test_no_line_of_progress_is_missing_where_stderr_is_a_file(
     progress(11, 200, "frames")
     progress(99, 200, "frames")
     assert capsys.readouterr().err == "tracking\nframes: 11 of 200\n"
+
+
+def test_a_batch_tells_what_it_works_on_where_stderr_is_a_file(
+    capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, tell = BatchState(3, kept=1, began=0.0), LinePrinter()
+    for now, event in ((0.0, "begin"), (1.0, ""), (20.0, ""), (21.0, ""), (30.0, "end")):
+        monkeypatch.setattr("time.monotonic", lambda now=now: now)
+        if event == "begin":
+            state.under_way = {f"{here}/a.toml": 0.0, f"{here}/b.toml": 0.0}
+        elif event == "end":
+            state.done.append(f"{here}/a.toml")
+        tell(state)
+    said = ["3 studies, 1 of them finished before", "working on a.toml and 1 more, 0:20", "2 of 3: a.toml"]
+    assert capsys.readouterr().err.splitlines() == said
 
 
 @pytest.mark.parametrize("command", EXAMPLES)

@@ -17,6 +17,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from frictrack.batch import BatchState
 
+MAX_SILENCE_S = 15.0  # between two lines in a log file: a study takes minutes
 MAX_LINES = 8  # of current tasks, and of failures
 
 
@@ -25,7 +26,7 @@ def watch_batch() -> Iterator[Callable[[BatchState], None]]:
     """Yield a callable that shows the state of a batch: a table on a terminal, else one line per study."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _LinePrinter()
+        yield LinePrinter()
         return
     with Live(console=console, transient=True, auto_refresh=False) as live:
 
@@ -35,20 +36,34 @@ def watch_batch() -> Iterator[Callable[[BatchState], None]]:
         yield show
 
 
-class _LinePrinter:
-    """Print a line for every study that has ended."""
+class LinePrinter:
+    """Print a line for every study that has ended, and in between one on the current tasks every few seconds."""
 
     def __init__(self) -> None:
         self._told = 0
         self._failed = 0
+        self._last_line: float | None = None
 
     def __call__(self, state: BatchState) -> None:
+        """Print what is new in the state of a batch."""
+        if self._last_line is None:
+            self._write(f"{state.studies} studies, {state.kept} of them finished before")
         for study in state.done[self._told :]:
             self._told += 1
-            sys.stderr.write(f"{state.kept + self._told} of {state.studies}: {relative_path(study)}\n")
+            self._write(f"{state.kept + self._told} of {state.studies}: {relative_path(study)}")
         for one in state.failures[self._failed :]:
             self._failed += 1
-            sys.stderr.write(f"failed: {_where(one)}: {one['reason']}\n")
+            self._write(f"failed: {_where(one)}: {one['reason']}")
+        now = time.monotonic()
+        if self._last_line is not None and now - self._last_line > MAX_SILENCE_S and state.under_way:
+            tasks = list(state.under_way.items())
+            more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
+            self._write(f"working on {relative_path(tasks[0][0])}{more}, {_clock(now - tasks[0][1])}")
+
+    def _write(self, line: str) -> None:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+        self._last_line = time.monotonic()
 
 
 def progress_table(state: BatchState) -> Table:

@@ -34,7 +34,10 @@ Announce = Callable[[Mapping[str, Any]], None]
 
 @command()
 def run(  # noqa: PLR0913, PLR0917 - one argument per option
-    paths: Annotated[list[Path], typer.Argument(metavar="STUDY | RECORDING...", help="a study file, or recordings")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="STUDY | RECORDING...", help="a study file; or films, tables, and folders of them"),
+    ],
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"; only with recordings')] = None,
     fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,

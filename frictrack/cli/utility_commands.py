@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
+from frictrack.cli.examples import EXAMPLES, format_examples
 from frictrack.cli.look_at import look_at
 from frictrack.errors import FrictrackError
 
@@ -133,6 +134,7 @@ def reproduce(
 blind = typer.Typer(
     help="Test the diagnosis on simulated studies with hidden effects.",
     no_args_is_help=True,
+    epilog=format_examples((EXAMPLES["make"][0], EXAMPLES["score"][0])),
 )
 app.add_typer(blind, name="blind", rich_help_panel=None)
 Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their sealed truth")]
