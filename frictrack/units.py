@@ -32,6 +32,7 @@ _UNITS: dict[str, tuple[Fraction, tuple[int, int, int, int]]] = {
 }
 _PREFIXES = {"": 0, "n": -9, "u": -6, "µ": -6, "m": -3, "c": -2, "d": -1, "k": 3, "M": 6}
 _WITHOUT_PREFIX = ("deg", "px")
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _POWER = r"([nuµmcdkM]??)(m|g|s|Hz|N|J|Pa|rad|deg|px)(?:\^([1-3]))?"
 _ORDINARY_UNIT = re.compile(rf"{_POWER}(?:/{_POWER})?")
 _MAX_VALUE = 1e30  # in any unit; larger values are no measurements
@@ -92,6 +93,9 @@ def _float(number: float) -> float:
 
 
 def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
+    if _DECIMAL_COMMA.search(text):
+        point = _DECIMAL_COMMA.sub(".", text)
+        raise FrictrackError(f'{_expected(unit, what)} but got "{text}"; write a decimal point: "{point}"')
     match = _QUANTITY.match(text)
     if match is None:
         raise FrictrackError(_expected(unit, what) + f' but got "{text}"')

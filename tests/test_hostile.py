@@ -349,7 +349,8 @@ def test_a_sheet_with_empty_rows_and_far_ones_is_read(tmp_path: Path) -> None:
     [
         (b"", "cannot read it"),
         (b"t_s,x_m\n", "at least two rows"),
-        ("t_s,x_m\n0,0\n1,1\n".encode("utf-16"), "cannot read it"),
+        ("t_s,x_m\n0,0\n1,a\n".encode("utf-16"), 'expected numbers in "x_m" but got a'),
+        ("t_s,x_m\n0,0\n1,1\n".encode("utf-16")[:-1], "expected"),
         (b"t_s,x_m,x_m \n0,0,0\n1,1,1\n", 'expected one column "x_m" but got 2'),
         (b"t_s,x_m\n0,0\n0,1\n", "expected rising time"),
         (b"t_s,x_m\n0,0\n1,inf\n", "expected numbers"),

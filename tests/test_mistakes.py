@@ -190,6 +190,11 @@ def test_faults_of_all_inputs_come_at_once(capsys: pytest.CaptureFixture[str]) -
         ("[[run]]", "[[runs]]", 'unknown table "runs"'),
         ('[[run]]\nname = "v3"\ntable = "v3.csv"\n', "", "expected at least one [[run]] but got none"),
         ('name = "v3"', 'model = "tustin"', 'unknown key "model"; it belongs in [study]'),
+        ('"v3.csv"', '"C:\\data\\v3.csv"', "(at line 5, column 14); write paths with / instead of"),
+        ('"0.35 kg"', "0,35", "write a decimal point instead of the comma"),
+        ('"0.35 kg"', "0.35 kg", 'a number with a unit is a text in quotes: mass = "0.35 kg"'),
+        ('"0.35 kg"', '"0,35 kg"', 'but got "0,35 kg"; write a decimal point: "0.35 kg"'),
+        ('"v3.csv"', "v3.csv", 'texts stand in quotes: video = "a.avi"'),
     ],
 )
 def test_a_wrong_study_file(capsys: pytest.CaptureFixture[str], old: str, new: str, said: str) -> None:

@@ -234,3 +234,10 @@ def test_texts_that_hold_times_and_positions_are_recordings(written, tmp_path: P
     }.items():
         written(text, name)
     assert [p.name for p in find_recordings(tmp_path)] == ["kinovea.txt", "kinovea.xml", "plain.dat", "tracker.txt"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_letters_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "run.csv").write_bytes("Zeit (ms);Weg (µm);Prüfer\n0;1500;Müller\n500;2250;\n".encode(encoding))
+    expected = ([0, 0.5], [0.0015, 0.00225])
+    assert columns(tmp_path / "run.csv", {"t": "Zeit (ms)", "x": "Weg (µm)"}) == expected

@@ -152,7 +152,23 @@ def read_toml(name: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as e:  # a number of more digits than Python reads, brackets without end
-        raise FrictrackError(f"{name} is not valid TOML: {e}", usage=True) from e
+        raise FrictrackError(f"{name} is not valid TOML: {e}{_toml_hint(str(e), text)}", usage=True) from e
+
+
+def _toml_hint(message: str, text: str) -> str:
+    """Return what to write instead, for the usual mistakes in the line that an error names."""
+    found = re.search(r"at line (\d+)", message)
+    lines = text.splitlines()
+    line = lines[int(found[1]) - 1] if found and int(found[1]) <= len(lines) else ""
+    if "\\" in line:
+        return "; write paths with / instead of \\"
+    if re.search(r"=\s*[+-]?[\d.]+\s*[A-Za-zµ]", line):
+        return '; a number with a unit is a text in quotes: mass = "0.35 kg"'
+    if re.search(r"=\s*[+-]?\d+,\d", line):
+        return "; write a decimal point instead of the comma"
+    if re.search(r"=\s*[A-Za-z/.]", line):
+        return '; texts stand in quotes: video = "a.avi"'
+    return ""
 
 
 def _read(path: Path) -> str:

@@ -27,7 +27,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.study.schema import COLUMNS
-from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row
+from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row, text_encoding
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +85,7 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
             return _table_of_rows(_workbook_rows(path), wanted)
         if path.suffix.lower() == ".xml":
             return _table_of_rows(_xml_rows(path), wanted)
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding=text_encoding(path)) as file:
             if file.readline().startswith(KINOVEA_TEXT):
                 return _kinovea_text(file.read())
         return _text_table(path, wanted)
@@ -115,7 +115,7 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
     if path.suffix.lower() in (".xlsx", ".xls", ".xml"):
         return tuple(map(str, open_table(path, wanted).frame.columns))
     try:
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding=text_encoding(path)) as file:
             if file.readline().startswith(KINOVEA_TEXT):
                 return KINOVEA_COLUMNS
         return find_layout(path, wanted).header
@@ -128,7 +128,7 @@ def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
 
     layout = find_layout(path, wanted)
     how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "skiprows": layout.skipped or None}
-    frame = _named(pd.read_csv(path, comment="#", encoding="utf-8-sig", **how))
+    frame = _named(pd.read_csv(path, comment="#", encoding=layout.encoding, **how))
     if all(is_number(name) for name in layout.header if name) and layout.header:
         raise ValueError(f"the first line holds numbers; write the names {', '.join(_STANDARD_UNITS)} above them")
     if layout.units or layout.groups:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import itertools
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 from frictrack.units import is_ordinary_unit
 
 MAX_HEAD_LINES = 200  # lines in which the header is searched: titles and settings of an instrument may stand before it
+MAX_BYTES_DECODED = 1 << 20  # from which the encoding is found
 WHITESPACE = r"\s+"  # separator of columns that only spaces separate
 SEPARATORS = "\t;,"
 MIN_COLUMNS = 2
@@ -39,6 +41,8 @@ class TableLayout:
         Cells of the line above the header, one per name: what a program names a group of columns by.
     skipped
         Numbers of the lines, from 0, that are neither header nor data.
+    encoding
+        Encoding of the text.
 
     """
 
@@ -48,6 +52,7 @@ class TableLayout:
     units: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
     skipped: tuple[int, ...] = ()
+    encoding: str = "utf-8-sig"
 
 
 def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
@@ -61,7 +66,8 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         Names that only stand in a header.
 
     """
-    with path.open(encoding="utf-8-sig") as file:
+    encoding = text_encoding(path)
+    with path.open(encoding=encoding) as file:
         lines = ((i, line) for i, line in enumerate(file) if line.strip() and not line.startswith("#"))
         head = list(itertools.islice(lines, MAX_HEAD_LINES))
         at = find_header([line for _, line in head], wanted)
@@ -79,7 +85,30 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         tuple(below),
         _groups(head[at - 1][1], separator) if at else (),
         (*range(number), *([head[at + 1][0]] if below else [])),
+        encoding,
     )
+
+
+def text_encoding(path: Path) -> str:
+    """Return the encoding of a text: UTF-8, UTF-16 if it begins with its mark, else that of Windows in the West.
+
+    Instruments still write the letters of "µm" and "°" in the last one.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    """
+    with path.open("rb") as file:
+        head = file.read(MAX_BYTES_DECODED)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "utf-8-sig" if b"\0" in head else "cp1252"
+    return "utf-8-sig"
 
 
 def find_header(lines: Sequence[str], wanted: Collection[str]) -> int:
