@@ -165,9 +165,11 @@ def test_a_page_is_made_again_only_if_its_effect_changed(texture, tmp_path, monk
     made = []
     monkeypatch.setattr(gallery, "all_effects", lambda: ["texture"])
     monkeypatch.setattr(gallery, "fit_without", lambda name, example: made.append(name) or texture)
+    (tmp_path / "gone.md").write_text("# gone")
     gallery.make_gallery(tmp_path)
     gallery.make_gallery(tmp_path)
     assert made == ["texture"]
+    assert [path.name for path in tmp_path.glob("*.md")] == ["texture.md"]
     assert (tmp_path / "texture.png").read_bytes().startswith(b"\x89PNG")
     assert "texture_small.png" in (tmp_path / "cards.txt").read_text()
     (tmp_path / "texture_small.png").unlink()

@@ -18,7 +18,7 @@ from gallery_figures import failure_figure, thumbnail
 from gallery_fit import Failure, fit_without
 from gallery_runs import EXAMPLES, Example
 from gallery_separation import Separation, separating_run
-from page_text import code, plain, prose, sentence, table, write_page
+from page_text import code, keep_only, plain, prose, sentence, table, write_page
 
 from frictrack import __version__, effects
 from frictrack.diagnose import MIN_CHI2_SEPARATED
@@ -73,6 +73,7 @@ def make_gallery(folder: Path) -> None:
             _make_page(folder, name)
             marks[name] = mark
             write_page(marks_file, json.dumps(marks, indent=1))
+    keep_only(folder, map(page_name, all_effects()))
     write_page(folder / "cards.txt", _cards())
 
 

@@ -14,6 +14,14 @@ def write_page(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def keep_only(folder: Path, names: Iterable[str]) -> None:
+    """Remove the pages of a folder that have other names: those of functions or effects that are gone."""
+    kept = {f"{name}.md" for name in names}
+    for path in folder.glob("*.md"):
+        if path.name not in kept:
+            path.unlink()
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     r"""Return a Markdown table; a bar in a cell is escaped.
 

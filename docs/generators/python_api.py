@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from figure_pictures import draw_pictures, example_of
-from page_text import prose, table, write_page
+from page_text import keep_only, prose, table, write_page
 
 import frictrack
 from frictrack import plots
@@ -110,6 +110,7 @@ def write_python_api(folder: Path) -> None:
     pages = {name: page for group in GROUPS for full in full_names(group) for name, page in pages_of(full).items()}
     for name, page in pages.items():
         write_page(folder / "api" / f"{name}.md", page)
+    keep_only(folder / "api", pages)
     write_page(folder / "python.md", _index())
 
 
