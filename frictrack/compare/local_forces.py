@@ -176,31 +176,36 @@ def continue_search(found: LocalForces) -> LocalForces:
 
 
 def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
-    """Refit the model together with the bumps found, then put their traces back into the residual."""
-    solution = found.law.solution
-    pieces = []
-    for i, (piece, at) in enumerate(zip(bare.pieces, found.nodes, strict=True)):
-        force = np.sum([b.size * at.force(b) for b in found.bumps if b.piece in (None, i)], axis=0)
-        pieces.append(replace(piece, known=piece.known - force / piece.mass))
-    problem = bare.rebuild(bare.layout, pieces)
+    """Refit the model together with the bumps found, and search on in what both leave."""
+    forces = [
+        sum((b.size * at.force(b) for b in found.bumps if b.piece in (None, i)), np.zeros(len(at.t)))
+        for i, at in enumerate(found.nodes)
+    ]
     try:
-        tied = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
-        tau = max(tied.level_scatter(), MIN_LEVEL_SCATTER)
-        refitted = refine(problem, tied.p, tied.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
+        refitted = _refit_beside(found.law.solution, bare, forces)
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
-    restarted = start_search(model_projection(refitted))
-    trace = bump_columns(restarted, found.bumps, derivatives=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
-    law = model_projection(_with_trace(refitted, trace))
-    return _prune(_fit_bumps(replace(restarted, law=law, residual=law, bumps=found.bumps)))
+    return _prune(_fit_bumps(replace(start_search(model_projection(refitted)), bumps=found.bumps)))
 
 
-def _with_trace(solution: Solution, trace: Array) -> Solution:
-    """Add a trace (N + m,) to the residual of a solution."""
-    ends = np.cumsum([len(r.r) for r in solution.responses])
-    parts = np.split(trace[: ends[-1]], ends[:-1])
+def _refit_beside(solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array]) -> Solution:
+    """Refit a model beside forces at the nodes of every piece (3 p,), N; its residual is as if they did not act.
+
+    A model with a large misfit is far from its linearisation; beside the force that it lacks it is not.
+    """
+    pieces = [
+        replace(piece, known=piece.known - force / piece.mass) for piece, force in zip(bare.pieces, forces, strict=True)
+    ]
+    problem = bare.rebuild(bare.layout, pieces)
+    tied = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
+    tau = max(tied.level_scatter(), MIN_LEVEL_SCATTER)
+    refitted = refine(problem, tied.p, tied.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
     return replace(
-        solution, responses=[replace(r, r=r.r + part) for r, part in zip(solution.responses, parts, strict=True)]
+        refitted,
+        responses=[
+            replace(r, r=r.r + displacement_response(r, force[:, None])[:, 0])
+            for r, force in zip(refitted.responses, forces, strict=True)
+        ],
     )
 
 

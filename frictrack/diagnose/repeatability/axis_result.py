@@ -9,6 +9,7 @@ from typing import Any
 from frictrack.axes import AXES
 
 MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs must predict, and its significance level
+MIN_EXPLAINED = 0.9  # of the gain of separate forces, above which a common one may be most of the misfit
 MIN_EVIDENCE = 10.0  # twice the log likelihood ratio that decides
 
 AXIS_TEXTS = {
@@ -37,6 +38,8 @@ class AxisRepeatability:
         Frequency, Hz, for "phase".
     evidence
         Twice the log likelihood ratio against a force of its own in every run.
+    explained
+        Gain in likelihood over that of a force of its own in every run.
 
     """
 
@@ -47,6 +50,7 @@ class AxisRepeatability:
     of: int
     frequency: float | None = None  # Hz, of the phase
     evidence: float = 0.0
+    explained: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -80,6 +84,12 @@ def describe_axes(axes: Sequence[AxisRepeatability]) -> str:
     """Describe the result as sentences."""
     best = axes[0]
     if not best.holds:
+        if best.explained > MIN_EXPLAINED:
+            share = f"{100 * best.explained:.1f} %" if best.explained < 0.9995 else "nearly all"
+            return (
+                f"A force that depends on {AXES[best.axis].name} alone explains {share} of what a force of its own in "
+                "every run explains: most of the misfit repeats, or the runs overlap too little to tell."
+            )
         if best.evidence < -MIN_EVIDENCE:
             return "The misfit does not repeat from run to run: no place, time, speed or frequency is common to it."
         return "These runs do not determine whether the misfit repeats from run to run: they show too little of it."

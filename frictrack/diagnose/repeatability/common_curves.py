@@ -170,7 +170,9 @@ def assess_repeatability(
         if axis == "x":
             wave, wave_evidence = _best_wave_gains(projected, waves.in_place)
             gains, evidence[axis] = _larger_gains(gains, wave), max(evidence[axis], wave_evidence)
-        found.append(replace(_axis_result(axis, gains, excess), evidence=evidence[axis] - separate_evidence))
+        explained = evidence[axis] / separate_evidence if separate_evidence > 0 else 0.0
+        result = _axis_result(axis, gains, excess)
+        found.append(replace(result, evidence=evidence[axis] - separate_evidence, explained=explained))
     phase = assess_common_frequency(law, waves.in_time, rng, draws)
     found.append(
         AxisRepeatability(

@@ -8,7 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.compare import DeconvolvedForce, LocalForces, SpectralLine, WaveScan, deconvolve_force, find_local_forces
+from frictrack.compare import (
+    DeconvolvedForce,
+    LocalForces,
+    SpectralLine,
+    WaveScan,
+    deconvolve_force,
+    find_local_forces,
+)
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
