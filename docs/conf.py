@@ -1,4 +1,7 @@
-"""Configuration of the documentation (Sphinx). Build it with `sphinx-build -W docs docs/_build`."""
+"""Configuration of the documentation (Sphinx).
+
+Build it with `sphinx-build -W -d docs/_build/trees docs docs/_build/html`.
+"""
 
 from __future__ import annotations
 
@@ -40,6 +43,7 @@ html_static_path = ["_static"]
 html_css_files = ["frictrack.css"]
 html_title = "frictrack"
 html_show_sourcelink = False
+html_copy_source = False
 html_sidebars = {"benchmarks": [], "glossary": []}  # pages without a section
 html_theme_options = {
     "navigation_with_keys": False,

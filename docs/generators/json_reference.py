@@ -20,22 +20,32 @@ from page_text import code, plain, table, write_page
 import frictrack as ft
 from frictrack.cli import main
 
-# Commands in the order in which they run; what follows the study file.
+TABLES, FILM = "study.toml", "film.toml"
+# Commands in the order in which they run, with their arguments.
 COMMANDS = {
-    "motion": (),
-    "friction": (),
-    "fit": (),
-    "compare": (),
-    "diagnose": (),
-    "add": ("patch",),
-    "history": (),
-    "report": (),
-    "export": (),
-    "verify": (),
-    "plan": (),
+    "track": (FILM,),
+    "motion": (TABLES,),
+    "friction": (TABLES,),
+    "fit": (TABLES,),
+    "compare": (TABLES,),
+    "diagnose": (TABLES,),
+    "add": (TABLES, "patch"),
+    "history": (TABLES,),
+    "report": (TABLES,),
+    "export": (TABLES,),
+    "verify": (TABLES,),
+    "plan": (TABLES,),
     "effects": (),
 }
-BY_NAME = {"parameters", "detection_limits", "law", "not_planned", "at"}  # objects whose keys are names of the study
+BY_NAME = {
+    "parameters",
+    "detection_limits",
+    "law",
+    "not_planned",
+    "at",
+    "lost",
+    "verdicts",
+}  # objects whose keys are names of the study
 TYPES = {"str": "text", "float": "number", "int": "whole number", "bool": "true or false", "NoneType": "null"}
 
 _HEAD = """# JSON
@@ -75,33 +85,35 @@ def program_hash() -> str:
 
 
 def print_all() -> dict[str, Any]:
-    """Run the commands on the sample runs as tables, and return what each prints."""
+    """Run the commands on the sample runs, and return what each prints."""
     folder = Path(tempfile.mkdtemp())
     try:
-        write_study(folder)
+        write_studies(folder)
         with contextlib.chdir(folder):
-            return {name: _printed(name, extra) for name, extra in COMMANDS.items()}
+            return {name: _printed(name, arguments) for name, arguments in COMMANDS.items()}
     finally:
         shutil.rmtree(folder)
 
 
-def write_study(folder: Path) -> None:
-    """Write the sample runs as tables, and their study file."""
+def write_studies(folder: Path) -> None:
+    """Write the sample runs as tables and one of them as a film, each with its study file."""
     lines = ['[study]\nname = "sample"\nmass = 0.35\n']
     for run in ft.samples.runs():
         columns = {"t_s": run.displacement.t, "x_m": run.displacement.x}
         pd.DataFrame(columns).to_csv(folder / f"{run.name}.csv", index=False)
         lines.append(f'[[run]]\ntable = "{run.name}.csv"\nmass = {run.mass}\n')
-    (folder / "study.toml").write_text("\n".join(lines))
+    (folder / TABLES).write_text("\n".join(lines))
+    shutil.copy(ft.samples.films_folder() / "fast.avi", folder)
+    camera = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
+    (folder / FILM).write_text(f'[study]\nmass = 0.35\n{camera}[[run]]\nvideo = "fast.avi"\n')
 
 
-def _printed(command: str, extra: tuple[str, ...]) -> Any:
+def _printed(command: str, arguments: tuple[str, ...]) -> Any:
     """JSON that a command prints."""
-    study = () if command == "effects" else ("study.toml",)
     out = io.StringIO()
     with contextlib.redirect_stdout(out), open(os.devnull, "w") as nothing, contextlib.redirect_stderr(nothing):
         try:
-            main([command, *study, *extra, "--json"])
+            main([command, *arguments, "--json"])
         except SystemExit as end:
             if end.code:
                 raise
