@@ -234,8 +234,8 @@ def test_what_the_runs_show_too_little_of_is_left_open():
     ]
     assert describe_axes(axes).startswith("These runs do not determine whether the misfit repeats")
     assert describe_axes([replace(a, evidence=-40.0) for a in axes]).startswith("The misfit does not repeat")
-    most = describe_axes([replace(a, evidence=-40.0, explained=0.97) for a in axes])
-    assert "alone explains 97.0 % of what a force of its own in every run explains" in most
+    most = describe_axes([replace(a, evidence=-40.0, explained=0.995) for a in axes])
+    assert "alone explains 99.5 % of what a force of its own in every run explains" in most
 
 
 def test_what_the_other_runs_predict_repeats_however_narrow_it_is():

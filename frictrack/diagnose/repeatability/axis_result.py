@@ -9,7 +9,7 @@ from typing import Any
 from frictrack.axes import AXES
 
 MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs must predict, and its significance level
-MIN_EXPLAINED = 0.9  # of the gain of separate forces, above which a common one may be most of the misfit
+MIN_EXPLAINED = 0.99  # of the gain of separate forces, above which a common one may be most of the misfit
 MIN_EVIDENCE = 10.0  # twice the log likelihood ratio that decides
 
 AXIS_TEXTS = {
