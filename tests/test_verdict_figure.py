@@ -143,7 +143,7 @@ def test_a_diagnosis_stores_its_residual_with_and_without_the_effect_found(patch
 def test_a_diagnosis_draws_its_verdict(patched):
     fit, found = patched
     figure = plots.verdict(found)
-    assert figure.get_suptitle().startswith("coulomb + viscous lacks patch: with it the residual falls from ")
+    assert figure.get_suptitle().startswith("Coulomb + viscous lacks patch: with it the residual falls from ")
     assert "with patch, as tried" in drawn(figure)
     better = ft.fit(fit.model + "patch", fit.runs)
     later = data_of_diagnosis(found, better)

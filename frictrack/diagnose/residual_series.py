@@ -10,7 +10,7 @@ from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
 from frictrack.records import Array
 
-MAX_SAMPLES_PER_RUN = 300  # of a figure; a panel of a page shows no more
+MAX_SAMPLES_PER_RUN, MAX_SAMPLES = 300, 40_000  # of a figure; a panel of a page shows no more
 
 
 def residual_series(before: Solution, after: Solution | None, effects: Sequence[str]) -> dict[str, Array]:
@@ -53,7 +53,8 @@ def _kept_frames(solution: Solution) -> slice:
     """Every k-th frame of each piece."""
     runs = {r.piece.run for r in solution.responses}
     frames = sum(len(r.piece.t) for r in solution.responses)
-    return slice(None, None, max(1, -(-frames // (len(runs) * MAX_SAMPLES_PER_RUN))))
+    wanted = min(len(runs) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
+    return slice(None, None, max(1, -(-frames // wanted)))
 
 
 def _series(first: PieceResponse, second: PieceResponse | None, kept: slice) -> dict[str, Array]:

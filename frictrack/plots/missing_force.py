@@ -96,14 +96,20 @@ def _strongest_runs(
     whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
 ) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
     """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
-    run, size = whole["run"], (whole["F"] / whole["sigma_F"]) ** 2
-    known = np.unique(run)
-    kept = np.sort(sorted(known, key=lambda k: -float(np.mean(size[run == k])))[:MAX_RUNS])
+    run = whole["run"]
+    known, mean = mean_per_run(run, (whole["F"] / whole["sigma_F"]) ** 2)
+    kept = np.sort(known[np.argsort(-mean, kind="stable")[:MAX_RUNS]])
     rows = np.isin(run, kept)
     drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
     names = list(styles)
     looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
     return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
+
+
+def mean_per_run(run: Array, values: Array) -> tuple[Array, Array]:
+    """Runs (R,) of some rows, and the mean of a column (R,) over the rows of each."""
+    names, row = np.unique(run, return_inverse=True)
+    return names, np.bincount(row, values) / np.bincount(row)
 
 
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:

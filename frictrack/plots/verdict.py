@@ -16,7 +16,14 @@ from frictrack.axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel
-from frictrack.plots.missing_force import at_reference_load, draw_common, draw_runs, force_label, force_limits
+from frictrack.plots.missing_force import (
+    at_reference_load,
+    draw_common,
+    draw_runs,
+    force_label,
+    force_limits,
+    mean_per_run,
+)
 from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.plots.verdict_data import (
     DiagnosisLike,
@@ -106,7 +113,11 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
         if whole is not None:
             one = whole.of_runs(shown)
             _draw_lines(ax, one.along["run"], one.along[data.axis], one.values, color=colour, lw=0.9, alpha=0.85)
-            handles.append(Line2D([], [], color=colour, lw=1.8, label=one.name + _how_many(whole)))
+            handles.append(
+                Line2D(
+                    [], [], color=colour, lw=1.8, label=one.name + (_how_many(whole) if whole is data.before else "")
+                )
+            )
     band = style.BAND_SIGMAS * float(np.median(data.before.sigma))
     ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
@@ -121,10 +132,8 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
 
 def _worst_runs(residuals: Residuals) -> Array:
     """The runs to draw: of many, those with the largest residual over its noise."""
-    run, size = residuals.along["run"], (residuals.values / residuals.sigma) ** 2
-    names = np.unique(run)
-    worst = sorted(names, key=lambda k: -float(np.mean(size[run == k])))
-    return np.array(worst[:MAX_RUNS_DRAWN])
+    names, mean = mean_per_run(residuals.along["run"], (residuals.values / residuals.sigma) ** 2)
+    return names[np.argsort(-mean, kind="stable")[:MAX_RUNS_DRAWN]]
 
 
 def _residual_title(data: VerdictData) -> str:
