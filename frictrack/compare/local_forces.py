@@ -182,13 +182,13 @@ def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
         for i, at in enumerate(found.nodes)
     ]
     try:
-        refitted = _refit_beside(found.law.solution, bare, forces)
+        refitted = _refit_with_forces(found.law.solution, bare, forces)
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
     return _prune(_fit_bumps(replace(start_search(model_projection(refitted)), bumps=found.bumps)))
 
 
-def _refit_beside(solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array]) -> Solution:
+def _refit_with_forces(solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array]) -> Solution:
     """Refit a model beside forces at the nodes of every piece (3 p,), N; its residual is as if they did not act.
 
     A model with a large misfit is far from its linearisation; beside the force that it lacks it is not.
