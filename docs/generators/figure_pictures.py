@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from json_reference import program_hash
-from page_text import write_page
-
-from frictrack.plots import png
+from page_text import small_png, write_page
 
 PICTURE_DPI = 90
 SETUP = """import frictrack as ft
@@ -77,7 +75,7 @@ def drawn() -> dict[str, bytes]:
             if line not in done:
                 exec(line, names)
                 done.add(line)
-    return {name: png(eval(call, names), PICTURE_DPI) for name, (_, call) in CALLS.items()}
+    return {name: small_png(eval(call, names), PICTURE_DPI) for name, (_, call) in CALLS.items()}
 
 
 def example_of(name: str) -> str:

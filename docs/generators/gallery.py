@@ -18,14 +18,13 @@ from gallery_figures import failure_figure, thumbnail
 from gallery_fit import Failure, fit_without
 from gallery_runs import EXAMPLES, Example
 from gallery_separation import Separation, separating_run
-from page_text import code, keep_only, plain, prose, sentence, table, write_page
+from page_text import code, keep_only, plain, prose, sentence, small_png, table, write_page
 
 from frictrack import __version__, effects
 from frictrack.diagnose import MIN_CHI2_SEPARATED
 from frictrack.effects import Effect, Parameter
 from frictrack.effects.path import NEEDS
 from frictrack.number_format import format_number
-from frictrack.plots import png
 
 WIDE_PAGE = "---\nhtml_theme.sidebar_secondary.remove: true\n---\n"
 MAX_LOOKALIKES = 4  # effects in the table of what an effect is confused with
@@ -111,8 +110,8 @@ def _make_page(folder: Path, name: str) -> None:
     failure = fit_without(name, EXAMPLES[name])
     folder.mkdir(parents=True, exist_ok=True)
     page, picture, small = (folder / file for file in _files(name))
-    picture.write_bytes(png(failure_figure(failure), PICTURE_DPI))
-    small.write_bytes(png(thumbnail(failure), THUMBNAIL_DPI))
+    picture.write_bytes(small_png(failure_figure(failure), PICTURE_DPI))
+    small.write_bytes(small_png(thumbnail(failure), THUMBNAIL_DPI))
     write_page(page, effect_page(failure))
 
 

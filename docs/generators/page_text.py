@@ -1,10 +1,18 @@
-"""Write Markdown pages: tables, escapes, and files that change only when their text does."""
+"""Write Markdown pages: tables, escapes, small pictures, and files that change only when their text does."""
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from matplotlib.figure import Figure
+from PIL import Image
+
+from frictrack.plots import png
+
+MAX_COLOURS = 128  # of a picture
 
 
 def write_page(path: Path, text: str) -> None:
@@ -20,6 +28,14 @@ def keep_only(folder: Path, names: Iterable[str]) -> None:
     for path in folder.glob("*.md"):
         if path.name not in kept:
             path.unlink()
+
+
+def small_png(figure: Figure, dpi: float) -> bytes:
+    """Convert a figure to a PNG of few colours, a third of the size."""
+    picture = Image.open(io.BytesIO(png(figure, dpi))).convert("RGB").quantize(MAX_COLOURS)
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
