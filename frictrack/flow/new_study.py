@@ -37,12 +37,29 @@ def check_entered(keys: Mapping[str, Any]) -> None:
         (usage) With all of them, each with what was read and what to type instead.
 
     """
-    try:
-        found = [_as_option(str(one)) for one in implausible_entries(_entered_values(keys))]
-    except FrictrackError as e:
-        raise FrictrackError(str(e), usage=True) from e
+    found = [_as_option(str(one)) for one in implausible_entries(read_keys(keys))]
     if found:
         raise FrictrackError("; ".join(found), usage=True)
+
+
+def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
+    """Read the numbers that a user typed.
+
+    Parameters
+    ----------
+    keys
+        mass, scale and fps as they were typed; None if not given.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If one of them is no such quantity.
+
+    """
+    try:
+        return _entered_values(keys)
+    except FrictrackError as e:
+        raise FrictrackError(str(e), usage=True) from e
 
 
 def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
@@ -135,6 +152,7 @@ def start_study(
     """
     paths = expand_folders(recordings)
     refuse_existing(path)
+    read_keys(keys)
     found = [survey(one) for one in paths]
     for one in found:
         if one.is_usable:
