@@ -124,8 +124,9 @@ def find_local_forces(solution: Solution) -> LocalForces:
     """Find the local forces in the residual of a fit.
 
     A model with a large misfit is far from its linearisation: it is refitted once or twice beside the forces found.
-    Its friction levels absorb misfit too (a run may seem to have a tenth of the friction); therefore the search starts
-    where all runs have one level, and their scatter is estimated anew beside the forces.
+    Its friction levels absorb misfit too (a run may seem to have a twentieth of the friction). Therefore the search
+    first starts where all runs have one level, and estimates their scatter anew beside the forces. If forces remain,
+    they are none of few places or times, and the search starts at the fit.
 
     Parameters
     ----------
@@ -141,11 +142,17 @@ def find_local_forces(solution: Solution) -> LocalForces:
     law = model_projection(solution)
     if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
         return continue_search(start_search(law))
-    found = continue_search(start_search(model_projection(_at_one_level(solution))))
+    found = _search_and_refit(model_projection(_at_one_level(solution)), solution.problem, anew=True)
+    return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, anew=False)
+
+
+def _search_and_refit(law: ModelProjection, bare: LeastSquaresProblem, *, anew: bool) -> LocalForces:
+    """Search, refit the model beside what is found, and search on; `anew` estimates the scatter of the levels again."""
+    found = continue_search(start_search(law))
     for _ in range(MAX_REFITS):
         if not found.bumps or _misfit(found.law) <= MIN_REDUCED_CHI2_REFITTED:
             break
-        found = continue_search(_refit(found, solution.problem))
+        found = continue_search(_refit(found, bare, anew=anew))
     return found
 
 
@@ -175,20 +182,22 @@ def continue_search(found: LocalForces) -> LocalForces:
     return replace(found, p_remaining=_strongest_bumps(found)[1])
 
 
-def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
+def _refit(found: LocalForces, bare: LeastSquaresProblem, *, anew: bool) -> LocalForces:
     """Refit the model together with the bumps found, and search on in what both leave."""
     forces = [
         sum((b.size * at.force(b) for b in found.bumps if b.piece in (None, i)), np.zeros(len(at.t)))
         for i, at in enumerate(found.nodes)
     ]
     try:
-        refitted = _refit_with_forces(found.law.solution, bare, forces)
+        refitted = _refit_with_forces(found.law.solution, bare, forces, anew=anew)
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
     return _prune(_fit_bumps(replace(start_search(model_projection(refitted)), bumps=found.bumps)))
 
 
-def _refit_with_forces(solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array]) -> Solution:
+def _refit_with_forces(
+    solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array], *, anew: bool
+) -> Solution:
     """Refit a model beside forces at the nodes of every piece (3 p,), N; its residual is as if they did not act.
 
     A model with a large misfit is far from its linearisation; beside the force that it lacks it is not.
@@ -197,9 +206,11 @@ def _refit_with_forces(solution: Solution, bare: LeastSquaresProblem, forces: Se
         replace(piece, known=piece.known - force / piece.mass) for piece, force in zip(bare.pieces, forces, strict=True)
     ]
     problem = bare.rebuild(bare.layout, pieces)
-    tied = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
-    tau = max(tied.level_scatter(), MIN_LEVEL_SCATTER)
-    refitted = refine(problem, tied.p, tied.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
+    start, tau = solution, max(solution.tau, MIN_LEVEL_SCATTER)
+    if anew:
+        start = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
+        tau = max(start.level_scatter(), MIN_LEVEL_SCATTER)
+    refitted = refine(problem, start.p, start.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
     return replace(
         refitted,
         responses=[
