@@ -80,12 +80,13 @@ def tables(study_file: Path) -> Iterator[Server]:
 def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     page = tab().open(bench)
     for film in sorted(SAMPLES.glob("*.avi")):
-        page.page.get_by_label(film.name).check()
+        if film.stem != "double_mass":  # one mass for all films
+            page.page.get_by_label(film.name).check()
     for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm/px"}.items():
         page.page.get_by_label(label).fill(value)
     page.picture("1_films")
     page.click("Add to the study").hears("study.toml is written")
-    page.sees("frame 0 of 200")
+    page.sees("frame 0 of 150")
     page.click("Run everything").hears("run: done")
     page.sees(re.compile(r"Tustin: reduced chi-squared .*missing"))
     page.picture("2_measured")
@@ -98,7 +99,7 @@ def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     page.picture("5_tried")
     page.click("Add patch").hears("add patch: done")
     page.click("Find what is missing").hears("diagnose: done")
-    page.sees("Complete: no further effect is detectable in these runs")
+    page.sees("Undetermined: these runs cannot show whether something is missing")  # drag, at one mass
     page.sees(re.compile("Held-out error falls from"))
     page.picture("6_added")
     page.to("6 History and report").sees("Tustin + patch (current)")
@@ -143,7 +144,7 @@ def test_plots_answer_the_keyboard(bench: Server, tab: Open) -> None:
 
 def test_a_target_is_drawn_on_the_film_and_taken_back(bench: Server, tab: Open) -> None:
     page = tab().open(bench)
-    page.sees("frame 0 of 200")
+    page.sees("frame 0 of 150")
     before = bench.study.joinpath("study.toml").read_text(encoding="utf-8")
     page.click("target")
     canvas = page.page.locator(".ft-frame")
