@@ -29,7 +29,7 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.fit.least_squares import heldout_rms, refine
-from frictrack.records import Displacement, Motion
+from frictrack.records import Displacement, Motion, Run
 from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
@@ -412,3 +412,23 @@ def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     plain_law, one_line, whole = (fit(law, [run]).solution for law in ("tustin", "atm1:1", "atm1:2"))
     assert whole.chi2 < 1.15 * whole.problem.n_frames
     assert one_line.chi2 < plain_law.chi2
+
+
+def test_a_rejected_model_is_fitted_through_a_stop():
+    """Its motion up to the stop is found again when the effects are put into the order of the model."""
+    values = {"coulomb": {"F_c": 1.0}, "stribeck": {"F_s": 0.5, "v_s": 0.3, "delta": 1.0}, "viscous": {"F_v": 0.1}}
+    values["patch"] = {"F": 0.5, "x_c": 0.25, "w": 0.02}
+    law, rng, runs = models.of(list(values)), np.random.default_rng(22), []
+    for name, v, ratio, n in (
+        ("slow", 1.8, 1.0, 530),
+        ("fast", 3.0, 1.0, 235),
+        ("heavy", 2.6, 2.0, 282),
+        ("back", -2.6, 1.0, 289),
+    ):
+        t = np.arange(n) * 1e-3
+        motion = simulate(law, values, Conditions(0.35 * ratio, ratio, ratio, 5e-4), t, (0.0 if v > 0 else 0.6, v))
+        x = motion.x + 1e-6 * rng.standard_normal(n)
+        runs.append(Run.from_arrays(t, x, mass=0.35 * ratio, name=name))
+    fitted = fit("tustin", runs)
+    assert fitted.model.names == ["coulomb", "stribeck", "viscous"]
+    assert fitted.reduced_chi2 > 100

@@ -107,17 +107,20 @@ class _Simulation:
         The pieces.
     columns : list of list of int
         Groups of unknowns that affect each piece.
+    first : array of shape (3 p,)
+        First guess of the accelerations.
 
     """
 
     joined: JoinedPieces
     columns: list[list[int]]
+    first: Array
     previous: _PreviousMotion | None = None
 
     def guess(self, law: JoinedLaw, starts: Array) -> tuple[Array, Array | None]:
         """First guess of the accelerations (3 p,): the previous ones, and if there are any, the extrapolated ones."""
         if self.previous is None:
-            return np.concatenate([piece.a_hat for piece in self.joined.pieces]), None
+            return self.first, None
         changes = np.zeros((len(self.columns), len(law.structure.groups)))
         for row, columns, piece in zip(changes, self.columns, self.joined.pieces, strict=True):
             active = law.layout.active(piece.run)
@@ -159,6 +162,14 @@ class LeastSquaresProblem:
         together = model.memory or any(piece.turns for piece in self.pieces)
         self._structure = LawStructure.of(layout, together=together)
         self._simulations: dict[tuple[int, ...], _Simulation] = {}
+        self._first_accelerations = [piece.a_hat for piece in self.pieces]
+
+    def beginning_at(self, motions: Sequence[CollocationSolution]) -> LeastSquaresProblem:
+        """Return the same problem, whose first simulation begins at these motions of the pieces."""
+        near = copy(self)
+        near._simulations = {}
+        near._first_accelerations = [motion.a for motion in motions]
+        return near
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces."""
@@ -240,7 +251,9 @@ class LeastSquaresProblem:
         """The simulation of some pieces together, with their previous motion."""
         if rows not in self._simulations:
             pieces = tuple(self.pieces[i] for i in rows)
-            self._simulations[rows] = _Simulation(JoinedPieces(pieces), [self._columns_of(q.run) for q in pieces])
+            columns = [self._columns_of(q.run) for q in pieces]
+            first = np.concatenate([self._first_accelerations[i] for i in rows])
+            self._simulations[rows] = _Simulation(JoinedPieces(pieces), columns, first)
         return self._simulations[rows]
 
     def _columns_of(self, run: int) -> list[int]:

@@ -211,6 +211,8 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     values = dict(zip(old.names, solution.p, strict=True))
     p = np.array([values[n] for n in layout.names])
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
+    if problem.simulates:  # a motion up to its stop may not be found again from afar
+        problem = problem.beginning_at([r.motion for r in solution.responses])
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
