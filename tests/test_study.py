@@ -448,3 +448,14 @@ def test_a_drive_is_a_pressure_times_an_area(folder: Path) -> None:
 )
 def test_every_fault_of_a_drive_or_a_sensor_is_said(folder: Path, text: str, expected: str) -> None:
     assert expected in sentence(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{text}\n")
+
+
+def test_a_key_that_all_runs_lack_is_asked_for_once(tmp_path):
+    for name in "abc":
+        (tmp_path / f"{name}.avi").touch()
+    runs = "".join(f'[[run]]\nvideo = "{name}.avi"\n' for name in "abc")
+    (tmp_path / "study.toml").write_text(f'[camera]\nfps = 4000\nscale = "0.5 mm/px"\n{runs}')
+    with pytest.raises(FrictrackError) as caught:
+        (tmp_path / "study.toml")
+    assert str(caught.value).count("expected a mass but got none") == 1
+    assert "[[run]] number 1, line 4, and 2 more runs: expected a mass" in str(caught.value)

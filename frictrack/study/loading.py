@@ -200,6 +200,7 @@ class _Reader:
         self.context = context
         self.allow_no_runs = allow_no_runs
         self.faults: list[str] = []
+        self.faults_of_runs: dict[str, list[str]] = {}  # where, by fault: several runs often lack the same
 
     def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
         for name, value in raw.items():
@@ -223,6 +224,7 @@ class _Reader:
                 f'"{head.output or output.name}", which is outside; choose another folder, or allow that one: '
                 f"{ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
             )
+        self.faults += [f"{_and_more(where)}: {fault}" for fault, where in self.faults_of_runs.items()]
         self._check_names(merged)
         return Study(
             path=path,
@@ -285,7 +287,8 @@ class _Reader:
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
         if run.table and needs_film(run.scale):  # a board in the camera's view gives no scale of a table
             run = run.model_copy(update={"scale": None})
-        self.faults += [f"{where}: {fault}" for fault in _run_faults(run)]
+        for fault in _run_faults(run):
+            self.faults_of_runs.setdefault(fault, []).append(where)
         return run
 
     def _check_names(self, runs: tuple[RunTable, ...]) -> None:
@@ -316,6 +319,12 @@ def _is_allowed(output: Path, folder: Path) -> bool:
         return any(output.resolve().is_relative_to(home.resolve()) for home in (folder, *map(Path, allowed)))
     except (ValueError, OSError, RuntimeError):  # a NUL, a name that is too long, links in a circle
         return False
+
+
+def _and_more(places: list[str]) -> str:
+    """Name the first of the runs that have the same fault, and how many others there are."""
+    more = len(places) - 1
+    return places[0] + (f", and {more} more run{'s' * (more > 1)}" if more else "")
 
 
 def _tables(raw: dict[str, Any], name: str) -> list[Any]:
