@@ -456,6 +456,6 @@ def test_a_key_that_all_runs_lack_is_asked_for_once(tmp_path):
     runs = "".join(f'[[run]]\nvideo = "{name}.avi"\n' for name in "abc")
     (tmp_path / "study.toml").write_text(f'[camera]\nfps = 4000\nscale = "0.5 mm/px"\n{runs}')
     with pytest.raises(FrictrackError) as caught:
-        (tmp_path / "study.toml")
+        load(tmp_path / "study.toml")
     assert str(caught.value).count("expected a mass but got none") == 1
     assert "[[run]] number 1, line 4, and 2 more runs: expected a mass" in str(caught.value)
