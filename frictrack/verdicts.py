@@ -36,17 +36,48 @@ def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
     --------
     >>> describe_verdict({"verdict": "missing", "missing": ["texture"], "candidates": []})
     'an effect is missing: texture'
+    >>> candidates = [{"effect": "texture"}, {"effect": "patch", "indistinguishable_from": ["spring"]}]
+    >>> describe_verdict({"verdict": "ambiguous", "missing": ["texture", "patch"], "candidates": candidates})
+    'an effect is missing: texture; several effects explain the rest equally well: patch, spring'
 
     """
     if diagnosis["verdict"] == "undetermined":
         return f"{VERDICTS['undetermined']}: {describe_open_question(diagnosis)}"
-    names = indistinguishable_effects(diagnosis) if diagnosis["verdict"] == "ambiguous" else []
-    names = [*names, *(name for name in diagnosis["missing"] if name not in names)]
-    return ": ".join(filter(None, (VERDICTS[diagnosis["verdict"]], ", ".join(names))))
+    if diagnosis["verdict"] != "ambiguous":
+        return ": ".join(filter(None, (VERDICTS[diagnosis["verdict"]], ", ".join(diagnosis["missing"]))))
+    certain, group = certain_effects(diagnosis), ", ".join(indistinguishable_effects(diagnosis))
+    if not certain:
+        return f"{VERDICTS['ambiguous']}: {group}"
+    return f"{VERDICTS['missing']}: {', '.join(certain)}; several effects explain the rest equally well: {group}"
+
+
+def certain_effects(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Select the missing effects that these runs distinguish from all others.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis.
+
+    Examples
+    --------
+    >>> patch = {"effect": "patch", "indistinguishable_from": ["spring"]}
+    >>> candidates = [{"effect": "texture", "indistinguishable_from": []}, patch]
+    >>> certain_effects({"missing": ["texture", "patch"], "candidates": candidates})
+    ['texture']
+
+    """
+    rivals = _rivals(diagnosis)
+    unclear = indistinguishable_effects(diagnosis)
+    return [name for name in diagnosis["missing"] if not rivals.get(name) and name not in unclear]
+
+
+def _rivals(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
+    return {c["effect"]: c.get("indistinguishable_from") or [] for c in diagnosis["candidates"]}
 
 
 def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Select the best candidate of a diagnosis and the effects that these runs cannot distinguish from it.
+    """Select the first effect of a diagnosis that these runs cannot distinguish from others, and these; else the best.
 
     Parameters
     ----------
@@ -59,9 +90,10 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
         Names of the effects, the best first.
 
     """
-    best = diagnosis["missing"][0] if diagnosis["missing"] else diagnosis["candidates"][0]["effect"]
-    found: Mapping[str, Any] = next((c for c in diagnosis["candidates"] if c["effect"] == best), {})
-    return [best, *found.get("indistinguishable_from", [])]
+    rivals = _rivals(diagnosis)
+    names = diagnosis["missing"] or [diagnosis["candidates"][0]["effect"]]
+    first = next((name for name in names if rivals.get(name)), names[0])
+    return [first, *rivals.get(first, [])]
 
 
 def describe_open_question(diagnosis: Mapping[str, Any]) -> str:

@@ -35,7 +35,7 @@ from frictrack.plots.verdict_data import (
 )
 from frictrack.records import Array, Mask
 from frictrack.results import ModelResults, Results
-from frictrack.verdicts import VERDICTS, indistinguishable_effects
+from frictrack.verdicts import VERDICTS, certain_effects, indistinguishable_effects
 
 HEIGHT_IN = 3.3
 MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
@@ -96,7 +96,7 @@ def _headline(data: VerdictData) -> str:
 
 
 def _lacking(diagnosis: Mapping[str, Any]) -> str:
-    names = indistinguishable_effects(diagnosis)
+    names = [*certain_effects(diagnosis), *indistinguishable_effects(diagnosis)]
     return " or ".join(names) if diagnosis["verdict"] == "ambiguous" else " and ".join(diagnosis["missing"])
 
 

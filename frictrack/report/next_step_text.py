@@ -11,7 +11,7 @@ from frictrack.report.candidate_text import find_candidate, lower_first
 from frictrack.report.fit_text import NO_SCALE_ERROR, has_measured_friction, scale_error
 from frictrack.report.markup import mark_code
 from frictrack.results import Results
-from frictrack.verdicts import VERDICT_ONLY, indistinguishable_effects
+from frictrack.verdicts import VERDICT_ONLY, certain_effects, indistinguishable_effects
 
 MAX_GAPS = 2  # open questions whose answer is proposed
 
@@ -71,8 +71,9 @@ def _missing(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
 
 def _ambiguous(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
     rivals = indistinguishable_effects(diagnosis)
+    first = [*certain_effects(diagnosis), *rivals][0]
     yield from _experiment(diagnosis) or _confirm(diagnosis, rivals)
-    yield Markup("To see how much <b>{}</b> explains: {}.").format(rivals[0], _command("add", study, rivals[0]))
+    yield Markup("To see how much <b>{}</b> explains: {}.").format(first, _command("add", study, first))
 
 
 def _unexplained(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:

@@ -22,7 +22,7 @@ from frictrack.report.candidate_text import (
 )
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
-from frictrack.verdicts import indistinguishable_effects
+from frictrack.verdicts import certain_effects, indistinguishable_effects
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -107,7 +107,8 @@ def model_status(diagnosis: Mapping[str, Any]) -> str:
     if diagnosis["verdict"] == "undetermined":
         return "is neither confirmed nor refuted"
     if diagnosis["verdict"] == "ambiguous":
-        return f"lacks {join_words(indistinguishable_effects(diagnosis), 'or')}"
+        certain, group = certain_effects(diagnosis), join_words(indistinguishable_effects(diagnosis), "or")
+        return f"lacks {join_words(certain)}, and {group}" if certain else f"lacks {group}"
     if diagnosis["verdict"] == "missing":
         return f"lacks {join_words(diagnosis['missing'])}"
     return "fails, and part of the misfit is unexplained"
@@ -134,7 +135,8 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
         gaps = diagnosis.get("undetermined") or [{"what": "the law"}]
         return f"Undetermined: these runs do not determine {join_words([gap['what'] for gap in gaps[:MAX_GAPS_NAMED]])}"
     if kind == "ambiguous":
-        return f"{name} {model_status(diagnosis)}: these runs cannot distinguish them"
+        unclear = "the last of them" if certain_effects(diagnosis) else "them"
+        return f"{name} {model_status(diagnosis)}: these runs cannot distinguish {unclear}"
     return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
 
 
@@ -223,8 +225,11 @@ def _model_fails(model: ModelResults, diagnosis: Mapping[str, Any]) -> Markup:
 
 def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield from _missing(model, diagnosis)
-    others = indistinguishable_effects(diagnosis)[1:]
-    yield Markup("But <b>{}</b> would predict the same data within the noise.").format(join_words(others, "or"))
+    first, *others = indistinguishable_effects(diagnosis)
+    if others:
+        yield Markup("In place of <b>{}</b>, <b>{}</b> would predict the same data within the noise.").format(
+            first, join_words(others, "or")
+        )
 
 
 def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
