@@ -182,14 +182,13 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
 
 
 def test_a_film_that_vanishes(tmp_path: Path) -> None:
-    """Before it is opened, and while it is read: one sentence, and what was measured of others stays."""
+    """Before work begins, and while it is read: one sentence; nothing half-written stays."""
     folder = filmed(tmp_path)
     study = open_study(folder / "day_1" / "study.toml")
     (folder / "day_1" / "fast.avi").unlink()
     with pytest.raises(FrictrackError, match=r"fast.avi: expected a recording but there is no such file"):
         Session(study).bring_up_to("friction")
-    # Forces wait until the motion of all runs is checked.
-    assert run_pipeline(study, study.runs[0]).is_current("motion")
+    assert not run_pipeline(study, study.runs[0]).is_current("motion")  # all recordings are opened before work begins
     shutil.copy(SAMPLE, folder / "day_1")
     work = run_pipeline(study, study.runs[1])
     assert work.recording.n_frames > 0

@@ -350,7 +350,7 @@ TARGETS = {
         Target("cihx", lambda: [p.read_bytes() for p in CAMERAS.glob("*.cihx")], photron("film.cihx")),
         Target("folder", lambda: [b"\0" + seeds.picture(s) for s in (".png", ".bmp", ".jpg", ".tif")], pictures),
         Target("study", lambda: seeds.texts(STUDY), study),
-        Target("scene", lambda: [(ROOT / "frictrack/simulate/scene/sample.toml").read_bytes()], scene),
+        Target("scene", lambda: [(ROOT / "sample_videos/scene.toml").read_bytes()], scene),
         Target("formula", lambda: seeds.texts(*FORMULAS), formula, 600),
         Target("unit", lambda: seeds.texts("0.350 +/- 0.002 kg", "(350 ± 2) g", "1e3 +/- 1% mg^2/g"), unit, 200),
         Target("scale", lambda: seeds.texts("0.500 +/- 0.002 mm/px", "5e-4"), scale, 200),
