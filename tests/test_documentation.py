@@ -15,6 +15,7 @@ import pytest
 
 import frictrack
 from frictrack import effects, plots
+from frictrack.compare import WaveScan, deconvolve_force, find_local_forces
 from frictrack.study import schema
 
 pytest.importorskip("numpydoc", reason="the documentation needs the extra docs")
@@ -208,3 +209,15 @@ def test_the_links_inside_the_documentation_lead_somewhere(built):
             if not re.match(r"[a-z]+:", target) and not (page.parent / target).exists():
                 broken.append((str(page.relative_to(built)), target))
     assert broken == []
+
+
+def test_a_broad_missing_force_is_centred_as_the_gallery_shows_it():
+    """Beside many local forces the model may move far away; the curve then had ten times the size of the force."""
+    made = gallery_runs.simulate_example("measured_load", gallery_runs.EXAMPLES["measured_load"])
+    fit = frictrack.fit("tustin", [one.run for one in made])
+    local = find_local_forces(fit.solution)
+    pieces, _ = deconvolve_force(local, WaveScan(local.law.solution))
+    for piece in pieces:
+        truth, curve = made[piece.run].truth, fit.curves[piece.run]
+        missing = np.interp(piece.t, curve.t, np.interp(curve.t, truth.t, truth.F) - curve.F_model)
+        assert np.sqrt(np.mean(piece.F**2)) < 1.8 * np.std(missing)

@@ -4,10 +4,13 @@ The force is a Gaussian process (Matern 3/2) through knots. Its trace in the dis
 model's own forces; initial conditions, model parameters and friction levels are free beside it. Amplitude and
 correlation length are averaged over with the restricted likelihood of all runs as weight, so that the band includes
 their uncertainty. Significant local forces and waves are subtracted first, because the process would smear them. The
-part of a slow force that the model can absorb is in neither the curve nor its band: no run determines it.
+part of a slow force that the model can absorb is not determined by any run, and not in the band. Where neither a wave
+nor a sinusoid describes the force, the curve is the one of least absolute value among those that differ by what the
+model can absorb: a local force stays local, and a smooth one is centred.
 
 References
 ----------
+Bloomfield & Steiger (1983), Least Absolute Deviations.
 Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, ch. 2 and 5.
 
 """
@@ -36,6 +39,9 @@ MAX_KNOTS = 100  # per piece
 MIN_KNOT_SPACING_FRAMES = 4.0  # frames between knots
 N_CORRELATION_LENGTHS = 5  # from a few knots to a quarter of the longest piece
 SIZE_RATIOS = np.geomspace(0.1, 3e4, 31)  # amplitudes over the smallest that the runs show
+N_REWEIGHTED = 40  # steps of iteratively reweighted least squares
+MIN_RELATIVE_FORCE = 1e-5  # of the largest force, below which all count alike
+MIN_FREE_SCATTER = 2e-3  # relative scatter of the friction levels, above which the model may shift them
 MIN_RELATIVE_WEIGHT = 0.01  # relative weight below which an amplitude and length are left out
 
 
@@ -155,9 +161,35 @@ def deconvolve_force(found: LocalForces, waves: WaveScan) -> tuple[list[Deconvol
     else:
         means, variances = _model_averaged_force(found.residual, found.dictionary.maps)
         forces, extra_variances = bump_forces(found)
-        means = [m + f for m, f in zip(means, forces, strict=True)]
+        means = _least_absolute([m + f for m, f in zip(means, forces, strict=True)], found.law.solution)
     pieces = zip(found.residual.responses, means, variances, extra_variances, strict=True)
     return [_deconvolved_piece(response, mean, variance + band) for response, mean, variance, band in pieces], line
+
+
+def _least_absolute(forces: list[Array], solution: Solution) -> list[Array]:
+    """Subtract from forces (n,) per piece what the model can absorb, so that the sum of absolute values is least."""
+    free = [slot.run is None or solution.tau > MIN_FREE_SCATTER for slot in solution.problem.layout.slots]
+    columns = np.vstack([_force_sensitivities(solution, response)[:, free] for response in solution.responses])
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    force = np.concatenate(forces)
+    left, floor = force, MIN_RELATIVE_FORCE * float(np.max(np.abs(force), initial=1e-12))
+    for _ in range(N_REWEIGHTED):
+        weighted = columns / np.sqrt(np.abs(left) + floor)[:, None]
+        gram = weighted.T @ weighted
+        right = weighted.T @ (force / np.sqrt(np.abs(left) + floor))
+        left = force - columns @ np.linalg.lstsq(gram, right, rcond=1e-8)[0]
+    return np.split(left, np.cumsum([len(f) for f in forces])[:-1])
+
+
+def _force_sensitivities(solution: Solution, response: PieceResponse) -> Array:
+    """Friction force at the frames of a piece per unit of every unknown, N, (n, P)."""
+    piece, problem = response.piece, solution.problem
+    at_nodes = -piece.mass * problem.acceleration_sensitivities(piece, solution.p, response.motion)
+    out = np.zeros((len(piece.t), len(solution.p)))
+    for k, column in zip(response.active, at_nodes.T, strict=True):
+        out[:, k] = np.interp(piece.t, piece.panels.t, column)
+    return out
 
 
 def _vibration(solution: Solution) -> float | None:

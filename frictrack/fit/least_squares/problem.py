@@ -337,10 +337,10 @@ class LeastSquaresProblem:
         self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
     ) -> Array:
         """Compute the sensitivities (n, 2, A + 2) of position and speed to the active unknowns and to the start."""
-        edges = linear.edge_states(*_with_starts(self._acceleration_sensitivities(piece, p, motion).T))
+        edges = linear.edge_states(*_with_starts(self.acceleration_sensitivities(piece, p, motion).T))
         return edges[piece.at]
 
-    def _acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution) -> Array:
+    def acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution) -> Array:
         """Acceleration at the nodes of one piece per unit of every active unknown, (3 p, A)."""
         g = self._law(JoinedPieces((piece,)), p).sensitivities(motion)
         return g[self._columns_of(piece.run)].T

@@ -117,7 +117,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         values, level = layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
-        jac = -self._acceleration_sensitivities(piece, p, motion)[piece.at] / piece.sigma[:, None]
+        jac = -self.acceleration_sensitivities(piece, p, motion)[piece.at] / piece.sigma[:, None]
         none = np.zeros((0, 0))
         return PieceResponse(
             piece=piece,
