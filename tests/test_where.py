@@ -198,7 +198,7 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
     assert found.best.axis == "x"
     assert found.best.of == 4
     assert found.words.startswith("The misfit repeats at the same place in ")
-    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence", "holds"}
+    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence", "holds", "mostly"}
     assert {a["axis"] for a in found.summary()} == {"x", "t", "v", "phase"}
 
 

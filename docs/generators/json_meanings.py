@@ -165,6 +165,7 @@ MEANINGS = {
     "of": "runs that were compared",
     "repeats[].evidence": "evidence for this axis",
     "holds": "whether the misfit repeats along it",
+    "mostly": "whether a force along it explains nearly all that a force of its own in every run explains",
     "frequency": "frequency of the phase, Hz",
     "repeats_words": "the same as a sentence",
     "acts_on": '"force" or "measurement"',

@@ -114,9 +114,11 @@ class VerdictData:
 
     @property
     def axis(self) -> str:
-        """The axis that matters: the one over which the misfit repeats, "x", "v" or "t"."""
-        return next((r["axis"] for r in self.diagnosis.get("repeats") or [] if r["holds"] and r["axis"] in DRAWN_AXES),
-                    "t" if self.fails else "v")  # fmt: skip
+        """The axis that matters: the one over which the misfit repeats, wholly or mostly, "x", "v" or "t"."""
+        for repeat in self.diagnosis.get("repeats") or []:
+            if (repeat["holds"] or repeat.get("mostly")) and repeat["axis"] in DRAWN_AXES:
+                return str(repeat["axis"])
+        return "t" if self.fails else "v"
 
     @property
     def fails(self) -> bool:

@@ -61,10 +61,15 @@ class AxisRepeatability:
         """
         return self.evidence > MIN_EVIDENCE or (self.share > MIN_SHARE and self.p < ALPHA)
 
+    @property
+    def mostly(self) -> bool:
+        """Whether a common force explains nearly all that a force of its own in every run does."""
+        return self.explained > MIN_EXPLAINED
+
     def summary(self) -> dict[str, Any]:
         """Return the JSON of one axis."""
         found = {"axis": self.axis, "share": round(self.share, 4), "p": self.p, "runs": self.runs, "of": self.of}
-        found |= {"evidence": round(self.evidence, 1), "holds": self.holds}
+        found |= {"evidence": round(self.evidence, 1), "holds": self.holds, "mostly": self.mostly}
         return found | ({} if self.frequency is None else {"frequency": self.frequency})
 
 
@@ -84,7 +89,7 @@ def describe_axes(axes: Sequence[AxisRepeatability]) -> str:
     """Describe the result as sentences."""
     best = axes[0]
     if not best.holds:
-        if best.explained > MIN_EXPLAINED:
+        if best.mostly:
             share = f"{100 * best.explained:.1f} %" if best.explained < 0.9995 else "nearly all"
             return (
                 f"A force that depends on {AXES[best.axis].name} alone explains {share} of what a force of its own in "
