@@ -28,7 +28,7 @@ ERRORS = {
 }  # key of `errors` -> description, column head with its unit, factor
 
 
-def fit(out: Console, result: dict[str, Any]) -> None:
+def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
     """Print the parameters with standard deviations and units, then the errors.
 
     Parameters
@@ -37,6 +37,8 @@ def fit(out: Console, result: dict[str, Any]) -> None:
         The terminal.
     result
         JSON of `frictrack fit`.
+    motion
+        Whether to say how well the model knows the motion of every run.
 
     """
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
@@ -53,7 +55,8 @@ def fit(out: Console, result: dict[str, Any]) -> None:
             "force above that was computed from acceleration; this error is common to all runs of a camera and not "
             "included in the ±"
         )
-    own_motion(out, result)
+    if motion:
+        own_motion(out, result)
     out.print(errors([("", result["errors"])]))
 
 

@@ -49,13 +49,13 @@ def init(out: Console, result: dict[str, Any]) -> None:
 
 def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
-    fit(out, result["fit"])
+    fit(out, result["fit"], motion=False)
     diagnose(out, result["diagnose"])
 
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    fit(out, result["fit"])
+    fit(out, result["fit"], motion=False)
     verdict(out, result["diagnose"])
 
 
