@@ -42,6 +42,25 @@ _QUANTITY = re.compile(
 )
 
 
+NUMBER_WITHOUT_UNIT = re.compile(
+    r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
+)  # such as "0.35" or "0.35 +/- 1 %"
+
+
+def lacks_unit(value: Any) -> bool:
+    """Return whether a quantity is a number without a unit, as a number or as text.
+
+    Examples
+    --------
+    >>> lacks_unit(0.35), lacks_unit("0.35 +/- 1 %"), lacks_unit("350 g")
+    (True, True, False)
+
+    """
+    if isinstance(value, str):
+        return NUMBER_WITHOUT_UNIT.fullmatch(value) is not None
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
     """Read a number, or a text with a unit and an uncertainty.
 

@@ -1,7 +1,7 @@
 """Find local forces that a fitted model lacks: their place or time, width, size and significance.
 
 A local force is a Gaussian bump at one time of one run, or at one place of the course with one size for all runs.
-The search is a sliding Frank-Wolfe algorithm beside the linearised model. It adds the most significant bump, refines
+The search is a sliding Frank-Wolfe algorithm on the linearised model. It adds the most significant bump, refines
 centres and widths of all bumps together, and continues in the residual. It works on the displacement, where the noise
 is white.
 
@@ -28,6 +28,7 @@ from frictrack.compare.bump_dictionary import (
 )
 from frictrack.compare.bumps import Bump, NodeMotion, motion_at_nodes
 from frictrack.compare.global_significance import GlobalSignificance
+from frictrack.compare.refitting import fit_at_one_level, refit_with_forces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -35,16 +36,14 @@ from frictrack.fit.least_squares import (
     Solution,
     displacement_response,
     model_projection,
-    refine,
 )
 from frictrack.fit.segments import Piece
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search
 MAX_ROUNDS = 4  # of adding bumps
-MIN_REDUCED_CHI2_REFITTED = 1.5  # above it the model is refitted beside the bumps
-MAX_REFITS, MAX_REFIT_STEPS = 2, 6
-MIN_LEVEL_SCATTER = 1e-3  # relative, of the friction level from run to run
+MIN_REDUCED_CHI2_REFITTED = 1.5  # above it the model is refitted together with the bumps
+MAX_REFITS = 2
 MIN_SHARE_PER_BUMP = 0.02  # of the chi-squared that all bumps explain
 MIN_CHI2_GAIN_PLACE = 10.0  # by which one place must gain more than a bump in time of one run
 MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a shorter one
@@ -60,8 +59,8 @@ class LocalForces:
     bumps
         Bumps found so far.
     law
-        The model's residual and directions, without the bumps. Its `solution` is the fit, or the model refitted beside
-        the bumps with their trace put back into its residual.
+        The model's residual and directions, without the bumps. Its `solution` is the fit, or the model refitted
+        together with the bumps; its residual then contains their traces again.
     residual
         The same with the bumps.
     nodes
@@ -123,10 +122,10 @@ def start_search(law: ModelProjection) -> LocalForces:
 def find_local_forces(solution: Solution) -> LocalForces:
     """Find the local forces in the residual of a fit.
 
-    A model with a large misfit is far from its linearisation: it is refitted once or twice beside the forces found.
-    Its friction levels absorb misfit too (a run may seem to have a twentieth of the friction). Therefore the search
-    first starts where all runs have one level, and estimates their scatter anew beside the forces. If forces remain,
-    they are none of few places or times, and the search starts at the fit.
+    A model with a large misfit is far from its linearisation: it is refitted once or twice together with the forces
+    found. Its friction levels absorb misfit too (a run may seem to have a twentieth of the friction). Therefore the
+    search first starts where all runs have one level, and the scatter of the levels is estimated again with the forces.
+    If significant forces remain, the misfit is not local, and the search starts at the fit.
 
     Parameters
     ----------
@@ -142,32 +141,23 @@ def find_local_forces(solution: Solution) -> LocalForces:
     law = model_projection(solution)
     if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
         return continue_search(start_search(law))
-    found = _search_and_refit(model_projection(_at_one_level(solution)), solution.problem, anew=True)
-    return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, anew=False)
+    found = _search_and_refit(model_projection(fit_at_one_level(solution)), solution.problem, estimate_scatter=True)
+    return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, estimate_scatter=False)
 
 
-def _search_and_refit(law: ModelProjection, bare: LeastSquaresProblem, *, anew: bool) -> LocalForces:
-    """Search, refit the model beside what is found, and search on; `anew` estimates the scatter of the levels again."""
+def _search_and_refit(law: ModelProjection, bare: LeastSquaresProblem, *, estimate_scatter: bool) -> LocalForces:
+    """Search, refit the model together with what is found, and search on; see `refit_with_forces`."""
     found = continue_search(start_search(law))
     for _ in range(MAX_REFITS):
         if not found.bumps or _misfit(found.law) <= MIN_REDUCED_CHI2_REFITTED:
             break
-        found = continue_search(_refit(found, bare, anew=anew))
+        found = continue_search(_refit(found, bare, estimate_scatter=estimate_scatter))
     return found
 
 
 def _misfit(law: ModelProjection) -> float:
     """Reduced chi-squared of the residual."""
     return float(law.r @ law.r) / len(law.r)
-
-
-def _at_one_level(solution: Solution) -> Solution:
-    """Fit with the same friction level in all runs; the levels stay free in the linearised model."""
-    try:
-        tied = refine(solution.problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
-    except FrictrackError:  # a law so wild that its motion cannot be integrated
-        return solution
-    return replace(tied, tau=solution.tau)
 
 
 def continue_search(found: LocalForces) -> LocalForces:
@@ -182,42 +172,17 @@ def continue_search(found: LocalForces) -> LocalForces:
     return replace(found, p_remaining=_strongest_bumps(found)[1])
 
 
-def _refit(found: LocalForces, bare: LeastSquaresProblem, *, anew: bool) -> LocalForces:
+def _refit(found: LocalForces, bare: LeastSquaresProblem, *, estimate_scatter: bool) -> LocalForces:
     """Refit the model together with the bumps found, and search on in what both leave."""
     forces = [
         sum((b.size * at.force(b) for b in found.bumps if b.piece in (None, i)), np.zeros(len(at.t)))
         for i, at in enumerate(found.nodes)
     ]
     try:
-        refitted = _refit_with_forces(found.law.solution, bare, forces, anew=anew)
+        refitted = refit_with_forces(found.law.solution, bare, forces, estimate_scatter=estimate_scatter)
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
     return _prune(_fit_bumps(replace(start_search(model_projection(refitted)), bumps=found.bumps)))
-
-
-def _refit_with_forces(
-    solution: Solution, bare: LeastSquaresProblem, forces: Sequence[Array], *, anew: bool
-) -> Solution:
-    """Refit a model beside forces at the nodes of every piece (3 p,), N; its residual is as if they did not act.
-
-    A model with a large misfit is far from its linearisation; beside the force that it lacks it is not.
-    """
-    pieces = [
-        replace(piece, known=piece.known - force / piece.mass) for piece, force in zip(bare.pieces, forces, strict=True)
-    ]
-    problem = bare.rebuild(bare.layout, pieces)
-    start, tau = solution, max(solution.tau, MIN_LEVEL_SCATTER)
-    if anew:
-        start = refine(problem, solution.p, solution.starts, tau=MIN_LEVEL_SCATTER, max_steps=MAX_REFIT_STEPS)
-        tau = max(start.level_scatter(), MIN_LEVEL_SCATTER)
-    refitted = refine(problem, start.p, start.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
-    return replace(
-        refitted,
-        responses=[
-            replace(r, r=r.r + displacement_response(r, force[:, None])[:, 0])
-            for r, force in zip(refitted.responses, forces, strict=True)
-        ],
-    )
 
 
 def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:

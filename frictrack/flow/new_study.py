@@ -17,7 +17,7 @@ from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey
 from frictrack.number_format import format_plus_minus
 from frictrack.plausibility import EnteredValues, implausible_entries
 from frictrack.study import NewRun, Study, list_files, refuse_existing, write_study
-from frictrack.units import parse_quantity
+from frictrack.units import lacks_unit, parse_quantity
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
 _KEY = re.compile(r'\b(mass|scale|fps) = (?="?[\d.])')
@@ -64,7 +64,7 @@ def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
 
 def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
     mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
-    bare = {key for key, value in (("mass", mass), ("scale", scale)) if value is not None and _is_bare(value)}
+    bare = {key for key, value in (("mass", mass), ("scale", scale)) if lacks_unit(value)}
     pitch = float("nan") if scale is None else parse_scale(scale)[0]
     return EnteredValues(
         mass=None if mass in (None, "fit") else _kilograms(mass)[0],
@@ -79,11 +79,6 @@ def _kilograms(mass: Any) -> tuple[float, float]:
     if not value > 0:
         raise FrictrackError(f"expected a mass above 0 kg but got {mass}")
     return value, std
-
-
-def _is_bare(value: Any) -> bool:
-    """Return whether a value has no unit."""
-    return not isinstance(value, str) or re.search(r"[^\W\d_]", re.sub(r"\d[eE][+-]?\d", "", value)) is None
 
 
 def _as_option(words: str) -> str:

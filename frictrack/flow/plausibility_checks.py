@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,11 +30,9 @@ from frictrack.plausibility import (
 )
 from frictrack.records import Run, Track
 from frictrack.study import RunTable, Study, read_toml
+from frictrack.units import lacks_unit
 
 LOG = logging.getLogger("frictrack")
-NUMBER_WITHOUT_UNIT = re.compile(
-    r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
-)  # such as "0.35" or "0.35 +/- 1 %"
 CHECKED_KEYS = ("mass", "scale", "fps", "incline")
 ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 # Table of the study file that a run inherits a key from.
@@ -216,7 +213,7 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
     for run in (run for run in study.runs if not run.plausible):
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
         values = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
-        bare = frozenset(key for key, value in values.items() if _lacks_unit(value))
+        bare = frozenset(key for key, value in values.items() if lacks_unit(value))
         for found in implausible_entries(_entered_numbers(run, bare)):
             yield found if own[found.kind] is not None else replace(found, run="")
 
@@ -249,9 +246,3 @@ def _run_name(table: dict[str, Any]) -> str:
 
 def _inherited(raw: dict[str, Any], key: str) -> Any:
     return raw.get(TABLE_OF_INHERITED_KEY[key], {}).get(key) if key in TABLE_OF_INHERITED_KEY else None
-
-
-def _lacks_unit(value: Any) -> bool:
-    if isinstance(value, str):
-        return NUMBER_WITHOUT_UNIT.fullmatch(value) is not None
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -37,7 +37,7 @@ class FailurePattern:
         The fit, with the frames that are compared.
     local
         The local forces in the residual of the fit. A fit with a large misfit is far from its linearisation; what runs
-        have in common is sought beside the model refitted together with these forces.
+        have in common is estimated with the model refitted together with these forces.
     rng
         Random generator.
 
@@ -66,7 +66,7 @@ class FailurePattern:
 
     @property
     def _solution(self) -> Solution:
-        """The model linearised beside the local forces, with their trace in its residual."""
+        """The model refitted together with the local forces; its residual contains their traces."""
         return self.local.law.solution
 
     @cached_property
