@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
+    from frictrack.repairing import repair, suspect_spans
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
@@ -45,6 +46,8 @@ _MODULE_OF = {
     "learn_target": "tracking",
     "align_track": "tracking",
     "contact_sheet": "tracking",
+    "repair": "repairing",
+    "suspect_spans": "repairing",
     "calibrate": "calibration",
     "plane_map": "calibration",
     "low_pass": "motion",
@@ -112,9 +115,11 @@ __all__ = [
     "open_recording",
     "plane_map",
     "profile",
+    "repair",
     "samples",
     "search",
     "simulate",
+    "suspect_spans",
     "track",
 ]
 

@@ -83,7 +83,7 @@ def _curves_table(run: RunResults, own: ModelledMotion | None) -> pd.DataFrame:
     columns: dict[str, Any] = {"t_s": run.displacement.t, "x_measured_m": run.displacement.x}
     for record in (run.motion, run.friction):
         for f in fields(record) if record is not None else ():
-            if f.metadata.get("column") and f.name != "t":
+            if f.metadata.get("column") and f.name != "t" and getattr(record, f.name) is not None:
                 columns[_column_name(f.name, f)] = getattr(record, f.name)
     table = pd.DataFrame(columns)
     if own is not None:

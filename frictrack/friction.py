@@ -236,7 +236,7 @@ def friction(run: Run) -> Friction:
     mask, reason = free_section(run)
     if run.friction_N is not None:
         F, sigma = _measured_friction(run.friction_N)
-        return Friction(run.motion.t, F, sigma, mask & np.isfinite(run.friction_N), reason)
+        return Friction(run.motion.t, F, sigma, mask & np.isfinite(run.friction_N), reason, run.motion.repaired)
     assert run.mass is not None  # Run checks this
     acceleration = run.motion.a + GRAVITY * np.sin(run.incline)
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
@@ -245,7 +245,7 @@ def friction(run: Run) -> Friction:
     variance = (
         (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * acceleration) ** 2 + sigma_scale**2 + sigma_drive**2
     )
-    return Friction(run.motion.t, drive - run.mass * acceleration, np.sqrt(variance), mask, reason)
+    return Friction(run.motion.t, drive - run.mass * acceleration, np.sqrt(variance), mask, reason, run.motion.repaired)
 
 
 def _measured_friction(series: Array) -> tuple[Array, Array]:

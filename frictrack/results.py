@@ -121,6 +121,30 @@ class ModelResults:
     motion: tuple[ModelledMotion, ...] = ()  # one per run; empty for models of early versions
 
 
+@dataclass(frozen=True)
+class OutdatedPart:
+    """A result that does not belong to the study file or the model of now.
+
+    Attributes
+    ----------
+    what
+        "track" (the picture was measured otherwise), "motion", "model", "diagnosis" or "report".
+    name
+        Name of the run or of the model's group; "" for the report.
+    reason
+        What has changed since, in one clause.
+    command, arguments
+        Method of `frictrack.flow.Session` that brings it up to date, and its arguments.
+
+    """
+
+    what: str
+    name: str
+    reason: str
+    command: str
+    arguments: dict[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False)
 class Results:
     """The results of a study: runs, models in the order in which they were tried, comparison and diagnosis.
@@ -148,6 +172,7 @@ class Results:
     notes: tuple[str, ...] = ()  # what could not be computed
     warnings: tuple[str, ...] = ()  # implausible numbers of the study
     outdated: tuple[str, ...] = ()  # what was changed in the study file since the results were computed
+    outdated_parts: tuple[OutdatedPart, ...] = ()  # the same result by result, each with its reason
 
     @property
     def current(self) -> ModelResults | None:

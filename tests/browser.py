@@ -23,12 +23,6 @@ ARGS = [
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 ]
-INK = """(plots, [r, g, b, k]) => plots.map((plot) => {
-    const c = plot.querySelectorAll("canvas")[k], d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
-    let n = 0;
-    for (let i = 0; i < d.length; i += 4) n += d[i] === r && d[i + 1] === g && d[i + 2] === b;
-    return n;
-})"""
 HERE = re.compile(r"(https?|wss?)://(127\.0\.0\.1|localhost)[:/]|data:|blob:")
 TOKEN = "open-sesame"
 SLOW = 120_000  # ms that work may take on a busy machine
@@ -50,39 +44,66 @@ class Tab:
 
     def open(self, server: Any) -> Tab:
         self.page.goto(server.address)
-        self.page.get_by_text("1 Film", exact=True).wait_for()
+        self.page.get_by_role("tab", name="Film").wait_for()
         return self
 
     def to(self, title: str) -> Tab:
-        self.page.get_by_text(title, exact=True).click()
+        self.page.get_by_role("tab", name=title, exact=True).click()
         return self
 
-    def click(self, name: str) -> Tab:
-        self.page.get_by_role("button", name=name, exact=True).click()
+    def button(self, name: str | re.Pattern[str]) -> Any:
+        """The button of this name."""
+        return self.page.get_by_role("button", name=name, exact=isinstance(name, str)).first
+
+    def click(self, name: str | re.Pattern[str]) -> Tab:
+        self.button(name).click(timeout=SLOW)
         return self
 
-    def hears(self, words: str, within: int = SLOW) -> str:
-        """Wait until the page says so in its status line."""
-        line = self.page.locator(".ft-message", has_text=words)
+    def fill(self, label: str, text: str, *, enter: bool = True) -> Tab:
+        """Type into the box of this label, and write it with Enter."""
+        box = self.page.get_by_label(label, exact=True)
+        box.fill(text)
+        if enter:
+            box.press("Enter")
+        return self
+
+    def hears(self, words: str | re.Pattern[str], within: int = SLOW) -> str:
+        """Wait until the page says so in its status bar or in a banner."""
+        line = self.page.locator(".ui-message, .ui-banner", has_text=words).first
         line.wait_for(timeout=within)
-        return line.inner_text()
+        said: str = line.inner_text()
+        return said
 
     def sees(self, words: str | re.Pattern[str], within: int = SLOW) -> None:
-        self.page.get_by_text(words).first.wait_for(timeout=within)
+        self.page.get_by_text(words).locator("visible=true").first.wait_for(timeout=within)
 
-    def drag(self, plot: int, *, shift: bool = False) -> None:
-        """Over the middle of a plot."""
-        box = self.page.locator(".ft-plot").nth(plot).bounding_box()
+    def idle(self, within: int = SLOW) -> None:
+        """Wait until the page has no work that holds the user up."""
+        self.page.locator(".ui-progress").wait_for(state="detached", timeout=within)
+
+    def drag_on_film(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Over the picture of the film, from and to shares of its width and height."""
+        box = self.page.locator(".fp-picture").bounding_box()
+        assert box is not None
+        points = [(box["x"] + u * box["width"], box["y"] + v * box["height"]) for u, v in (begin, end)]
+        self.page.mouse.move(*points[0])
+        self.page.mouse.down()
+        self.page.mouse.move(*points[1], steps=5)
+        self.page.mouse.up()
+
+    def drag(self, plot: int, *, key: str = "") -> None:
+        """Over the middle of a plot, with a key held down."""
+        box = self.page.locator(".fp-plot").nth(plot).bounding_box()
         assert box is not None
         x, y, w, h = box["x"] + 74, box["y"] + 24, box["width"] - 84, box["height"] - 60
-        if shift:
-            self.page.keyboard.down("Shift")
+        if key:
+            self.page.keyboard.down(key)
         self.page.mouse.move(x + 0.4 * w, y + 2)
         self.page.mouse.down()
         self.page.mouse.move(x + 0.6 * w, y + h - 2, steps=5)
         self.page.mouse.up()
-        if shift:
-            self.page.keyboard.up("Shift")
+        if key:
+            self.page.keyboard.up(key)
 
     def until(self, true: Callable[[], bool]) -> None:
         """Wait until something holds."""
@@ -92,11 +113,6 @@ class Tab:
             self.page.wait_for_timeout(200)
         assert true()
 
-    def ink(self, colour: tuple[int, int, int], layer: int = 1) -> list[int]:
-        """Pixels of a colour in every plot, on top of it (1) or below (0)."""
-        found: list[int] = self.page.locator(".ft-plot").evaluate_all(INK, [*colour, layer])
-        return found
-
     def picture(self, name: str) -> None:
         if folder := os.environ.get("FRICTRACK_ARTEFACTS"):
             Path(folder).mkdir(parents=True, exist_ok=True)
@@ -105,7 +121,7 @@ class Tab:
 
 @dataclass
 class Server:
-    """A workbench that runs in a process of its own."""
+    """The server of the page in a process of its own."""
 
     study: Path
     more: tuple[str, ...] = ()
@@ -113,6 +129,7 @@ class Server:
     paths: str = ""  # where it looks for programs before all others
     port: int = 0
     token: str = TOKEN  # a new one where it is empty
+    log: Path | None = None  # what it writes to the terminal
 
     def start(self) -> Server:
         if not self.port:
@@ -121,9 +138,8 @@ class Server:
                 self.port = free.getsockname()[1]
         words = [sys.executable, "-m", "frictrack", "app", str(self.study), "--no-browser", "--port", str(self.port)]
         words += ["--token", self.token] if self.token else []
-        self.process = subprocess.Popen(
-            [*words, *self.more], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=self.environment
-        )
+        with (self.log or Path(os.devnull)).open("ab") as out:
+            self.process = subprocess.Popen([*words, *self.more], stderr=out, stdout=out, env=self.environment)
         until = time.monotonic() + 60
         while time.monotonic() < until:
             with socket.socket() as knock:

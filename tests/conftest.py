@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import Open, Tab, browser
+from browser import Open, Server, Tab, browser
+from page_client import Client
 
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study
+from frictrack.samples import copy_films
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
@@ -79,6 +81,14 @@ def study_file(measured_tables: Path, tmp_path: Path) -> Path:
     return tmp_path / "study.toml"
 
 
+@pytest.fixture(scope="session")
+def finished_sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the sample study with its verdict and its report, computed once for all tests: copy it."""
+    folder = tmp_path_factory.mktemp("sample")
+    Session(open_study(copy_films(folder))).run()
+    return folder
+
+
 @pytest.fixture
 def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Global searches of a fit end early: for tests that do not ask how near they come."""
@@ -105,3 +115,45 @@ def tab(chromium: Any) -> Iterator[Open]:
     for one in opened:
         one.page.close()
     assert [fault for one in opened for fault in one.faults] == []
+
+
+Clients = Callable[..., Client]  # a study file or folder, and a server that runs already
+
+
+@pytest.fixture
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Clients]:
+    """Open clients of a server; at the end the server has written no traceback."""
+    clients: list[Client] = []
+    log = tmp_path_factory.mktemp("log") / "server.txt"
+
+    def new(study: Path, server: Server | None = None) -> Client:
+        clients.append(Client(server or Server(study, log=log).start()))
+        return clients[-1]
+
+    yield new
+    for client in clients:
+        client.close()
+        if client.server.process is not None and client.server.process.poll() is None:
+            client.server.stop()
+    text = log.read_text() if log.exists() else ""
+    assert "Traceback" not in text, text
+
+
+@pytest.fixture(scope="module")
+def shared(measured_tables: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """One server for tests that change nothing."""
+    folder = tmp_path_factory.mktemp("shared")
+    shutil.copytree(measured_tables, folder, dirs_exist_ok=True)
+    log = tmp_path_factory.mktemp("log") / "server.txt"
+    client = Client(Server(folder, log=log).start())
+    yield client
+    client.close()
+    client.server.stop()
+    assert "Traceback" not in log.read_text()
+
+
+@pytest.fixture
+def fitted(study_file: Path) -> Path:
+    """The study of three tables with one fitted model."""
+    Session(open_study(study_file)).fit()
+    return study_file

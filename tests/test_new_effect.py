@@ -70,8 +70,7 @@ from frictrack.effects import LIBRARY
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study, plan
 from frictrack.plan import experiment_setup, selection
-from frictrack.workbench.model_tab import ModelTab
-from frictrack.workbench.page_state import PageState
+from frictrack.workbench.summaries import effect_library
 
 # less work of what is not asked here: the searches of a report, and a plan of many runs
 for module, name, value in (
@@ -104,9 +103,6 @@ fitted = session.fit()
 planned = json.dumps(plan(open_study(Path("study.toml"))), default=str)
 report = session.report().read_text(encoding="utf-8")
 turn = list(dict.fromkeys(name for law, _ in LAWS for name in candidates("one", law))).index("magnet")
-state = PageState(Path("study.toml"))
-state.load()
-tab = ModelTab(state)
 print(json.dumps({
     "last": list(LIBRARY)[-1],
     "missing": diagnosis["missing"],
@@ -117,7 +113,7 @@ print(json.dumps({
     "plan": planned.count("magnet"),
     "hidden": draw_truth(3, "one", turn).hidden,
     "report": report.count("magnet"),
-    "page": tab._library()["magnet"]["what"],
+    "page": {one["name"]: one["what"] for one in effect_library(open_study(Path("study.toml")))}["magnet"],
 }))
 """
 

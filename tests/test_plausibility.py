@@ -35,7 +35,7 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
-from frictrack.workbench.page_state import PageState
+from frictrack.workbench.summaries import check_fields, refuse_implausible
 
 NOISE = 1e-5  # m
 FPS = 1000.0
@@ -605,12 +605,10 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
 
 
 def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
-    study_file.unlink()
-    state = PageState(study_file)
-    assert state.create_study(["slow.csv"], {"mass": "350"})
-    assert "study.toml is written" in state.message
-    assert "to be checked: mass = 350 has no unit" in state.message
-    assert state.is_error
+    (field,) = check_fields({"mass": "350"}).values()
+    assert "350" in f"{field['warning']}{field['error']}"
+    with pytest.raises(FrictrackError, match="mass = 350"):
+        refuse_implausible("study", "mass", 350)
 
 
 def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():

@@ -135,6 +135,13 @@ def test_noise_with_tails_is_not_thinned_out():
 # ---- quantised positions
 
 
+def test_an_even_motion_is_not_taken_for_quantised():
+    t = np.arange(20) / 1000
+    assert quantum(2.0 * t) == 0.0
+    assert quantum(2.0 * t - 0.2 * t**2) == 0.0
+    assert quantum(np.repeat(2.0 * t, 2)) == pytest.approx(0.002)  # every position twice: a counter
+
+
 def test_the_step_of_quantised_positions():
     rng = np.random.default_rng(0)
     assert quantum(np.round(np.linspace(0.0, 1.0, 50), 2)) == 0.01

@@ -66,7 +66,8 @@ def test_commands_without_a_study_import_no_science(arguments: tuple[str, ...]) 
 
 
 def test_help_does_not_wait_for_numpy() -> None:
-    assert not imported("--help") & {"numpy", "h5py", "pydantic", "rich"}
+    assert not imported("--help") & {"numpy", "h5py", "pydantic", "rich", "tornado", "asyncio"}
+    assert "tornado" not in imported("app", "--help")
 
 
 @pytest.mark.parametrize(

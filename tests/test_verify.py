@@ -220,7 +220,7 @@ def test_a_writer_at_work_is_told_and_its_files_left(study: Path) -> None:
 
 def test_an_attempt_of_the_page_is_sound_whatever_came_after(study: Path) -> None:
     results = study.parent / "study_results"
-    Session(open_study(study)).attempt("drag", results / "jobs" / "0001" / "attempt.h5")
+    Session(open_study(study)).attempt("drag")
     assert faults(study.parent) == []
     assert verify([results])["files"] == 4
 

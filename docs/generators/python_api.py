@@ -43,7 +43,8 @@ GROUPS = (
         "Track the target, convert pixels to metres, smooth and differentiate, compute the friction force.",
         "frictrack",
         (
-            *("track", "learn_target", "align_track", "contact_sheet", "calibrate", "plane_map"),
+            *("track", "learn_target", "align_track", "contact_sheet", "repair", "suspect_spans"),
+            *("calibrate", "plane_map"),
             *("low_pass", "differentiate", "covariance", "KnownAcceleration", "cutoff_tradeoff"),
             *("free_section", "friction", "find_events", "budget"),
         ),

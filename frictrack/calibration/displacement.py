@@ -85,6 +85,7 @@ def calibrate(
 
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
+    repaired, track = track.repaired, track.measured
     track, shake_notes = subtract_shake(track, reference)
     track, rotation_notes = follow_straight_point(track)
     at = np.stack([track.x_px, track.y_px], axis=1)
@@ -117,6 +118,7 @@ def calibrate(
         systematic=track.systematic * pitch,
         relative_scale_error=plane.length(ends)[1],
         notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
+        repaired=repaired,
     )
 
 

@@ -48,6 +48,8 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
+    if rests := result.get("rests_on_repairs"):
+        out.print(f"[bold]{escape(rests)}[/bold]")
     findings(out, result.get("findings") or [])
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""

@@ -139,5 +139,6 @@ def _behind(row: dict[str, Any]) -> list[str]:
     audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
     lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
-    lines = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *row["notes"], pictures]
+    look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
+    lines = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *look_at, *row["notes"], pictures]
     return [line for line in lines if line]

@@ -20,11 +20,13 @@ from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexpla
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
+from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
 from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals
 from frictrack.diagnose.simpler_model import find_simpler_model
+from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.fit import Fit
@@ -81,8 +83,9 @@ class Conclusion:
         found, search = self._before_formulas, self.search
         effects_explain_all = bool(search.found) and not search.last.leaves_misfit
         if found.verdict not in NOTHING_TO_EXPLAIN and effects_explain_all and self._kind.imitates:
-            return self._compare_with_formulas(found)
-        return found
+            found = self._compare_with_formulas(found)
+        rests = rests_on_repairs(self.fit.runs, found.verdict, search.first, search.last.solution, search.found)
+        return replace(found, rests_on_repairs=rests)
 
     def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
         """Return the whole diagnosis: failure pattern, importance, evidence of other signals, next experiments.
@@ -106,6 +109,10 @@ class Conclusion:
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
         found = self._with_pattern(found, self._evidence(auxiliary))
+        if found.verdict == "unexplained":
+            notify("looking for a run that disagrees with the others")
+            suspects = suspect_run_remarks(self.search.last.solution, self.fit.runs, self.search.generators[0])
+            found = replace(found, remarks=[*found.remarks, *suspects])
         notify("planning the next experiment")
         return replace(found, next_experiment=self._plan_next(found, notify))
 

@@ -167,6 +167,8 @@ class Diagnosis(NotebookView):
         Whether the misfit repeats from run to run, and over which axis.
     complete
         False for the verdict alone: `fails_at`, `importance`, `evidence`, `repeats` and `next_experiment` are empty.
+    rests_on_repairs
+        A sentence if the verdict would change without the frames that the user had tracked again; None otherwise.
 
     Examples
     --------
@@ -199,6 +201,7 @@ class Diagnosis(NotebookView):
         default_factory=Repeatability
     )  # whether the failure is common to the runs, and along which axis
     complete: bool = True  # False: the verdict, and nothing of what follows from it
+    rests_on_repairs: str | None = None  # a sentence if the verdict changes without the frames that were tracked again
 
     def __repr__(self) -> str:
         model, lacks = "+".join(self.model), f": {', '.join(self.missing)}" if self.missing else ""
@@ -226,6 +229,7 @@ class Diagnosis(NotebookView):
             "model": self.model,
             "verdict": self.verdict,
             "complete": self.complete,
+            "rests_on_repairs": self.rests_on_repairs,
             "undetermined": [u.summary() for u in self.undetermined],
             "importance": [i.summary() for i in self.importance],
             "evidence": [e.summary() for e in self.evidence],

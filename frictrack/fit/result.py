@@ -14,7 +14,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.objectives import FittedRuns, Objective, objective_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
-from frictrack.fit.uncertainty import Estimate, Estimates, Misfit, UncertaintyAnalysis, with_misfit
+from frictrack.fit.uncertainty import Estimate, Estimates, Misfit, UncertaintyAnalysis, level_remarks, with_misfit
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
@@ -230,7 +230,10 @@ class Fit(FittedRuns, StorableFit):
                 else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
                 "correlations": [list(c) for c in self.estimates.correlations],
                 "misfit": None if self.misfit is None else self.misfit.summary(),
-                "remarks": self.estimates.remarks,
+                "remarks": [
+                    *self.estimates.remarks,
+                    *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
+                ],
                 "errors": self.errors,
                 "per_run": self.objective.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,

@@ -11,8 +11,10 @@
     film_stages, track_quality, target_rotation                 from a film to its displacement
     sensor_stage, auxiliary_signals                             what other instruments recorded
     tried_models, study_edits, command_history, replay          models tried, changes of the study, undo
+    verdict_first, attempts                                     the verdict before all else, fits of candidates
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
-    stored_results, run_summaries, run_budget, verification     read, summarise and verify stored results
+    stored_results, outdated                                    read stored results, find outdated ones
+    run_summaries, run_budget, verification                     summarise and verify stored results
     summaries                   the shapes of the summaries that `Session` returns
     schema                      write the page that describes the HDF5 files
 """
@@ -24,8 +26,9 @@ from typing import TYPE_CHECKING
 from frictrack.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.flow.command_history import CommandHistory
+    from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
     from frictrack.flow.film_stages import contact_sheet_path
+    from frictrack.flow.input_checks import table_needs_mass
     from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
     from frictrack.flow.opening import open_study
     from frictrack.flow.pipeline import Progress, no_progress
@@ -35,14 +38,26 @@ if TYPE_CHECKING:
     from frictrack.flow.sample_demo import demo
     from frictrack.flow.session import Session
     from frictrack.flow.stages import run_pipeline
-    from frictrack.flow.stored_results import preview_motion, read_attempt, read_results
+    from frictrack.flow.stored_results import (
+        AttemptsReader,
+        ResultsReader,
+        preview_motion,
+        read_attempt,
+        read_results,
+    )
+    from frictrack.flow.survey import Surveyed, survey_recording
     from frictrack.flow.tried_models import FitRequest, user_effects
+    from frictrack.flow.verdict_first import change_and_diagnose, conclude, run_study
     from frictrack.flow.verification import verify
 
 _MODULE_OF = {
+    "AttemptsReader": "stored_results",
+    "Change": "command_history",
+    "change_and_diagnose": "verdict_first",
     "check_entered": "new_study",
     "CommandHistory": "command_history",
     "contact_sheet_path": "film_stages",
+    "conclude": "verdict_first",
     "demo": "sample_demo",
     "describe_keys": "new_study",
     "Findings": "plausibility_checks",
@@ -56,9 +71,15 @@ _MODULE_OF = {
     "read_attempt": "stored_results",
     "read_results": "stored_results",
     "replay_script": "replay",
+    "ResultsReader": "stored_results",
     "run_pipeline": "stages",
+    "run_study": "verdict_first",
     "Session": "session",
     "start_study": "new_study",
+    "survey_recording": "survey",
+    "Surveyed": "survey",
+    "table_needs_mass": "input_checks",
+    "undo_stacks": "command_history",
     "user_effects": "tried_models",
     "verify": "verification",
 }

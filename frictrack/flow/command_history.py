@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -88,6 +88,36 @@ class Change:
         return change
 
 
+def undo_stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
+    """Return the changes that can be undone, and those that can be redone; the next one is last in both lists.
+
+    Parameters
+    ----------
+    changes
+        All changes, oldest first.
+
+    Raises
+    ------
+    ValueError
+        If more is undone or redone than was done.
+
+    """
+    done: list[Change] = []
+    undone: list[Change] = []
+    for change in changes:
+        if (change.command == "undo" and not done) or (change.command == "redo" and not undone):
+            raise ValueError(f"change {change.revision} has nothing to {change.command}")
+        if change.command == "undo":
+            undone.append(done.pop())
+        elif change.command == "redo":
+            done.append(undone.pop())
+        elif change.command == "restart":
+            done, undone = [], []
+        elif change.before:
+            done, undone = [*done, change], []
+    return done, undone
+
+
 class CommandHistory:
     """The log of one study.
 
@@ -138,28 +168,11 @@ class CommandHistory:
         return len(self.changes)
 
     def undo_stacks(self) -> tuple[list[Change], list[Change]]:
-        """Return the changes that can be undone, and those that can be redone; the next one is last in both lists.
-
-        Raises
-        ------
-        FrictrackError
-            If the log is damaged.
-
-        """
-        done: list[Change] = []
-        undone: list[Change] = []
-        for change in self.changes:
-            if (change.command == "undo" and not done) or (change.command == "redo" and not undone):
-                raise FrictrackError(self._damaged)
-            if change.command == "undo":
-                undone.append(done.pop())
-            elif change.command == "redo":
-                done.append(undone.pop())
-            elif change.command == "restart":
-                done, undone = [], []
-            elif change.before:
-                done, undone = [*done, change], []
-        return done, undone
+        """Return the changes that can be undone, and those that can be redone; see `undo_stacks`."""
+        try:
+            return undo_stacks(self.changes)
+        except ValueError as e:
+            raise FrictrackError(self._damaged) from e
 
     def check_revision(self) -> None:
         """Raise `FrictrackError` if the study is not at the expected revision."""

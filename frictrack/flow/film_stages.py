@@ -107,6 +107,30 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         return track_in_parallel(opened, areas, known=pipeline.lesson, **how)
 
 
+def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, tracks: dict[str, Track]) -> Track:
+    """Repair the frames that the study file names; the track itself stays stored.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    film, track, tracks
+        Results of the stages before.
+
+    """
+    from frictrack.repairing import repair  # noqa: PLC0415 - loads OpenCV
+    from frictrack.tracking import contact_sheet, relearn_target  # noqa: PLC0415
+
+    repairs = pipeline.run.repair
+    with pipeline.open_film() as opened:
+        pipeline.progress(0, len(track), "repair frames")
+        if any(one.how == "track" for one in repairs) and pipeline.lesson is None:
+            pipeline.lesson = relearn_target(opened, track)
+        repaired = repair(track, opened, repairs, known=pipeline.lesson)
+        contact_sheet(opened, repaired, contact_sheet_path(pipeline.study, pipeline.run.name), tuple(tracks.values()))
+    return repaired
+
+
 def _pool(pipeline: RunPipeline) -> WorkerPool | None:
     """Processes that take over segments of a long film; none for a compressed one, which has to be decoded in order."""
     return pipeline.pool if pipeline.recording.direct else None
@@ -120,7 +144,9 @@ def _target_of_first_film(pipeline: RunPipeline) -> TargetModel | None:
     track: Track = anchor.get("track")  # learns the target if this process tracks the film
     if anchor.lesson is None:
         with anchor.open_film() as opened:
-            anchor.lesson = _learn_again(opened, track)
+            from frictrack.tracking import relearn_target  # noqa: PLC0415 - loads OpenCV
+
+            anchor.lesson = relearn_target(opened, track)
     return anchor.lesson
 
 
@@ -157,7 +183,7 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
             found[name] = tracking.track(opened, areas, name=name, progress=pipeline.progress)
         found |= _reference_track(opened, track, pipeline)
         tracking.contact_sheet(
-            opened, track, contact_sheet_path(pipeline.study, pipeline.run.name), tuple(found.values())
+            opened, track, pipeline.study.output / f"{pipeline.run.name}_track.png", tuple(found.values())
         )
         return found | _backward_track(opened, track, pipeline)
 
@@ -207,7 +233,7 @@ def _without_covered_frames(reference: Track, target: Track) -> Track:
 
 def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """Track the target from the last frame that shows it completely to the first one, with the learnt template."""
-    from frictrack.tracking import Areas, track_in_parallel  # noqa: PLC0415
+    from frictrack.tracking import Areas, relearn_target, track_in_parallel  # noqa: PLC0415
 
     assert forward.target is not None
     size = np.array(forward.target[2:])
@@ -219,21 +245,13 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
     def follow() -> Track:
-        known: TargetModel = pipeline.lesson or _learn_again(opened, forward)
+        known: TargetModel = pipeline.lesson or relearn_target(opened, forward)
         areas = Areas(rectangle, obstacles=forward.obstacles)
         how: dict[str, Any] = {"template": last, "progress": pipeline.progress, "pool": _pool(pipeline)}
         return track_in_parallel(opened, areas, known=known, **how)
 
     backward = _track_or_none(follow)
     return {} if backward is None else {BACKWARD: replace(backward, name=BACKWARD, picture=None, notes=())}
-
-
-def _learn_again(opened: Recording, track: Track) -> TargetModel:
-    """Learn the template again for a track that was stored by an earlier process."""
-    from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
-
-    areas = Areas(track.outline or track.target, track.exclude, track.obstacles)
-    return learn_target(opened, areas, template=track.template)
 
 
 def _track_or_none(make: Callable[[], Track]) -> Track | None:
@@ -319,8 +337,9 @@ def min_shake_px(run: RunTable) -> float:
 
 
 def contact_sheet_path(study: Study, run: str) -> Path:
-    """Return the path of the contact sheet of a run's film."""
-    return study.output / f"{run}_track.png"
+    """Return the path of the contact sheet of a run's film; a repaired track has a sheet of its own."""
+    repaired = any(one.name == run and one.repair for one in study.runs)
+    return study.output / f"{run}_track{'_repaired' if repaired else ''}.png"
 
 
 def write_overlay(pipeline: RunPipeline) -> Path:
@@ -328,7 +347,7 @@ def write_overlay(pipeline: RunPipeline) -> Path:
     from frictrack.tracking import overlay_video  # noqa: PLC0415
 
     with pipeline.open_film() as opened:
-        track, tracks = pipeline.get("track"), pipeline.get("tracks")
+        track, tracks = pipeline.final_track, pipeline.get("tracks")
         return overlay_video(opened, track, overlay_path(pipeline), others=tracks_to_draw(tracks))
 
 

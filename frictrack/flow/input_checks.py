@@ -8,7 +8,7 @@ from pathlib import Path
 
 from frictrack.errors import FrictrackError
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.study import COLUMNS, find_header, read_sensor_table, table_headers
+from frictrack.study import COLUMNS, RunTable, find_header, read_sensor_table, table_headers
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
@@ -41,19 +41,37 @@ def _errors(check: Callable[[RunPipeline], None], pipeline: RunPipeline) -> list
     return []
 
 
-def _check_mass(pipeline: RunPipeline) -> None:
-    """Raise an error if the run of a table has no mass, and nothing that makes it needless; films are checked before.
+def table_needs_mass(run: RunTable) -> bool:
+    """Return whether a run of a table has no mass, and nothing that makes it needless.
 
     Only the headers are read, so that this comes at once.
+
+    Parameters
+    ----------
+    run
+        The run.
+
+    Raises
+    ------
+    FrictrackError
+        If the table cannot be read.
+
     """
-    run = pipeline.run
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None:
-        return
+        return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    if find_header(written.lstrip("-"), table_headers(run.table, [header for header, _ in COLUMNS.values()])) is None:
+    return (
+        find_header(written.lstrip("-"), table_headers(run.table, [header for header, _ in COLUMNS.values()])) is None
+    )
+
+
+def _check_mass(pipeline: RunPipeline) -> None:
+    """Raise an error if the run of a table needs a mass; films are checked when the study file is read."""
+    if table_needs_mass(pipeline.run):
         raise FrictrackError(
-            f'run "{run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its [[run]]; only '
-            'runs with measured friction (friction_N), or with a measured drive and mass = "fit", do without',
+            f'run "{pipeline.run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its '
+            '[[run]]; only runs with measured friction (friction_N), or with a measured drive and mass = "fit", do '
+            "without",
             usage=True,
         )
 

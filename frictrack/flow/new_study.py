@@ -13,7 +13,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.input_checks import check_inputs
 from frictrack.flow.opening import open_study
 from frictrack.flow.stages import run_pipeline
-from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey
+from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey_recording
 from frictrack.number_format import format_plus_minus
 from frictrack.plausibility import EnteredValues, implausible_entries
 from frictrack.study import NewRun, Study, list_files, refuse_existing, write_study
@@ -125,6 +125,8 @@ def start_study(
     recordings: Sequence[Path],
     keys: Mapping[str, Any],
     tell: Callable[[str], None] = lambda line: None,
+    *,
+    allow_incomplete: bool = False,
 ) -> Study:
     """Write the study file of some recordings and open it; it is removed again if a recording cannot be used.
 
@@ -138,6 +140,8 @@ def start_study(
         Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
     tell
         Called with one line about each recording.
+    allow_incomplete
+        Mass, scale and frame rate may still be missing.
 
     Raises
     ------
@@ -148,7 +152,7 @@ def start_study(
     paths = expand_folders(recordings)
     refuse_existing(path)
     read_keys(keys)
-    found = [survey(one) for one in paths]
+    found = [survey_recording(one) for one in paths]
     for one in found:
         if one.is_usable:
             tell(f"{one.path}: {one.words}")
@@ -157,8 +161,9 @@ def start_study(
         raise FrictrackError("; ".join(faults))
     write_study(path, [_new_run(one, keys) for one in found], keys)
     try:
-        study = open_study(path)
-        check_inputs([run_pipeline(study, run) for run in study.runs])
+        study = open_study(path, allow_incomplete=allow_incomplete)
+        if not allow_incomplete:
+            check_inputs([run_pipeline(study, run) for run in study.runs])
     except FrictrackError:
         path.unlink()
         raise
@@ -213,7 +218,7 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
     if not folder.is_dir():
         raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
     refuse_existing(folder / "study.toml")
-    seen = [survey(path) for path in list_files(folder)]
+    seen = [survey_recording(path) for path in list_files(folder)]
     found = [one for one in seen if not one.problem]
     skipped = [{"file": one.path.name, "reason": one.problem} for one in seen if one.problem]
     if not found:

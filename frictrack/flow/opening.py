@@ -12,7 +12,7 @@ from frictrack.flow.tried_models import FitRequest
 from frictrack.study import Study, load
 
 
-def open_study(path: str | Path, *, allow_no_runs: bool = False) -> Study:
+def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read a study file and check it: keys, scales, model, effects.
 
     Parameters
@@ -21,6 +21,8 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False) -> Study:
         The study file, or a folder with a ``study.toml``.
     allow_no_runs
         Allow a study without runs.
+    allow_incomplete
+        Allow a study without runs, and runs without mass or scale. It can be edited, not computed.
 
     Raises
     ------
@@ -28,7 +30,7 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False) -> Study:
         (usage) With all faults.
 
     """
-    return check_study(load(path, allow_no_runs=allow_no_runs))
+    return check_study(load(path, allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete))
 
 
 def check_study(study: Study) -> Study:

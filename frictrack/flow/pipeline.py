@@ -20,6 +20,7 @@ from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.records import Displacement, Motion, Run, Track
 from frictrack.remote import RemoteFile, local_path
+from frictrack.repairs import Repair
 from frictrack.results import Sensors, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from frictrack.workers import WorkerPool
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
+LATER_KEYS = ("repair",)  # left out where they are empty: results that were stored before the key existed stay valid
 STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
 
 Progress = Callable[[int, int, str], None]
@@ -187,13 +189,16 @@ class RunPipeline:
 
     def settings(self, name: str) -> dict[str, Any]:
         """Return the keys of the study file that a stage depends on, with their values as JSON has them."""
-        return {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
+        found = {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
+        return {key: value for key, value in found.items() if value or key not in LATER_KEYS}
 
     def as_written(self, value: Any) -> Any:
         """Convert the value of a key for JSON: numbers to Python numbers, paths as they stand in the study file."""
         if isinstance(value, dict):
             return {key: self.as_written(part) for key, part in value.items()}
-        if isinstance(value, list):
+        if isinstance(value, Repair):
+            return to_builtins(value.to_dict())
+        if isinstance(value, list | tuple):
             return [self.as_written(part) for part in value]
         if isinstance(value, RemoteFile):
             return str(value)
@@ -217,7 +222,9 @@ class RunPipeline:
             (json.loads(provenance.settings), to_builtins(self.settings(name)))
             for name, provenance in provenances.items()
         )
-        return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
+        return list(
+            dict.fromkeys(key for then, now in pairs for key in (*now, *LATER_KEYS) if then.get(key) != now.get(key))
+        )
 
     def inputs(self, name: str) -> list[tuple[str, str]]:
         """Return what a stage is computed from.
@@ -268,6 +275,13 @@ class RunPipeline:
             return hash_path(local_path(path))
         except OSError as e:
             raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
+
+    @property
+    def final_track(self) -> Track:
+        """The track of a film with the repairs of the user."""
+        repaired = "repaired" in self.stages and (not self.stored_only or self.is_current("repaired"))
+        track: Track = self.get("repaired" if repaired else "track")
+        return track
 
     def to_run(self) -> Run:
         """Return the measured run, as `frictrack.fit` takes it."""

@@ -193,7 +193,7 @@ def _can_accelerate(study: Study) -> bool:
 
 def find_missing_incline(pipeline: RunPipeline, record: Run) -> Finding | None:
     """Return a finding if the run needs an incline that the study file lacks, else None."""
-    track: Track | None = pipeline.get("track") if "track" in pipeline.stages else None
+    track: Track | None = pipeline.final_track if "track" in pipeline.stages else None
     return missing_incline(record, None if track is None else path_angle(track))
 
 

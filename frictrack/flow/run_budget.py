@@ -42,7 +42,7 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
 
 def _quality(pipeline: RunPipeline) -> dict[str, Any]:
     pitch = pipeline.get("displacement").pixel_pitch
-    return track_quality(pipeline.get("recording"), pipeline.get("track"), pipeline.get("tracks"), pitch)
+    return track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
 
 
 def _residual_shake(pipeline: RunPipeline) -> dict[str, Any]:

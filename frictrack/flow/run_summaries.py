@@ -8,7 +8,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.flow.duplicate_runs import find_duplicate_runs
-from frictrack.flow.film_stages import contact_sheet_path, overlay_path
+from frictrack.flow.film_stages import BACKWARD, contact_sheet_path, overlay_path
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.flow.run_budget import run_budget
 from frictrack.flow.sensor_stage import sensor_summary
@@ -46,13 +46,15 @@ def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, An
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Describe how well a film was measured, and where its pictures are."""
-    from frictrack.tracking import target_line  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.repairing import suspect_spans  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.tracking import target_line  # noqa: PLC0415
 
     displacement, notes = _displacement_and_notes(pipeline)
     pitch = displacement.pixel_pitch if displacement else None
-    track = pipeline.get("track")
+    track, tracks = pipeline.final_track, pipeline.get("tracks")
     return {
-        **track_quality(pipeline.get("recording"), track, pipeline.get("tracks"), pitch),
+        **track_quality(pipeline.get("recording"), track, tracks, pitch),
+        "suspects": [vars(span) for span in suspect_spans(track, tracks.get(BACKWARD))],
         "target": target_line(track),
         "contact_sheet": str(contact_sheet_path(pipeline.study, pipeline.run.name)),
         "overlay": str(overlay_path(pipeline)) if overlay_path(pipeline).exists() else None,
@@ -65,7 +67,7 @@ def _displacement_and_notes(pipeline: RunPipeline) -> tuple[Displacement | None,
     try:
         displacement: Displacement = pipeline.get("displacement")
     except FrictrackError as e:
-        return None, [*pipeline.get("track").notes, f"not calibrated: {e}"]
+        return None, [*pipeline.final_track.notes, f"not calibrated: {e}"]
     return displacement, list(displacement.notes)
 
 

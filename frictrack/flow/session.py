@@ -151,7 +151,7 @@ class Session:
 
         opened = study_edits.OpenStudy(self.study, self.commands, self.models)
         result: dict[str, Any] = getattr(study_edits, STUDY_EDITS[command])(opened, **arguments)
-        self._load(open_study(self.study.path, allow_no_runs=True))
+        self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
     def bring_up_to(self, stage: str) -> list[RunPipeline]:
@@ -170,6 +170,8 @@ class Session:
             If a stage fails, or a number cannot be right.
 
         """
+        if self.study.incomplete:
+            raise FrictrackError(f"{self.study.path.name}: {'; '.join(self.study.incomplete)}", usage=True)
         self.findings.check_study_file()
         self._check_inputs(stage)
         if stage in STAGES_FROM_MOTION:
@@ -493,15 +495,15 @@ class Session:
         return before, self.models.summary(new_group)
 
     @exclusive
-    def attempt(self, effect: str, path: Path) -> dict[str, Any]:
-        """Fit the current model with one more effect into a separate file; the study is not changed.
+    def attempt(self, effect: str) -> dict[str, Any]:
+        """Fit the current model with one more effect and keep the fit; the study is not changed.
+
+        `add` takes the same fit from there.
 
         Parameters
         ----------
         effect
             Name of the effect.
-        path
-            The file (.h5).
 
         Returns
         -------
@@ -509,9 +511,9 @@ class Session:
             The JSON of `fit`.
 
         """
+        effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
         self.bring_up_to("friction")
-        request = self.models.current()[1].edited(f"+{effect}")
-        return self.models.attempt(request, path)
+        return self.models.attempt(self.models.current()[1].edited(f"+{effect}"))
 
     @exclusive
     def run(self, seed: int = 0, *, on_verdict: Callable[[dict[str, Any]], None] | None = None) -> StudySummary:
@@ -544,12 +546,14 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
+        from frictrack.flow.outdated import report_key, results_key  # noqa: PLC0415
         from frictrack.flow.stored_results import read_results  # noqa: PLC0415
 
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
-        key = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
+        inputs = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
+        key = report_key(inputs, results_key(self.models, self.runs), self.models.current()[0])
         if anew or not _has_key(path, key):
             self.progress(0, 0, f"writing {path.name}")
             from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw

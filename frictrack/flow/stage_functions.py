@@ -8,13 +8,20 @@ from frictrack import models
 from frictrack.arrays import displacement_of_table
 from frictrack.errors import FrictrackError
 from frictrack.events import find_events
-from frictrack.flow.film_stages import make_displacement, make_further_tracks, make_recording, make_track
+from frictrack.flow.film_stages import (
+    make_displacement,
+    make_further_tracks,
+    make_recording,
+    make_repaired,
+    make_track,
+)
 from frictrack.flow.pipeline import RunPipeline, make_run
 from frictrack.flow.sensor_stage import fused_acceleration, read_sensors
 from frictrack.friction import friction
 from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
+from frictrack.repairing import repaired_rows
 from frictrack.results import Sensors
 from frictrack.study import read_run_table
 
@@ -26,6 +33,7 @@ __all__ = [
     "make_further_tracks",
     "make_motion",
     "make_recording",
+    "make_repaired",
     "make_sensors",
     "make_table_displacement",
     "make_track",
@@ -43,7 +51,8 @@ def make_video_displacement(pipeline: RunPipeline, tracks: dict[str, Track], tra
 def make_table_displacement(pipeline: RunPipeline) -> Displacement:
     """Compute the displacement of a table of positions."""
     run = pipeline.run
-    return displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
+    found = displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
+    return repaired_rows(found, run.repair)
 
 
 def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
@@ -88,7 +97,7 @@ def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
     try:
         return friction(run)
     except FrictrackError as e:
-        lacks = missing_incline(run, path_angle(pipeline.get("track")) if "track" in pipeline.stages else None)
+        lacks = missing_incline(run, path_angle(pipeline.final_track) if "track" in pipeline.stages else None)
         if lacks is None:
             raise
         raise FrictrackError(lacks.words) from e

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, no_progress
@@ -71,16 +72,22 @@ FILM = _stage_table(
     Stage(
         "displacement",
         ("tracks", "track"),
-        ("scale", "lens", "axis", "origin_px", "x_offset"),
+        ("scale", "lens", "axis", "origin_px", "x_offset", "repair"),
         _function("make_video_displacement"),
         Displacement,
     ),
+)
+# Repairs come after the track, which stays stored as it was: undoing a repair does not track the film again.
+FILM_REPAIRED = _stage_table(
+    *(FILM[name] for name in ("recording", "track", "tracks")),
+    Stage("repaired", ("recording", "track", "tracks"), ("repair",), _function("make_repaired"), Track),
+    replace(FILM["displacement"], inputs=("tracks", "repaired")),
 )
 TABLE = _stage_table(
     Stage(
         "displacement",
         (),
-        ("table", "columns", "fps", "scale", "x_offset"),
+        ("table", "columns", "fps", "scale", "x_offset", "repair"),
         _function("make_table_displacement"),
         Displacement,
     ),
@@ -102,7 +109,8 @@ def run_pipeline(
         Take every stored result as up to date: nothing is computed and no recording is opened.
 
     """
-    return RunPipeline(study, run, FILM if run.video else TABLE, progress, stored_only=stored_only)
+    film = FILM_REPAIRED if run.repair else FILM
+    return RunPipeline(study, run, film if run.video else TABLE, progress, stored_only=stored_only)
 
 
 def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPool | None = None) -> list[RunPipeline]:

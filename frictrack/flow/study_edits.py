@@ -1,7 +1,7 @@
 """Change a study: keys of its file, its runs, its own effects, the current model; undo and redo.
 
-A key is written into the study file only if the file stays valid; comments are kept. The command history records every
-change with the state before it.
+A key is written into the study file only if the file stays valid, perhaps still incomplete; comments are kept. The
+command history records every change with the state before it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
         after = with_key(text, table, key, value, which)
         if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
             request = opened.models.request(opened.models.current_group)
-            request.model(parse(opened.study.path, after, allow_no_runs=True).effects)
+            request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
         return after
 
     with opened.history.record("edit", table=table, which=which, key=key, value=value) as change:
@@ -183,6 +183,6 @@ def _rewrite(path: Path, rewrite: Callable[[str], str]) -> tuple[dict[str, str],
     """
     before = path.read_bytes().decode()
     after = rewrite(before)
-    check_study(parse(path, after, allow_no_runs=True))
+    check_study(parse(path, after, allow_incomplete=True))
     replace_text(path, after)
     return {"toml": before}, {"toml": after}

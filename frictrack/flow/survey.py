@@ -35,6 +35,8 @@ class Surveyed:
         Columns of a table by short name, if the headers tell them with their units.
     columns_to_confirm
         Line of the study file that names the columns, if the units are missing.
+    n_frames, shape
+        Number of frames of a film, and height and width of its pictures, px; 0 for a table.
 
     """
 
@@ -45,6 +47,8 @@ class Surveyed:
     fps_source: str = ""
     columns: Mapping[str, str] = field(default_factory=dict)
     columns_to_confirm: str = ""
+    n_frames: int = 0
+    shape: tuple[int, int] = (0, 0)
 
     @property
     def is_usable(self) -> bool:
@@ -57,7 +61,7 @@ class Surveyed:
         return self.path.suffix.lower() in TABLES and not self.path.is_dir()
 
 
-def survey(path: Path) -> Surveyed:
+def survey_recording(path: Path) -> Surveyed:
     """Look at one recording.
 
     Parameters
@@ -88,7 +92,9 @@ def _survey_film(path: Path) -> Surveyed:
     height, width = film.shape
     rate = f", {fps:g} fps ({source})" if fps else ", frame rate of the camera not stated"
     words = f"{film.n_frames} frames of {width} x {height} px{rate}"
-    return Surveyed(path, words, fps=fps, fps_source=source if fps else "")
+    return Surveyed(
+        path, words, fps=fps, fps_source=source if fps else "", n_frames=film.n_frames, shape=(height, width)
+    )
 
 
 def rate_in_name(name: str) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from frictrack.calibration import estimate_shake, subtract_shake
 from frictrack.flow.target_rotation import rotation_note
-from frictrack.records import MEASURED, Array, Track
+from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def correct_track(
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
+    track = track.measured
     clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
     notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean, ()).notes)
     notes += (*rotation_note(clean), *lost_frames_note(clean))
@@ -68,18 +70,24 @@ def correct_track(
     )
 
 
+def _lost_reasons(track: Track, lost: Mask) -> Counter[str]:
+    """Return the reasons of some lost frames, each with its number of frames."""
+    return replace(track, reason=np.where(lost, track.reason, "")).lost
+
+
 def lost_frames_note(track: Track) -> tuple[str, ...]:
     """Return a note if frames are lost between the first and the last that show the target; at most one."""
     found = np.flatnonzero(track.found)
     if not len(found):
         return ()
     between = track.rows(slice(int(found[0]), int(found[-1]) + 1))
-    count = int(np.count_nonzero(~between.found))
+    lost = ~between.found & (True if between.repaired is None else between.repaired == 0)  # repairs have a note already
+    count = int(np.count_nonzero(lost))
     if count < max(MIN_LOST_SHARE * len(between), 2):
         return ()
-    why = ", ".join(f"{reason} in {frames}" for reason, frames in between.lost.most_common())
-    gap = int(np.argmax(np.diff(found)))
-    where = f"the longest gap is that of the frames {found[gap] + 1} to {found[gap + 1] - 1}"
+    why = ", ".join(f"{reason} in {frames}" for reason, frames in _lost_reasons(between, lost).most_common())
+    gap = max(stretches(lost), key=lambda part: part.stop - part.start)
+    where = f"the longest gap is that of the frames {found[0] + gap.start} to {found[0] + gap.stop - 1}"
     return (f"{count} of {len(between)} frames of the path are empty: {why}; {where}",)
 
 
@@ -147,8 +155,16 @@ def _forward_backward_note(forward: Track, backward: Track | None) -> tuple[str,
 
     if backward is None:
         return ()
-    both = forward_backward(forward, backward)
+    both = forward_backward(*_unrepaired(forward, backward))
     return (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
+
+
+def _unrepaired(track: Track, *others: Track) -> tuple[Track, ...]:
+    """Return tracks without the frames that the user repaired in the first of them."""
+    if track.repaired is None:
+        return track, *others
+    hidden = np.where(track.repaired > 0, np.nan, 0.0)
+    return tuple(replace(one, x_px=one.x_px + hidden) for one in (track, *others))
 
 
 def kept_rows(n: int, slips: Sequence[Slip]) -> Rows:
@@ -229,11 +245,12 @@ def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], p
     """
     from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
 
+    track = track.measured
     found = track.found
     um = None if pitch is None else 1e6 * pitch
     clean, *_ = _corrected_track(track, tracks.get("reference"), clocked=film.clocked)
     locking, history = peak_locking(clean), scores(track)
-    both = forward_backward(track, tracks["backward"]) if "backward" in tracks else None
+    both = forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
     return {
         "frames": len(track),

@@ -11,6 +11,7 @@ from typing import Any
 
 from frictrack import effects, models, store
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions
+from frictrack.flow.attempts import attempt_path, make_attempts_folder, stored_attempt
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.models import Model
@@ -246,7 +247,7 @@ class TriedModels:
             Name of the group, and the request.
 
         """
-        fitted = self._fit(request)
+        fitted = self._attempted(request) or self._fit(request)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
@@ -264,13 +265,31 @@ class TriedModels:
         """Return the links from ``study.h5`` to the files of the runs."""
         return {f"runs/{pipeline.run.name}": pipeline.path.name for pipeline in self._pipelines}
 
-    def attempt(self, request: FitRequest, path: Path) -> dict[str, Any]:
-        """Fit a model into a file of its own, which is never updated: JSON of `fit`."""
-        name = f"attempt_{request.name}"
-        entry = self._group_content(request, self._fit(request), current=False)
-        standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
-        store.write(path, {f"models/{name}": standalone})
-        return model_results(path, name).summary
+    def attempt_path(self, request: FitRequest) -> Path:
+        """Return the file that holds the fit of a request if it was attempted; see `attempts`."""
+        return attempt_path(self.study.output, self.fit_key(request))
+
+    def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
+        """Return file and group of the attempted fit of a request; None if there is none."""
+        return stored_attempt(self.study.output, self.fit_key(request))
+
+    def attempt(self, request: FitRequest) -> dict[str, Any]:
+        """Fit a model into a file of its own, unless it is there already: JSON of `fit`; see `attempts`."""
+        found = self.stored_attempt(request)
+        if found is None:
+            entry = self._group_content(request, self._fit(request), current=False)
+            standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
+            make_attempts_folder(self.study.output)
+            found = self.attempt_path(request), f"attempt_{request.name}"
+            store.write(found[0], {f"models/{found[1]}": standalone})
+        return model_results(*found).summary
+
+    def _attempted(self, request: FitRequest) -> Any:
+        """Return the fit of a request if it was attempted before, else None."""
+        from frictrack.fit import restore  # noqa: PLC0415
+
+        found = self.stored_attempt(request)
+        return None if found is None else restore(self.runs, store.read(found[0], f"models/{found[1]}")["state"])
 
     def fit(self, group: str) -> Any:
         """Return the fit of a group: restored from the store if it is up to date, else computed again."""

@@ -88,6 +88,7 @@ def differentiate(filtered: Filtered) -> Motion:
         events=filtered.events,
         lines=filtered.lines,
         shake_a=float(np.sqrt(np.mean(shake[2] ** 2))),
+        repaired=filtered.repaired,
     )
 
 

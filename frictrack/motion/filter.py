@@ -130,6 +130,7 @@ def low_pass(
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
         asked=cutoff is not None,
+        repaired=displacement.repaired,
         x_measured=x.measured,
         y_measured=y.measured,
         smoother=x.smoother,

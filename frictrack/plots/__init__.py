@@ -8,6 +8,9 @@ from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates, held_out_order, passes
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.inputs import AnyModel as AnyModel
+from frictrack.plots.inputs import AnyRun as AnyRun
+from frictrack.plots.inputs import as_model, as_runs
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -24,6 +27,8 @@ from frictrack.plots.verdict import verdict
 from frictrack.plots.verdict_data import failed_model, is_rejected
 
 __all__ = [
+    "as_model",
+    "as_runs",
     "budget",
     "budgets",
     "budgets_title",

@@ -65,6 +65,9 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
     ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
     ax.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.8)
+    if track.repaired is not None:
+        at = track.repaired > 0
+        ax.plot(track.x_px[at], track.y_px[at], ls="", marker="|", color=style.REPAIRED_COLOUR, ms=7)
     if track.target is not None:
         for color, lw, dash in (("black", 3.8, "-"), (TARGET_COLOUR, 2.0, "--")):
             outline = track.outline or polygon(list(track.target))
@@ -73,6 +76,7 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     handles = [
         Line2D([], [], color=PATH_COLOUR, lw=1.8, label="path of its centre"),
         Patch(fill=False, ec=TARGET_COLOUR, lw=2.0, ls="--", label="target"),
+        *style.repaired_handles(track.repaired),
     ]
     figure.legend(handles=handles, loc="outside lower right", ncols=2)
     return figure
@@ -156,6 +160,7 @@ def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
         draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
         ax.plot(1e3 * m.t, values, color=style.MEASURED_COLOUR, lw=1.3)
         style.set_y_limits(ax, (values[shown] - sigma[shown], values[shown] + sigma[shown]))
+        style.mark_repaired(ax, 1e3 * m.t, m.repaired)
     _zoom_to_free_section(panels[-1], run)
     _mark_events(panels, run)
 
@@ -226,13 +231,13 @@ def _shade_sections(ax: Axes, run: RunResults) -> None:
             ax.axvspan(a, b, fill=False, hatch="///", lw=0, ec="#AAAAAA", zorder=0.5)
 
 
-def _section_handles(run: RunResults) -> list[Patch]:
-    handles = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.BAND_SIGMAS:g} std")]
+def _section_handles(run: RunResults) -> list[Patch | Line2D]:
+    handles: list[Patch | Line2D] = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.BAND_SIGMAS:g} std")]
     if run.friction is not None:
         handles.append(Patch(color=style.FREE_COLOUR, label="free section"))
     if run.motion.guard:
         handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="smeared by the filter"))
-    return handles
+    return [*handles, *style.repaired_handles(run.motion.repaired)]
 
 
 @styled
@@ -265,6 +270,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
             draw_band(ax, at[rows], shown[rows], f.sigma_F[rows], color=look["color"], alpha=0.18)
             ax.plot(at[rows], shown[rows], lw=1.0, alpha=0.85, label=run.name, **look)
+            style.mark_repaired(ax, at, f.repaired)
         everything += [shown - f.sigma_F, shown + f.sigma_F]
     style.set_y_limits(left, everything)
     left.set(xlabel=axis_label("time since the free section begins", "ms"), ylabel=axis_label("friction force F", "N"))

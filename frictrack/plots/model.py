@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from frictrack.number_format import format_number, format_share
 from frictrack.plots import style
@@ -42,12 +43,15 @@ class Residual:
         (n,) residual, um or N.
     sigma : Array
         (n,) standard deviation of the noise, um or N.
+    repaired : Array or None
+        (n,) codes of repaired frames; None if there are none.
 
     """
 
     t: Array
     values: Array
     sigma: Array
+    repaired: NDArray[np.int8] | None = None
 
 
 @styled
@@ -85,7 +89,7 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
         Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
     ]
-    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
     return figure
 
 
@@ -132,7 +136,7 @@ def failing(
     handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
     if spans:
         handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
-    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
     return figure
 
 
@@ -266,7 +270,7 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
     """
     curves = [c for c in model.curves if c.run == run.name]
     if residual_unit(model) == "µm":
-        return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x) for c in curves]
+        return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x, c.repaired) for c in curves]
     f = run.friction
     if f is None:
         return []
@@ -281,6 +285,8 @@ def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = Tru
             draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE_COLOUR, zorder=0)
         dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOT_STYLE | look
         ax.plot(part.t, part.values, **dots)
+        if with_band:
+            style.mark_repaired(ax, part.t, part.repaired)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 
 
@@ -289,6 +295,11 @@ def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
     for c in model.curves:
         if c.run == run.name:
             ax.plot(1e3 * c.t, modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
+
+
+def _repaired_handles(model: ModelResults) -> list[Line2D]:
+    """Entry of the legend for repaired frames, if a fitted run has any."""
+    return next((found for c in model.curves if (found := style.repaired_handles(c.repaired))), [])
 
 
 def modelled_force(model: ModelResults, curve: Curve) -> Array:

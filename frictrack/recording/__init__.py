@@ -7,6 +7,7 @@ from pathlib import Path
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording
 from frictrack.recording.folder import Folder
+from frictrack.recording.frame_range import FrameRange
 from frictrack.recording.phantom import Phantom
 from frictrack.recording.photron import Photron
 from frictrack.recording.spool import random_access
@@ -14,7 +15,17 @@ from frictrack.recording.tiff import Tiff
 from frictrack.recording.timebase import Stamps, read_stamps
 from frictrack.recording.video import Video
 
-__all__ = ["FORMATS", "Frame", "Header", "Recording", "Stamps", "open_recording", "random_access", "read_stamps"]
+__all__ = [
+    "FORMATS",
+    "Frame",
+    "FrameRange",
+    "Header",
+    "Recording",
+    "Stamps",
+    "open_recording",
+    "random_access",
+    "read_stamps",
+]
 
 FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 

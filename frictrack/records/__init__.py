@@ -7,6 +7,7 @@ that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 
 from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar, stretches
 from frictrack.records.measured import (
+    INTERPOLATED,
     MEASURED,
     CutoffTradeOff,
     Displacement,
@@ -22,6 +23,7 @@ from frictrack.records.run import GRAVITY, Run
 
 __all__ = [
     "GRAVITY",
+    "INTERPOLATED",
     "MEASURED",
     "Array",
     "Curve",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar
 
 Point = tuple[float, float]
+INTERPOLATED = 2  # code in the column `repaired` of a frame without data
 MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN if lost
 
 
@@ -53,11 +54,23 @@ class Track(FrameTable):
     outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
     exclude: tuple[tuple[Point, ...], ...] = ()  # polygons in that frame that do not belong to the target
     obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture, behind which the target passes
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
 
     @property
     def found(self) -> Mask:
-        """Frames (n,) in which the target was found."""
-        return np.isfinite(self.x_px)
+        """Frames (n,) in which the target was found; an interpolated position is not found."""
+        known = np.isfinite(self.x_px)
+        return known if self.repaired is None else known & (self.repaired != INTERPOLATED)
+
+    @property
+    def measured(self) -> Track:
+        """The track with NaN in interpolated frames: what counts as data."""
+        if self.repaired is None or not np.any(self.repaired == INTERPOLATED):
+            return self
+        hidden = np.where(self.repaired == INTERPOLATED, np.nan, 0.0)
+        return replace(self, **{name: q + hidden for name in MEASURED if (q := getattr(self, name)) is not None})
 
     @property
     def lost(self) -> Counter[str]:
@@ -102,6 +115,9 @@ class Displacement(FrameTable):
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
     sigma_angle: Array | None = column("rad", nan=True, default=None)
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
 
     @property
     def known(self) -> Mask:
@@ -143,6 +159,9 @@ class Filtered(FrameTable):
     y_measured: Array | None = column("m", nan=True, default=None)
     x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, if later stages need it
     sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of a fused acceleration, inf without one
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,6 +196,9 @@ class Motion(FrameTable):
     events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
     lines: tuple[float, ...] = ()  # Hz, vibrations
     shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,6 +213,9 @@ class Friction(FrameTable):
     sigma_F: Array = column("N")
     free: Mask = column("", kind=np.bool_)
     reason: str = ""  # why the free section begins and ends there
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,9 @@ class Curve(FrameTable):
     run: str = "run"
     role: str = "fit"
     parts: dict[str, Array] = field(default_factory=dict)  # force of each effect, N
+    repaired: NDArray[np.int8] | None = column(
+        "", kind=np.int8, default=None
+    )  # 0 as measured, 1 tracked again; None: no frame was repaired
 
     @property
     def residual(self) -> Array:

@@ -78,12 +78,13 @@ def failed_checks(run: RunResults) -> list[str]:
             f"the target moves {_px(q['blur_px'])} during the exposure of a frame",
         ),
     )
-    timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not _is_good(r["verdict"])]
+    timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not is_good(r["verdict"])]
     scale = [note for note in run.displacement.notes if "by the motion" in note or "from the motion" in note]
     return [text for failed, text in checks if failed] + timing + scale
 
 
-def _is_good(verdict: str) -> bool:
+def is_good(verdict: str) -> bool:
+    """Return whether the verdict of a check of the time base is nothing to worry about."""
     return verdict in GOOD_VERDICTS or "of the frame interval" in verdict
 
 

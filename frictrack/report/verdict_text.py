@@ -78,6 +78,8 @@ def study_verdict(results: Results) -> VerdictText:
     sentences = [*_added_effects(results.models)]
     if diagnosis:
         sentences += _VERDICT_SENTENCES[kind](model, diagnosis)
+        if rests := diagnosis.get("rests_on_repairs"):
+            sentences.append(Markup("<b>{}</b>.").format(_capitalised(rests)))
     return VerdictText(_headline(results, model, kind), tuple(sentences), kind, _runs_and_model(model))
 
 

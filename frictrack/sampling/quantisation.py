@@ -38,8 +38,13 @@ def quantum(x: Array) -> float:
     gaps = np.sort(gaps)
     for parts in range(1, _max_parts(len(gaps)) + 1):
         if step := _refine_step(gaps, float(gaps[0]) / parts):
-            return step
+            return 0.0 if _is_even_motion(gaps, step, len(values) < len(x)) else step
     return 0.0
+
+
+def _is_even_motion(gaps: Array, step: float, repeated: bool) -> bool:
+    """Whether the gaps are all the same and no position occurs twice: a mass at constant velocity leaves the same."""
+    return not repeated and bool(np.all(np.rint(gaps / step) == np.rint(gaps[0] / step)))
 
 
 def _max_parts(count: int) -> int:

@@ -15,7 +15,7 @@ What is in a file, and how others read it, is in SCHEMA.md.
 
 from frictrack.store.encoding import GroupContent, Provenance
 from frictrack.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, read_header
-from frictrack.store.hdf5_io import attributes, names, provenance, provenances, read, snapshot, write
+from frictrack.store.hdf5_io import attributes, checksum, names, provenance, provenances, read, snapshot, write
 from frictrack.store.integrity import Fault, check
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "Provenance",
     "attributes",
     "check",
+    "checksum",
     "names",
     "provenance",
     "provenances",

@@ -7,6 +7,7 @@ block viewers, or fail on network drives.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -31,6 +32,8 @@ from frictrack.version import __version__
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"
+MAX_FILES_KNOWN = 256  # whose attributes are kept
+_ATTRIBUTES: dict[Path, tuple[Any, dict[str, dict[str, Any]]]] = {}  # version of a file, attributes by group
 _HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
 
 
@@ -137,8 +140,43 @@ def attributes(path: Path, group: str) -> dict[str, Any]:
     if not path.exists():
         return {}
     with _reading(path) as file:
+        return {k: v for k, v in _attributes(file, path, group).items() if k != CHECKSUM}
+
+
+def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
+    """Return the attributes of a group; those of the last versions of many files are kept, a page asks again and again.
+
+    The version is that of the opened file, which may have been replaced since.
+    """
+    version = _opened_version(file)
+    known = _ATTRIBUTES.get(path) if version else None
+    if known is None or known[0] != version:
+        known = (version, {})
+        if version:
+            _ATTRIBUTES.pop(path, None)
+            _ATTRIBUTES[path] = known
+        if len(_ATTRIBUTES) > MAX_FILES_KNOWN:
+            _ATTRIBUTES.pop(next(iter(_ATTRIBUTES)), None)
+    if group not in known[1]:
         found = _found(file, path, group)
-        return {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items() if k != CHECKSUM}
+        known[1][group] = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+    return known[1][group]
+
+
+def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
+    """Return what identifies the version of an opened file, as `file_state` does; None for one in memory."""
+    if file.driver == "core":
+        return None
+    found = os.fstat(file.id.get_vfd_handle())
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def checksum(path: Path, group: str) -> str:
+    """Return the stored checksum of a group with everything in it; empty if there is none."""
+    if not path.exists():
+        return ""
+    with _reading(path) as file:
+        return str(_attributes(file, path, group).get(CHECKSUM, ""))
 
 
 def names(path: Path, group: str = "/") -> list[str]:

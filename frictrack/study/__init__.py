@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         read_sensor_table,
         read_table,
     )
-    from frictrack.study.schema import COLUMNS, EffectTable, RunTable, suggest
+    from frictrack.study.schema import COLUMNS, EffectTable, RunTable, needs_film, read_frame_rate, suggest, to_si
     from frictrack.study.table_files import TableFile, open_table, table_headers
     from frictrack.study.writing import (
         TABLES,
@@ -51,10 +51,12 @@ _MODULE_OF = {
     "is_picture_folder": "writing",
     "list_files": "writing",
     "load": "loading",
+    "needs_film": "schema",
     "NewRun": "writing",
     "open_table": "table_files",
     "parse": "loading",
     "propose_columns": "reading_tables",
+    "read_frame_rate": "schema",
     "read_key": "editing",
     "read_frame": "reading_tables",
     "read_run_table": "reading_tables",
@@ -70,6 +72,7 @@ _MODULE_OF = {
     "table_headers": "table_files",
     "TableFile": "table_files",
     "TABLES": "writing",
+    "to_si": "schema",
     "with_effect": "editing",
     "with_key": "editing",
     "with_runs": "editing",

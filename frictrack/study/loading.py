@@ -47,6 +47,8 @@ class Study:
         Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
     fps, scale
         Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
+    incomplete
+        What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
     """
 
@@ -59,6 +61,7 @@ class Study:
     mass: Value | None = None
     fps: float | None = None
     scale: Any = None
+    incomplete: tuple[str, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -66,7 +69,7 @@ class Study:
         return self.path.parent
 
 
-def load(path: str | Path, *, allow_no_runs: bool = False) -> Study:
+def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read a study file.
 
     Parameters
@@ -75,6 +78,8 @@ def load(path: str | Path, *, allow_no_runs: bool = False) -> Study:
         The file, or a folder with a ``study.toml``.
     allow_no_runs
         Accept a study without runs.
+    allow_incomplete
+        Accept a study without runs, and runs without mass or scale.
 
     Raises
     ------
@@ -84,10 +89,10 @@ def load(path: str | Path, *, allow_no_runs: bool = False) -> Study:
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    return parse(path, _read(path), allow_no_runs=allow_no_runs)
+    return parse(path, _read(path), allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete)
 
 
-def parse(path: Path, text: str, *, allow_no_runs: bool = False) -> Study:
+def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read the text of a study file, which need not be on the disk.
 
     Parameters
@@ -98,6 +103,8 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False) -> Study:
         The text.
     allow_no_runs
         Accept a study without runs.
+    allow_incomplete
+        Accept a study without runs, and runs without mass or scale; see `Study.incomplete`.
 
     Raises
     ------
@@ -106,8 +113,10 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False) -> Study:
 
     """
     raw = read_toml(path.name, text)
-    reader = _Reader(text, {"folder": path.parent}, allow_no_runs=allow_no_runs)
+    reader = _Reader(text, {"folder": path.parent}, allow_no_runs=allow_no_runs or allow_incomplete)
     study = reader.study(path, raw)
+    if not allow_incomplete:
+        reader.faults += reader.lacks
     if reader.faults or study is None:
         raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
     return study
@@ -200,7 +209,9 @@ class _Reader:
         self.context = context
         self.allow_no_runs = allow_no_runs
         self.faults: list[str] = []
+        self.lacks: list[str] = []  # keys that a run needs before it can be measured
         self.faults_of_runs: dict[str, list[str]] = {}  # where, by fault: several runs often lack the same
+        self.lacks_of_runs: dict[str, list[str]] = {}
 
     def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
         for name, value in raw.items():
@@ -224,6 +235,7 @@ class _Reader:
                 f'"{head.output or output.name}", which is outside; choose another folder, or allow that one: '
                 f"{ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
             )
+        self.lacks += [f"{_and_more(where)}: {lack}" for lack, where in self.lacks_of_runs.items()]
         self.faults += [f"{_and_more(where)}: {fault}" for fault, where in self.faults_of_runs.items()]
         self._check_names(merged)
         return Study(
@@ -236,6 +248,7 @@ class _Reader:
             mass=None if head.mass == "fit" else head.mass,
             fps=camera.fps,
             scale=camera.scale,
+            incomplete=tuple(self.lacks),
         )
 
     def _check_table(self, name: str, value: Any) -> None:
@@ -289,6 +302,8 @@ class _Reader:
             run = run.model_copy(update={"scale": None})
         for fault in _run_faults(run):
             self.faults_of_runs.setdefault(fault, []).append(where)
+        for lack in _run_lacks(run):
+            self.lacks_of_runs.setdefault(lack, []).append(where)
         return run
 
     def _check_names(self, runs: tuple[RunTable, ...]) -> None:
@@ -339,6 +354,16 @@ def _title(table: str, index: int, raw: Any) -> str:
     return f'[[{table}]] "{name}"' if name else f"[[{table}]] number {index + 1}"
 
 
+def _run_lacks(run: RunTable) -> list[str]:
+    """Return what a film needs besides its frames before it can be measured."""
+    lacks = []
+    if run.video and run.scale is None:
+        lacks.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')
+    if run.video and run.mass is None:
+        lacks.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
+    return lacks
+
+
 def _run_faults(run: RunTable) -> list[str]:
     """Return the faults of one run that concern several keys."""
     faults = []
@@ -347,20 +372,27 @@ def _run_faults(run: RunTable) -> list[str]:
             "expected a name that can be a file name on every system (letters, digits, spaces, .-_; "
             f'at most {MAX_NAME_LENGTH} characters) but got "{run.name[:MAX_NAME_LENGTH]}"'
         )
-    if run.video and run.scale is None:
-        faults.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')
-    if run.video and run.mass is None:
-        faults.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
     if run.mass == "fit" and not (run.drive or run.table):
         faults.append('expected a measured drive with mass = "fit" but got none; give drive = "drive.csv"')
     if run.template is not None and run.target is None:
         faults.append("expected a target with template (the number of its frame) but got none")
     if run.template is not None and isinstance(run.target, Path):
         faults.append("expected no template with a picture of the target: the picture is searched in all frames")
+    if run.columns and run.video:
+        faults.append("expected columns only with a table")
+    return faults + _picture_faults(run)
+
+
+def _picture_faults(run: RunTable) -> list[str]:
+    """Return the faults of areas and repairs, which need a target or a film."""
+    faults = []
     if run.exclude and run.target is None:
         faults.append("expected a target with exclude (areas that do not belong to the target) but got none")
     if (run.exclude or run.obstacles) and run.table:
         faults.append("expected exclude and obstacles only with a video")
-    if run.columns and run.video:
-        faults.append("expected columns only with a table")
+    if run.table and any(one.how == "track" for one in run.repair):
+        faults.append(
+            'expected how = "interpolate" or "leave_out" in the repair of a table but got "track": '
+            "a table has no pictures"
+        )
     return faults

@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 
 from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.remote import RemoteFile, is_remote
+from frictrack.repairs import Repair, read_repairs
 from frictrack.units import parse_quantity
 
 Value = tuple[float, float]  # in SI units, with its standard deviation
@@ -114,6 +115,29 @@ def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
 def _mass(raw: Any) -> Any:
     """Read a mass, kg; "fit" stays as it is."""
     return raw if raw == "fit" else to_si(raw, "kg", "mass", above=0.0)
+
+
+def read_frame_rate(raw: Any) -> float:
+    """Read a frame rate, 1/s: a number, or a text such as "4000 fps", "4000 /s" or "4 kHz".
+
+    Raises
+    ------
+    ValueError
+        If it is none, or not above 0.
+
+    Examples
+    --------
+    >>> read_frame_rate("4000 fps"), read_frame_rate("4 kHz")
+    (4000.0, 4000.0)
+
+    """
+    text = _FRAMES_PER_SECOND.sub("", raw) if isinstance(raw, str) else raw
+    try:
+        return to_si(text, "Hz", "fps", above=0.0)[0]
+    except ValueError as e:
+        if isinstance(raw, str) and "above 0" not in str(e):
+            raise ValueError(f'expected a frame rate such as "4000" or "4 kHz" but got "{raw}"') from e
+        raise
 
 
 def _angle(raw: Any, info: ValidationInfo) -> float:
@@ -328,9 +352,11 @@ SENSOR = ("table", "columns", "offset")
 TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a click [x, y] or a picture's path"
 RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
+_FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
 MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
+Repairs = Annotated[tuple[Repair, ...], BeforeValidator(read_repairs)]
 Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
 Reference = Annotated[Any, BeforeValidator(_reference)]
 Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
@@ -341,6 +367,7 @@ Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
 Sensor = Annotated[Any, BeforeValidator(_sensor)]
 Frequency = Annotated[float, _number("Hz", above=0.0)]
+FrameRate = Annotated[float, BeforeValidator(read_frame_rate)]
 Place = Annotated[float, _number("m")]
 Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
@@ -396,7 +423,7 @@ class CameraTable(Keys):
 
     """
 
-    fps: Frequency | None = None
+    fps: FrameRate | None = None
     scale: Scale | None = None
     lens: File | None = None
 
@@ -432,6 +459,9 @@ class RunTable(Keys):
         Polygons or rectangles in that frame that move with the target and are not part of it.
     obstacles
         Polygons or rectangles fixed in the picture, behind which the target passes.
+    repair
+        Frames that were tracked wrongly or lost, each span with from, to and how: "track" (again, from target in
+        frame), "interpolate" or "leave_out".
     axis
         Direction of +x in the picture, in px, or along the path of the target; default the picture's x.
     origin_px
@@ -473,7 +503,7 @@ class RunTable(Keys):
     video: Source | None = None
     table: Source | None = None
     mass: Mass | None = None
-    fps: Frequency | None = None
+    fps: FrameRate | None = None
     scale: Scale | None = None
     lens: File | None = None
     target: Target | None = None
@@ -484,6 +514,7 @@ class RunTable(Keys):
     template: Annotated[int, Field(ge=0)] | None = None
     exclude: Areas = ()
     obstacles: Areas = ()
+    repair: Repairs = ()
     axis: Axis | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0

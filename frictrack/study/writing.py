@@ -46,6 +46,8 @@ target = [410, 232, 96, 64] position of the slider in the first frame (x, y, w, 
 target = [[410, 232], [500, 236], [470, 290]]   its outline, corner by corner
 exclude = [[[430, 240], [450, 240], [450, 260]]]   polygons or rectangles in that frame that are not part of the target
 obstacles = [[600, 0, 24, 400]]    polygons or rectangles fixed in the picture, behind which the target passes
+repair = [{from = 120, to = 160, how = "track", target = [410, 232, 96, 64]}]   frames that were tracked wrongly: the
+                            target in frame 120 tells where it is; or how = "interpolate" or "leave_out"
 reference = [8, 80, 64, 32] a fixed object to measure camera shake, if the automatic choice is wrong; or "none"
 axis = "track"              +x along the path itself, if the course is not level in the picture; or [dx, dy]
 incline = "22 deg"          the course rises toward +x; negative where it falls
@@ -199,7 +201,11 @@ def refuse_existing(path: Path) -> None:
 
 
 def toml_item(value: Any) -> Any:
-    """Convert a value for a study file; a dictionary becomes an inline table."""
+    """Convert a value for a study file; a dictionary becomes an inline table, also inside a list."""
+    if isinstance(value, list | tuple) and any(isinstance(part, Mapping) for part in value):
+        listed = tomlkit.array()
+        listed.extend(toml_item(part) for part in value)
+        return listed
     if not isinstance(value, Mapping):
         return tomlkit.item(value)
     inline = tomlkit.inline_table()

@@ -16,7 +16,8 @@ show                contact sheet and overlay video
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
-from frictrack.tracking.driver import learn_target, track, track_in_parallel, track_same_target
+from frictrack.tracking.driver import learn_target, relearn_target, track, track_in_parallel, track_same_target
+from frictrack.tracking.frame_tracking import track_frames
 from frictrack.tracking.registration import align_track
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
 from frictrack.tracking.target_model import TargetModel
@@ -31,8 +32,10 @@ __all__ = [
     "is_polygon",
     "learn_target",
     "overlay_video",
+    "relearn_target",
     "target_line",
     "track",
+    "track_frames",
     "track_in_parallel",
     "track_same_target",
 ]

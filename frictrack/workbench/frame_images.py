@@ -11,12 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frictrack.recording import Frame, open_recording, random_access
+from frictrack.errors import FrictrackError
+from frictrack.recording import Frame, Recording, open_recording, random_access
 
 MAX_WIDTH_PX = 1280  # wider frames are scaled down
 MAX_CACHED_FRAMES = 64
 JPEG_QUALITY = 88
 BLACK_PERCENTILE, WHITE_PERCENTILE = 0.1, 99.9  # of the first frame, for frames of more than 8 bits
+UNKNOWN_FPS = 1000.0  # 1/s: a film whose rate nobody has told yet can be looked at
 
 
 class FrameImages:
@@ -33,7 +35,8 @@ class FrameImages:
 
     def __init__(self, path: Path, fps: float | None) -> None:
         self._stack = ExitStack()
-        self._recording = self._stack.enter_context(random_access(open_recording(path, fps)))
+        recording, self.fps = _open(path, fps)
+        self._recording = self._stack.enter_context(random_access(recording))
         self._lock = Lock()
         self._cache: OrderedDict[int, bytes] = OrderedDict()
         first = self._recording.frame(0)
@@ -47,11 +50,11 @@ class FrameImages:
         Returns
         -------
         dict
-            `frames`, `width` and `height` in px, and `fps`.
+            `frames`, `width` and `height` in px, and `fps`, which is None if neither the user nor the file tells it.
 
         """
         height, width = self._recording.shape
-        return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self._recording.fps}
+        return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self.fps}
 
     def __getitem__(self, number: int) -> tuple[int, bytes]:
         """Number and JPEG of a frame; a number outside the film is clipped."""
@@ -63,6 +66,10 @@ class FrameImages:
             while len(self._cache) > MAX_CACHED_FRAMES:
                 self._cache.popitem(last=False)
             return number, self._cache[number]
+
+    def __contains__(self, number: int) -> bool:
+        """Whether the picture of a frame is cached."""
+        return number in self._cache
 
     def _jpeg(self, frame: Frame) -> bytes:
         low, high = self._limits
@@ -76,3 +83,14 @@ class FrameImages:
     def close(self) -> None:
         """Close the recording."""
         self._stack.close()
+
+
+def _open(path: Path, fps: float | None) -> tuple[Recording, float | None]:
+    """Open a recording, also one whose frame rate is unknown; return it with its rate."""
+    if fps is not None:
+        return open_recording(path, fps), fps
+    try:
+        recording = open_recording(path, None)
+    except FrictrackError:  # perhaps only the rate is missing
+        return open_recording(path, UNKNOWN_FPS), None
+    return recording, recording.fps

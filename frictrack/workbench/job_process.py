@@ -1,4 +1,8 @@
-"""Run one job: `python -m frictrack.workbench.job_process JOBS/0007`."""
+"""Run one job: `python -m frictrack.workbench.job_process JOBS/0007`.
+
+With `--wait` the process imports everything first and then reads the folder of the job from its standard input. It ends
+when its input does, so that it does not outlive the server.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import json
 import os
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -15,7 +20,7 @@ from filelock import FileLock
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
-CANCEL_POLL_S = 0.05  # between two checks for the file that cancels the job
+CANCEL_POLL_S = 0.02  # between two checks for the file that cancels the job
 MIN_WRITE_INTERVAL_S = 0.1  # between two lines of progress with the same text
 
 
@@ -24,7 +29,13 @@ class ProgressFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.phase = ""
         self._last, self._what = 0.0, ""
+
+    def background(self, *found: Any) -> None:
+        """Say that the result which the user waits for is stored; what follows runs in the background."""
+        self.phase = "background"
+        self._write({"done": 0, "total": 0, "what": "the verdict is stored"})
 
     def __call__(self, done: int, total: int, what: str) -> None:
         """Write one line, unless one with the same text was written just before.
@@ -41,8 +52,12 @@ class ProgressFile:
         if what == self._what and done < total and now - self._last < MIN_WRITE_INTERVAL_S:
             return
         self._last, self._what = now, what
+        self._write({"done": done, "total": total, "what": what})
+
+    def _write(self, line: dict[str, Any]) -> None:
+        more = {"phase": self.phase} if self.phase else {}
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"done": done, "total": total, "what": what}) + "\n")
+            file.write(json.dumps({**line, **more}) + "\n")
 
 
 def main(folder: Path) -> None:
@@ -57,7 +72,7 @@ def main(folder: Path) -> None:
     """
     with FileLock(folder / "alive"):
         (folder / "began").touch()
-        Thread(target=_end_when_asked, args=(folder / "cancel",), daemon=True).start()
+        Thread(target=_end_when_asked, args=(folder,), daemon=True).start()
         try:
             result = _run_job(json.loads((folder / "spec.json").read_text(encoding="utf-8")), folder)
         except FrictrackError as e:
@@ -68,12 +83,12 @@ def main(folder: Path) -> None:
         replace_text(folder / "result.json", json.dumps(result))
 
 
-def _end_when_asked(cancel: Path) -> None:
-    """End the process when the file `cancel` appears.
+def _end_when_asked(folder: Path) -> None:
+    """End the process when the file `cancel` appears, or when the results were removed with the folder of the job.
 
     Finished steps are kept, because files are written completely or not at all.
     """
-    while not cancel.exists():
+    while not (folder / "cancel").exists() and (folder / "spec.json").exists():
         time.sleep(CANCEL_POLL_S)
     os._exit(130)
 
@@ -82,43 +97,80 @@ def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     from frictrack.flow import Session, open_study  # noqa: PLC0415 - a job can be cancelled before this import ends
     from frictrack.results import to_builtins  # noqa: PLC0415
 
-    session = Session(
-        open_study(spec["study"]),
-        ProgressFile(folder / "progress.jsonl"),
-        author=spec["who"],
-        expected_revision=spec["seen"],
-    )
-    done: dict[str, Any] = to_builtins(
-        ACTIONS.get(spec["do"], _apply_change)(session, spec["do"], folder, **spec["told"])
-    )
+    progress = ProgressFile(folder / "progress.jsonl")
+    progress(0, 0, "starts")
+    session = Session(open_study(spec["study"]), progress, author=spec["who"], expected_revision=spec["seen"])
+    run = ACTIONS.get(spec["do"], _apply_change)
+    done: dict[str, Any] = to_builtins(run(session, spec["do"], progress, **spec["told"]))
     return {"done": done}
 
 
-def _apply_change(session: Any, do: str, folder: Path, **arguments: Any) -> Any:
+def _apply_change(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
     return session.apply(do, **arguments)
 
 
-def _call_session(session: Any, do: str, folder: Path, **arguments: Any) -> Any:
+def _call_session(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
     return getattr(session, do)(**arguments)
 
 
-def _attempt_effect(session: Any, do: str, folder: Path, effect: str) -> Any:
-    """Fit the model with one more effect; the result is stored with the job and not in the study."""
-    return session.attempt(effect, folder / "attempt.h5")
+def _run_study(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
+    from frictrack.flow import run_study  # noqa: PLC0415
+
+    return run_study(session, progress.background, **arguments)
 
 
-def _write_report(session: Any, do: str, folder: Path) -> Any:
+def _conclude(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
+    """Diagnose the model, or complete its diagnosis, then fit its candidates and write the report."""
+    from frictrack.flow import conclude  # noqa: PLC0415
+
+    return conclude(session, progress.background, **arguments)
+
+
+def _change_and_diagnose(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
+    """Add or remove an effect, then diagnose the new model."""
+    from frictrack.flow import change_and_diagnose  # noqa: PLC0415
+
+    return change_and_diagnose(session, do.partition("_")[0], progress.background, **arguments)
+
+
+def _write_report(session: Any, do: str, progress: ProgressFile) -> Any:
     return {"report": session.report()}
 
 
 ACTIONS: dict[str, Any] = {
     "measure": _call_session,
-    "run": _call_session,
-    "diagnose": _call_session,
-    "attempt": _attempt_effect,
+    "run": _run_study,
+    "diagnose": _conclude,
+    "add_and_diagnose": _change_and_diagnose,
+    "remove_and_diagnose": _change_and_diagnose,
+    "attempt": _call_session,
     "report": _write_report,
+    "background": _conclude,
 }
+IMPORTED_FIRST = (  # what most jobs need; the process that waits has it ready
+    *("frictrack.flow.session", "frictrack.flow.stored_results", "frictrack.flow.film_stages", "frictrack.flow.stages"),
+    *("frictrack.fit", "frictrack.diagnose", "frictrack.compare", "frictrack.tracking", "frictrack.recording"),
+    *("frictrack.motion", "frictrack.friction", "frictrack.flow.plausibility_checks", "frictrack.flow.input_checks"),
+)
+
+
+def wait() -> None:
+    """Import what jobs need, then run the job whose folder comes on the standard input; end with the input."""
+    for module in IMPORTED_FIRST:
+        import_module(module)
+    line = sys.stdin.readline()
+    if not line:
+        return
+    folder = Path(json.loads(line))
+    sys.stdout.flush()
+    with (folder / "output.txt").open("wb") as output:
+        os.dup2(output.fileno(), sys.stdout.fileno())
+        os.dup2(output.fileno(), sys.stderr.fileno())
+    main(folder)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    if sys.argv[1:] == ["--wait"]:
+        wait()
+    else:
+        main(Path(sys.argv[1]))

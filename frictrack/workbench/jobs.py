@@ -13,21 +13,45 @@ jobs/0007/result.json     the result or the error
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
+import shutil
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
 from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
-from frictrack.study import Study
+from frictrack.flow import CommandHistory
+from frictrack.workbench.errors import BusyError
+from frictrack.workbench.job_launcher import launch_process
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
+MAX_CANCEL_SECONDS = 3.0  # until a cancelled process has ended
+MAX_JOBS_KEPT = 30
+LAST_LINE_BYTES = 4096  # of the file of progress
+CHAINED = ("add_and_diagnose", "remove_and_diagnose", "add", "remove")
+REPEATED = ("run", "measure", "diagnose", "report")  # the later one does all that the earlier one would do
+MODEL_CHANGES = (*CHAINED, "fit", "run", "measure")
+WORDS = {
+    "run": "Run",
+    "measure": "Measure the runs",
+    "fit": "Fit",
+    "add": "Add",
+    "remove": "Remove",
+    "add_and_diagnose": "Add",
+    "remove_and_diagnose": "Remove",
+    "diagnose": "Diagnose",
+    "attempt": "Try",
+    "report": "Write the report",
+    "background": "Complete the diagnosis and the report",
+}
+POLL_S = 0.01  # between two looks at a job that is to end
+BACKGROUND = "background"  # phase of a job whose result is stored already
 RUNNING, DONE, FAILED, CANCELLED, INTERRUPTED = "running", "done", "failed", "cancelled", "interrupted"
 
 
@@ -64,20 +88,52 @@ class Job:
             return {}
 
     @property
-    def progress(self) -> list[dict[str, Any]]:
-        """Progress of the job so far.
+    def progress(self) -> dict[str, Any]:
+        """The newest line of progress.
 
         Returns
         -------
-        list of dict
-            Steps ``done`` of ``total`` and the text ``what``, oldest first, without an incomplete last line.
+        dict
+            Steps ``done`` of ``total``, the text ``what``, and ``phase``, which is "background" once the result that
+            the user waits for is stored. Empty before the first line; an incomplete last line is ignored.
 
         """
         try:
-            lines = (self.folder / "progress.jsonl").read_bytes().split(b"\n")[:-1]
-        except FileNotFoundError:
-            return []
-        return [json.loads(line) for line in lines]
+            with (self.folder / "progress.jsonl").open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - LAST_LINE_BYTES))
+                lines = file.read().split(b"\n")[:-1]
+            return dict(json.loads(lines[-1])) if lines else {}
+        except (OSError, ValueError):
+            return {}
+
+    @property
+    def words(self) -> str:
+        """What the job does, in a few words."""
+        spec = self.spec
+        more = [spec["told"].get(key) for key in ("effect", "model")]
+        return " ".join((WORDS.get(spec["do"], spec["do"]), *(str(one) for one in more if one)))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The job as the page shows it: id, do, words, progress, state, error and warnings."""
+        spec, state, progress = self.spec, self.state, self.progress
+        result = self.result if state in (DONE, FAILED) else {}
+        made = result.get("done")
+        warnings = made.get("warnings", []) if isinstance(made, dict) else []
+        return {
+            "id": self.folder.name,
+            "do": spec["do"],
+            "words": self.words,
+            "arguments": spec["told"],
+            "done": progress.get("done", 0),
+            "total": progress.get("total", 0),
+            "what": progress.get("what", "starts"),
+            "background": progress.get("phase") == BACKGROUND,
+            "state": state,
+            "error": result.get("error"),
+            "warnings": [one["words"] if isinstance(one, dict) else str(one) for one in warnings],
+            "started": spec["at"],
+        }
 
     @property
     def state(self) -> str:
@@ -112,26 +168,53 @@ class Job:
 
     def cancel(self) -> None:
         """End the job at once; finished steps are kept."""
-        (self.folder / "cancel").touch()
+        with suppress(FileNotFoundError):  # the results were removed
+            (self.folder / "cancel").touch()
+
+    def wait(self, seconds: float) -> str:
+        """Wait until the job has ended, at most for some time; return its state."""
+        until = time.monotonic() + seconds
+        while (state := self.state) == RUNNING and time.monotonic() < until:
+            time.sleep(POLL_S)
+        return state
 
 
-def start(
-    study: Study, do: str, *, expected_revision: int | None = None, author: str = "page", **arguments: Any
-) -> Job:
-    """Start a job in its own process.
+@dataclass(frozen=True)
+class JobSpec:
+    """What a job is to do.
 
     Parameters
     ----------
-    study : Study
-        The study.
     do : str
-        The command: a change of the study, or "run", "measure", "diagnose", "attempt" or "report".
+        A change of the study, or "run", "measure", "diagnose", "attempt", "report" or "background".
+    arguments : dict
+        Arguments of the command.
     expected_revision : int, optional
         Revision of the study for which the command was given; the job fails if the study has changed since.
     author : str
         Author of the change in the study's history.
-    **arguments
-        Arguments of the command.
+
+    """
+
+    do: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    expected_revision: int | None = None
+    author: str = "page"
+
+
+def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None] | None = None) -> Job:
+    """Start a job in a process of its own; another job that it makes useless is cancelled.
+
+    Parameters
+    ----------
+    path : Path
+        Study file.
+    output : Path
+        Folder of its results.
+    spec : JobSpec
+        What to do.
+    launch : callable, optional
+        Starts the process of a job, given the folder of the job; a new process by default.
 
     Returns
     -------
@@ -140,48 +223,66 @@ def start(
 
     Raises
     ------
-    FrictrackError
-        If another job of this study is running.
+    BusyError
+        If another job of this study is running that is still of use.
 
     """
-    with lock_folder(study.output):
-        folder = make_subfolder(make_internal_folder(study.output), "jobs")
-        earlier = list_jobs(study)
-        busy = next((job for job in earlier if job.state == RUNNING), None)
+    with lock_folder(output):
+        folder = make_subfolder(make_internal_folder(output), "jobs")
+        earlier, busy = list_jobs(output), running_job(output)
         if busy is not None:
-            raise FrictrackError(f"{busy.spec['do']} is still running; wait until it ends or cancel it")
-        number = max((int(job.folder.name) for job in earlier), default=0) + 1
+            if not is_superseded(busy, spec.do, CommandHistory(output).revision):
+                raise BusyError(f"{busy.words} is still running; wait until it ends or cancel it")
+            busy.cancel()
+            busy.wait(MAX_CANCEL_SECONDS)
+        taken = [int(one.name) for one in (*folder.iterdir(), *(job.folder for job in earlier)) if one.name.isdecimal()]
+        number = max(taken, default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
-        spec = {
-            "do": do,
-            "told": arguments,
-            "study": str(study.path.resolve()),
-            "seen": expected_revision,
-            "who": author,
+        content = {
+            "do": spec.do,
+            "told": dict(spec.arguments),
+            "study": str(path.resolve()),
+            "seen": spec.expected_revision,
+            "who": spec.author,
             "at": time.time(),
         }
-        replace_text(made / "spec.json", json.dumps(spec))
-    with (made / "output.txt").open("wb") as output:
-        process = subprocess.Popen(
-            [
-                sys.executable,
-                "-P",
-                "-m",
-                "frictrack.workbench.job_process",
-                str(made),
-            ],  # -P: import nothing from this folder
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-            start_new_session=True,
-        )
-    Thread(target=process.wait, daemon=True).start()  # collect the exit status, so that no zombie process remains
+        replace_text(made / "spec.json", json.dumps(content))
+    (launch or launch_process)(made)
+    _remove_old(earlier)
     return Job(made)
 
 
-def list_jobs(study: Study) -> list[Job]:
+def is_superseded(job: Job, do: str, revision: int) -> bool:
+    """Whether a running job becomes useless by a new one. Its finished steps are stored and are not lost.
+
+    Parameters
+    ----------
+    job : Job
+        The running job.
+    do : str
+        The command of the new job.
+    revision : int
+        Revision of the study: a job that adds an effect is superseded only after the effect was added.
+
+    """
+    old, seen = job.spec["do"], job.spec.get("seen")
+    if job.summary["background"] or old in ("attempt", "background") or old == do in REPEATED:
+        return True
+    if do in CHAINED and old in CHAINED:
+        return seen is not None and revision > seen
+    if do in MODEL_CHANGES:
+        return old in ("diagnose", "report", "fit", "run") or (old in CHAINED and seen is not None and revision > seen)
+    return False
+
+
+def list_jobs(output: Path) -> list[Job]:
     """List all jobs of a study.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
 
     Returns
     -------
@@ -189,9 +290,28 @@ def list_jobs(study: Study) -> list[Job]:
         The jobs, oldest first.
 
     """
-    homes = (study.output / "jobs", study.output / INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
+    homes = (output / "jobs", output / INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
     folders = (one for home in homes for one in sorted(home.glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
+
+
+def running_job(output: Path) -> Job | None:
+    """The running job of a study, if there is one.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+
+    """
+    return next((job for job in reversed(list_jobs(output)) if job.state == RUNNING), None)
+
+
+def _remove_old(earlier: Sequence[Job]) -> None:
+    """Remove the oldest jobs; a folder that cannot be removed stays."""
+    for job in earlier[:-MAX_JOBS_KEPT]:
+        if job.state != RUNNING:
+            shutil.rmtree(job.folder, ignore_errors=True)
 
 
 def _read_json(path: Path, *keys: str) -> dict[str, Any]:

@@ -2,62 +2,136 @@
 
 from frictrack.workbench.notebook import look
 look("study.toml")
+look(fit)
 """
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import anywidget
+import numpy as np
 import traitlets
 
 from frictrack.errors import FrictrackError
+from frictrack.plots import AnyModel, AnyRun, as_model, as_runs
+from frictrack.records import Array
+from frictrack.results import ModelResults, Results, RunResults
 from frictrack.workbench import plot_data
-from frictrack.workbench.linked_plots import MODULE, LinkedPlots
-from frictrack.workbench.page_state import PageState
-from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
+from frictrack.workbench.notebook_module import widget_module, widget_style
+
+if TYPE_CHECKING:
+    from frictrack.workbench.frame_images import FrameImages
+    from frictrack.workbench.plot_layers import PlotData
 
 
-class NotebookPlots(LinkedPlots, anywidget.AnyWidget):
-    """Linked plots; ``linked.js`` describes the values."""
-
-    scene = traitlets.Dict().tag(sync=True)
-    data = traitlets.Bytes().tag(sync=True)
-    film = traitlets.Dict().tag(sync=True)
-    frame = traitlets.Bytes().tag(sync=True)
-    tool = traitlets.Unicode().tag(sync=True)
-    selection = traitlets.Dict().tag(sync=True)
-    want = traitlets.Dict().tag(sync=True)
-    drawn = traitlets.Dict().tag(sync=True)
-    moved = traitlets.Dict().tag(sync=True)
-
-    _esm = MODULE
-
-    def set_values(self, **values: Any) -> None:
-        """Set several values at once."""
-        with self.hold_sync():
-            for name, value in values.items():
-                setattr(self, name, value)
-
-    def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
-        """Call a function with the new value whenever the user changes the value `name`."""
-        self.observe(lambda change: call(change["new"]), names=name)
-
-
-def look(study: str | Path, model: str | None = None, behind: str | None = None) -> NotebookPlots:
-    """Show a model of a study on its measurement, in linked plots with the film. Nothing is computed.
+class NotebookFilms:
+    """The films of runs, each opened when it is first shown.
 
     Parameters
     ----------
-    study : str or Path
-        The study file.
+    sources : mapping
+        Path of the recording, and frames per second or None, by name of the run.
+
+    """
+
+    def __init__(self, sources: Mapping[str, tuple[Path, float | None]]) -> None:
+        self._sources = dict(sources)
+        self._open: dict[str, FrameImages] = {}
+
+    def __getitem__(self, run: str) -> FrameImages:
+        """Pictures of a run's film."""
+        if run not in self._open:
+            from frictrack.workbench.frame_images import FrameImages  # noqa: PLC0415 - OpenCV, only with films
+
+            self._open[run] = FrameImages(*self._sources[run])
+        return self._open[run]
+
+    @property
+    def info(self) -> list[dict[str, Any]]:
+        """Name of the run, and `frames`, `width`, `height` (px) and `fps` of its film, for each film."""
+        return [{"run": run, "version": "", **self[run].info} for run in self._sources]
+
+    def close(self) -> None:
+        """Close all recordings."""
+        for frames in self._open.values():
+            frames.close()
+        self._open.clear()
+
+
+class NotebookPlots(anywidget.AnyWidget):
+    """Linked plots with the film.
+
+    Attributes
+    ----------
+    selection : dict
+        What is selected: `count`, `per_run`, and `run` and `frame` of the cursor.
+    selected : dict
+        Numbers of the selected frames, by name of the run.
+
+    """
+
+    scene = traitlets.Dict().tag(sync=True)
+    data = traitlets.Bytes().tag(sync=True)
+    films: Any = traitlets.List().tag(sync=True)
+    selection = traitlets.Dict().tag(sync=True)
+    rows = traitlets.Bytes().tag(sync=True)  # Int32, numbers of the selected rows
+
+    _esm = widget_module()
+    _css = widget_style()
+
+    def __init__(self, scene: PlotData, films: NotebookFilms) -> None:
+        layout, data = scene.layout()
+        super().__init__(scene=layout, data=data, films=films.info)
+        self._pictures = films
+        self.on_msg(self._send_frame)
+        weakref.finalize(self, films.close)  # at the latest when the kernel ends
+
+    @property
+    def selected(self) -> dict[str, Array]:
+        """Numbers of the selected frames (n,) by name of the run."""
+        rows, found = np.frombuffer(self.rows, dtype="<i4"), {}
+        for run in self.scene["runs"]:
+            own = rows[(rows >= run["first"]) & (rows < run["first"] + run["count"])]
+            if len(own):
+                found[run["name"]] = own - run["first"] + run["frame"]
+        return found
+
+    def _send_frame(self, _: Any, asked: Any, buffers: Any) -> None:
+        """Answer the browser, which asks for a frame of a run."""
+        try:
+            _, jpeg = self._pictures[asked["run"]][int(asked["frame"])]
+        except (FrictrackError, KeyError) as e:
+            self.send({"id": asked["id"], "error": str(e)})
+        else:
+            self.send({"id": asked["id"]}, buffers=[jpeg])
+
+
+def look(
+    what: str | Path | Results | AnyModel,
+    runs: Sequence[AnyRun] | None = None,
+    *,
+    model: str | None = None,
+    background: str | AnyModel | None = None,
+    films: Mapping[str, str | Path] | None = None,
+) -> NotebookPlots:
+    """Show a model on its measurement, in linked plots with the film. Nothing is computed.
+
+    Parameters
+    ----------
+    what : str, Path, Results or Fit
+        A study file, its results, or a fit.
+    runs : sequence of Run, optional
+        The runs of the fit; by default those that it was fitted to.
     model : str, optional
-        Name of the model as in `frictrack history`, such as ``1_tustin``; the current model by default.
-    behind : str, optional
-        Name of another model, shown in the background.
+        Of a study: name of the model as in `frictrack history`, such as ``1_tustin``; the current model by default.
+    background : str or Fit, optional
+        Another model, shown in the background.
+    films : mapping, optional
+        Path of the recording by name of the run. A study knows its films.
 
     Returns
     -------
@@ -67,23 +141,73 @@ def look(study: str | Path, model: str | None = None, behind: str | None = None)
     Raises
     ------
     FrictrackError
-        If the study cannot be read or has no such model.
+        If the study cannot be read, has no such model, or the model has no run.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> fit = ft.fit(["coulomb", "viscous"], ft.samples.runs()[:2])
+    >>> look(fit).scene["rows"] == sum(len(run.motion) for run in fit.runs)
+    True
 
     """
-    state = PageState(Path(study))
-    state.load()
-    if state.results is None or state.model is None:
-        none = f"expected a study with a model but {study} has none; run `frictrack run` on it"
-        raise FrictrackError(state.message or none)
-    models = {m.name: m for m in state.results.models}
-    unknown = [name for name in (model, behind) if name is not None and name not in models]
-    if unknown:
-        raise FrictrackError(f'expected one of {", ".join(models)} but got "{unknown[0]}"')
-    films = OpenFilms()
-    plots_with_film = PlotsWithFilm(state, films, NotebookPlots())
-    weakref.finalize(plots_with_film.linked, films.close)  # at the latest when the kernel ends
-    shown = models[model] if model else state.model
-    plots_with_film.draw(
-        plot_data.comparison_plots(state.results, shown, models[behind] if behind else None), state.run
+    sources: dict[str, tuple[Path, float | None]] = {name: (Path(path), None) for name, path in (films or {}).items()}
+    if isinstance(what, str | Path):
+        what, found = _read_study(Path(what))
+        sources = found | sources
+    if isinstance(what, Results):
+        shown = _model_of(what, model)
+        other = _model_of(what, background) if isinstance(background, str) else _fit_only(background)
+        scene = plot_data.comparison_plots(what, shown, other)
+        measured: Sequence[RunResults] = what.runs
+    else:
+        measured = as_runs(cast("Any", what).runs if runs is None else runs)
+        other = _fit_only(background)
+        scene = plot_data.model_plots(measured, as_model(what), other)
+    if not scene.rows:
+        raise FrictrackError("expected runs that the model was fitted to, but it has none; give runs = [...]")
+    scene.extra["large"] = plot_data.RESIDUAL_TITLES[0]
+    _number_first_frames(scene, sources, measured)
+    return NotebookPlots(
+        scene, NotebookFilms({r["name"]: sources[r["name"]] for r in scene.runs if r["name"] in sources})
     )
-    return plots_with_film.linked
+
+
+def _read_study(path: Path) -> tuple[Results, dict[str, tuple[Path, float | None]]]:
+    """Results of a study, and its films by name of the run."""
+    from frictrack.flow import open_study, read_results  # noqa: PLC0415 - seconds that a fit does not need
+
+    study = open_study(path)
+    results = read_results(study)
+    if results.current is None:
+        raise FrictrackError(f"expected a study with a model but {path} has none; run `frictrack run` on it")
+    found = {run.name: (run.video, run.fps) for run in study.runs if isinstance(run.video, Path)}
+    return results, {name: film for name, film in found.items() if film[0].exists()}
+
+
+def _model_of(results: Results, name: str | None) -> ModelResults:
+    """A model of a study by its name; the current one without a name."""
+    models = {m.name: m for m in results.models}
+    if name is None and results.current is not None:
+        return results.current
+    if name not in models:
+        raise FrictrackError(f'expected one of {", ".join(models)} but got "{name}"')
+    return models[name]
+
+
+def _fit_only(background: str | AnyModel | None) -> ModelResults | None:
+    if isinstance(background, str):
+        raise FrictrackError(f'expected a fit as background of a fit but got the name "{background}"')
+    return None if background is None else as_model(background)
+
+
+def _number_first_frames(
+    scene: PlotData, films: Mapping[str, tuple[Path, float | None]], runs: Sequence[RunResults]
+) -> None:
+    """Find the frame of the film at which the motion begins, for runs whose track is not known."""
+    by_name = {run.name: run for run in runs}
+    for entry in scene.runs:
+        run = by_name[entry["name"]]
+        if entry["name"] in films and run.track is None:
+            t = run.motion.t
+            entry["frame"] = max(0, round(float(t[0] / np.median(np.diff(t)))))

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import secrets
 import sys
+import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-import panel as pn
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application
 
 from frictrack.errors import FrictrackError
+from frictrack.workbench.actions import resume_background
 from frictrack.workbench.guard import LOOPBACK, RequestGuard, address_of, clean_names, protect
-from frictrack.workbench.page import Page
+from frictrack.workbench.live_study import LiveStudy
+from frictrack.workbench.routes import routes
+
+MAX_BODY_BYTES = 4_000_000  # of a request that is no upload
+PING_INTERVAL_S = 20.0  # of WebSockets: a tab that does not answer is forgotten
 
 
 def serve(
@@ -33,7 +44,7 @@ def serve(
     host : str
         Address on which to serve.
     port : int
-        Port.
+        Port; 0 for any free one.
     token : str, optional
         Token in the address of the page; a new one by default.
     names : sequence of str
@@ -50,41 +61,44 @@ def serve(
     path = path / "study.toml" if path.is_dir() else path
     if not path.parent.is_dir():
         raise FrictrackError(f"expected the folder {path.parent} but it does not exist", usage=True)
-    path = path.resolve()
     guard = RequestGuard(token or secrets.token_urlsafe(24), host, clean_names(names))
-    server = _server(path, guard, port)
-    address = address_of(host, server.port or port, quote(guard.token, safe=""))
+    with suppress(KeyboardInterrupt):
+        asyncio.run(_serve(path.resolve(), guard, port, show))
+
+
+async def _serve(path: Path, guard: RequestGuard, port: int, show: bool) -> None:
+    live = LiveStudy(path)
+    server = HTTPServer(application(live, guard), max_body_size=MAX_BODY_BYTES)
+    try:
+        sockets = bind_sockets(port, guard.host)
+    except OSError as e:
+        live.close()
+        raise FrictrackError(f"cannot serve on {guard.host}:{port}: {e.strerror}; choose another --port") from e
+    server.add_sockets(sockets)
+    address = address_of(guard.host, sockets[0].getsockname()[1], quote(guard.token, safe=""))
     sys.stderr.write(f"frictrack workbench of {path}\n  {address}\n  press Ctrl-C to stop; running jobs continue\n")
     if show:
-        server.io_loop.add_callback(_browse, address)
+        asyncio.get_running_loop().run_in_executor(None, webbrowser.open, address)
     try:
-        server.start()
-        server.io_loop.start()
-    except KeyboardInterrupt:
+        await live.watch()
+    finally:
         server.stop()
+        live.close()
 
 
-def _server(path: Path, guard: RequestGuard, port: int) -> pn.io.server.Server:
-    """Create the server of a page with its guard; it is not started."""
-    pn.extension(inline=True, notifications=False)
-    try:
-        server = pn.serve(
-            {"/": lambda: Page(path).serve()},
-            title="frictrack",
-            location=False,  # Panel cannot parse IPv6 addresses, and the page does not need its address
-            address=guard.host,
-            port=port,
-            websocket_origin=["*"],  # the guard compares the origin with the host
-            show=False,
-            start=False,
-        )
-    except OSError as e:
-        raise FrictrackError(f"cannot serve on {guard.host}:{port}: {e.strerror}; choose another --port") from e
-    protect(server._tornado, guard)
-    return server
+def application(live: LiveStudy, guard: RequestGuard) -> Application:
+    """Create the application of a page, in which the guard checks every request.
 
+    Parameters
+    ----------
+    live : LiveStudy
+        The study.
+    guard : RequestGuard
+        Decides which requests are refused.
 
-def _browse(address: str) -> None:
-    import webbrowser  # noqa: PLC0415
-
-    webbrowser.open(address)
+    """
+    logging.getLogger("tornado.access").setLevel(logging.ERROR)  # refusals and missing films are told to the page
+    live.resume_background = resume_background
+    made = Application(routes(live), websocket_ping_interval=PING_INTERVAL_S)
+    protect(made, guard)
+    return made

@@ -176,4 +176,5 @@ def _curve(solution: Solution, response: PieceResponse, run: Run, role: str) -> 
         run=run.name,
         role=role,
         parts=parts,
+        repaired=None if run.motion.repaired is None else run.motion.repaired[piece.frames],
     )

@@ -2,6 +2,7 @@
 
 from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
 from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimate_parameters, with_misfit
+from frictrack.fit.uncertainty.level_outliers import level_remarks
 from frictrack.fit.uncertainty.linear import linear_estimates
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
@@ -19,6 +20,7 @@ __all__ = [
     "bootstrap",
     "dispersion",
     "estimate_parameters",
+    "level_remarks",
     "linear_estimates",
     "merge_uncertainty",
     "misfit_of",

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from frictrack.number_format import format_unit
+from frictrack.plots.style.colours import REPAIRED_COLOUR
 from frictrack.records import Array, Friction, Mask, stretches
 
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
@@ -139,3 +141,31 @@ def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> Non
         low, high = float(together.min()), float(together.max())
         room = margin * ((high - low) or abs(high) or 1.0)
         ax.set_ylim(low - room, high + room)
+
+
+def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> None:
+    """Mark the frames that the user repaired by small ticks at the lower edge.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    x : Array
+        (n,) values of the frames on the x axis.
+    codes : array of int or None
+        (n,) 0 for frames that were not repaired; None if there are none.
+
+    """
+    if codes is None or not np.any(codes):
+        return
+    at = x[codes > 0]
+    marks: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "zorder": 4}
+    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, **marks)
+
+
+def repaired_handles(codes: np.ndarray[Any, Any] | None) -> list[Line2D]:
+    """Return the entry of a legend for the ticks of `mark_repaired`; empty if no frame was repaired."""
+    if codes is None or not np.any(codes):
+        return []
+    look: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
+    return [Line2D([], [], label="repaired by the user", **look)]

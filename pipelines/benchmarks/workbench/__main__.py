@@ -1,16 +1,17 @@
-"""Measure the response times of the workbench: first paint, selection to highlight, selection to frame.
+"""Measure the response times of the workbench: selection to highlight, selection to frame, first paint, memory.
 
     python pipelines/benchmarks/workbench [--points 100000] [--selections 40] [--study STUDY] [--json FILE]
 
-Five plots of so many points each, in Chromium without a graphics card; the same selections in five charts of Bokeh that
-share a source. With a STUDY that has a model: the time to the first paint of its workbench, and from Cancel to the end
-of a search.
+Five plots of so many points each, in Chromium without a graphics card; once with a quiet machine and once while a
+process computes on every core. Then 10 000 selections, and what they leave in memory. With a STUDY, the time to the
+first paint of its workbench.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -31,36 +32,49 @@ from machine import described
 
 PAGES = Path(__file__).with_name("pages.py")
 ARGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-# From the release of the mouse to the last change of the other four plots, and to the film's new label, ms.
-WATCH_SCRIPT = """([sources, quiet]) => {
-    const all = (root, css, found = []) => {
-        found.push(...root.querySelectorAll(css));
-        for (const n of root.querySelectorAll("*")) if (n.shadowRoot) all(n.shadowRoot, css, found);
-        return found;
-    };
-    const small = Object.assign(document.createElement("canvas"), {width: 40, height: 26}).getContext("2d",
-        {willReadFrequently: true});
+BUSY = "while True: pass"
+QUIET_MS = 600  # after the release of the mouse, until nothing changes any more
+# From the release of the mouse to the last change of the other four plots, and to the frame of the film, ms.
+WATCH_SCRIPT = """(quiet) => {
+    const small = new OffscreenCanvas(40, 26).getContext("2d", {willReadFrequently: true});
     const look = (c) => {
         small.clearRect(0, 0, 40, 26);
         small.drawImage(c, 0, 0, 40, 26);
         return small.getImageData(0, 0, 40, 26).data.reduce((h, v) => (h * 31 + v) | 0, 7);
     };
-    const canvases = all(document, sources).filter((c) => c.width > 100);
-    const label = () => (all(document, ".ft-label")[0] || {}).textContent;
-    const started = canvases.map(look), before = label();
+    const canvases = [...document.querySelectorAll(".fp-plot .fp-marks")], label = document.querySelector(".fp-label");
+    const cursor = () => {
+        const words = ` \u00b7 ${document.querySelector(".fp-words").textContent}`;
+        const found = / \u00b7 ([^\u00b7]*?), frame ([0-9]+)/.exec(words);
+        return found ? `${found[1]} \u00b7 frame ${found[2]} ` : "none";
+    };
+    const started = canvases.map(look), last = [...started], before = cursor();
     window.timed = null;
     addEventListener("pointerup", () => {
-        const t0 = performance.now(), last = canvases.map(look);
+        const t0 = performance.now();
         let changed = null, film = null;
         const tick = () => {
             const now = performance.now() - t0, seen = canvases.map(look);
             if (seen.some((h, i) => h !== last[i])) { changed = now; seen.forEach((h, i) => { last[i] = h; }); }
-            if (film === null && label() !== before) film = now;
+            if (film === null && cursor() !== before && label.textContent.startsWith(cursor())) film = now;
             if (now < quiet) requestAnimationFrame(tick);
             else window.timed = { changed, film, plots: last.filter((h, i) => h !== started[i]).length };
         };
         requestAnimationFrame(tick);
     }, { once: true, capture: true });
+}"""
+SELECT_SCRIPT = """async (count) => {
+    const tops = [...document.querySelectorAll(".fp-plot .fp-top")];
+    for (let i = 0; i < count; i++) {
+        const top = tops[i % 5], box = top.getBoundingClientRect(), x = box.x + 90 + (i * 37) % (box.width - 200);
+        const send = (type, clientX, clientY) =>
+            top.dispatchEvent(new PointerEvent(type, { clientX, clientY, pointerId: 1 }));
+        top.setPointerCapture = () => {};
+        send("pointerdown", x, box.y + 40);
+        send("pointermove", x + 60, box.y + box.height - 60);
+        send("pointerup", x + 60, box.y + box.height - 60);
+        if (i % 10 === 9) await new Promise(requestAnimationFrame);
+    }
 }"""
 
 
@@ -84,87 +98,106 @@ def served(*words: str) -> Iterator[int]:
         process.wait()
 
 
-def selections(page: Page, plots: str, canvases: str, count: int, quiet: float) -> list[dict[str, Any]]:
-    """Drag boxes over the first plot and read what they took."""
-    box = page.locator(plots).first.bounding_box()
+@contextmanager
+def busy_cores(count: int) -> Iterator[None]:
+    """A process that computes on each of so many cores."""
+    processes = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def selections(page: Page, count: int) -> list[dict[str, Any]]:
+    """Drag boxes quickly over the first plot, and read when the other plots and the film had changed."""
+    box = page.locator(".fp-plot").first.bounding_box()
     assert box is not None
     rng, found = np.random.default_rng(1), []
     for k in range(count + 2):
-        page.evaluate(WATCH_SCRIPT, [canvases, quiet])
         x = box["x"] + 80 + rng.uniform(0, 0.4) * (box["width"] - 100)
         page.mouse.move(x, box["y"] + 40)
+        page.wait_for_timeout(300)  # the film has followed the mouse
+        page.evaluate(WATCH_SCRIPT, QUIET_MS)
         page.mouse.down()
-        page.mouse.move(x + rng.uniform(30, 120), box["y"] + box["height"] - 60, steps=5)
+        page.mouse.move(x + rng.uniform(30, 120), box["y"] + box["height"] - 60)
         page.mouse.up()
         page.wait_for_function("window.timed !== null", timeout=60_000)
-        timed = page.evaluate("window.timed")
         if k > 1:  # the first ones warm up
-            found.append(timed)
+            found.append(page.evaluate("window.timed"))
     return found
 
 
-def shares(values: list[float | None]) -> dict[str, float]:
+def quantiles(values: list[float | None]) -> dict[str, float]:
     known = np.array([v for v in values if v is not None])
-    ends = {"p95": float(np.percentile(known, 95)), "most": float(known.max()), "of": len(known)}
+    ends = {"p95": float(np.percentile(known, 95)), "largest": float(known.max()), "n": len(known)}
     return {"median": float(np.median(known)), **ends}
 
 
-def said(kind: str, what: str, value: dict[str, float]) -> str:
-    figures = "  ".join(f"{name} {value[name]:7.1f}" for name in ("median", "p95", "most"))
-    return f"{kind:6} {what:13} {figures}  ({value['of']})"
-
-
-def plots(n: int, count: int) -> dict[str, Any]:
-    """Highlight and film of ours, highlight of Bokeh's, ms."""
-    out: dict[str, Any] = {}
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=ARGS)
-        for kind, where, canvases, quiet, times in (
-            ("ours", ".ft-plot", ".ft-plot canvas:nth-of-type(2)", 400, count),
-            ("bokeh", ".bk-Canvas", "canvas", 4000, max(count // 8, 3)),
-        ):
-            with served(str(PAGES), kind, str(n), "PORT") as port:
-                page = browser.new_page(viewport={"width": 1280, "height": 900})
-                page.goto(f"http://127.0.0.1:{port}/")
-                page.locator(where).nth(4).wait_for(timeout=120_000)
-                page.wait_for_timeout(4000)
-                timed = selections(page, where, canvases, times, quiet)
-                out[kind] = {"highlight_ms": shares([t["changed"] for t in timed])}
-                if kind == "ours":
-                    out[kind]["film_ms"] = shares([t["film"] for t in timed])
-                page.close()
-        browser.close()
-    out["ratio"] = out["bokeh"]["highlight_ms"]["median"] / out["ours"]["highlight_ms"]["median"]
+def times(name: str, timed: list[dict[str, Any]]) -> dict[str, Any]:
+    """Print and return the times of the highlight and of the film, ms."""
+    out = {"highlight_ms": quantiles([t["changed"] for t in timed]), "film_ms": quantiles([t["film"] for t in timed])}
+    for what, value in out.items():
+        figures = "".join(f"{value[key]:9.1f}" for key in ("median", "p95", "largest"))
+        print(f"{name:6} {what:13}{figures}", flush=True)
     return out
 
 
-def app(study: Path) -> dict[str, float]:
-    """First paint of a study's workbench, and from Cancel to the end of a search, s."""
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
+def heap_mb(page: Page) -> float:
+    """Memory of the page after garbage collection, MB."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.enable")
+    session.send("HeapProfiler.collectGarbage")
+    return float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
+
+
+def plots(browser: Browser, n: int, count: int) -> dict[str, Any]:
+    """Highlight and film, ms, quiet and busy; growth of the memory, MB."""
+    out: dict[str, Any] = {}
+    with served(str(PAGES), str(n), "PORT") as port:
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_function("window.ready && document.querySelector('.fp-label').textContent")
+        page.wait_for_timeout(1000)
+        for name, cores in (("quiet", 0), ("busy", os.cpu_count() or 1)):
+            with busy_cores(cores):
+                timed = selections(page, count)
+            out[name] = times(name, timed)
+        page.evaluate(SELECT_SCRIPT, 500)
+        before = heap_mb(page)
+        page.evaluate(SELECT_SCRIPT, 10_000)
+        out["growth_mb"] = heap_mb(page) - before
+        print(f"memory after 10 000 selections: {out['growth_mb']:+.1f} MB", flush=True)
+        page.close()
+    return out
+
+
+def first_paint(browser: Browser, study: Path, count: int) -> dict[str, Any]:
+    """First paint of a study's workbench, and until its plots are drawn, s; highlight and film of its own data, ms."""
+    with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "study"
         shutil.copytree(study, copy)
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=ARGS)
-        with served("-m", "frictrack", "app", str(copy), "--no-browser", "--port", "PORT") as port:
-            paints, ends = [], []
-            for seed in range(101, 106):  # a search that was not made yet
-                page = browser.new_page(viewport={"width": 1280, "height": 900})
-                began = time.perf_counter()
-                page.goto(f"http://127.0.0.1:{port}/")
-                page.get_by_text("1 Film", exact=True).wait_for()
-                paints.append(time.perf_counter() - began)
-                page.get_by_text("3 Model", exact=True).click()
-                page.get_by_label("Search").select_option("sga")
-                page.get_by_label("Seed").fill(str(seed))
-                page.get_by_label("Seed").press("Tab")
-                page.get_by_role("button", name="Fit", exact=True).click()
-                page.get_by_text("sga: misfit").first.wait_for(timeout=60_000)
-                began = time.perf_counter()
-                page.get_by_role("button", name="Cancel", exact=True).click()
-                page.locator(".ft-message", has_text="cancelled").wait_for()
-                ends.append(time.perf_counter() - began)
+        paints, drawn = [], []
+        with served("-m", "frictrack", "app", str(copy), "--no-browser", "--port", "PORT", "--token", "timed") as port:
+            for _ in range(6):
+                page = browser.new_page(viewport={"width": 1440, "height": 900})
+                page.goto(f"http://127.0.0.1:{port}/?token=timed")
+                page.locator(".fp-plot").first.wait_for(timeout=60_000)
+                paint = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
+                paints.append(page.evaluate(paint) / 1e3)
+                drawn.append(page.evaluate("performance.now()") / 1e3)
                 page.close()
-        browser.close()
-    return {"first_paint_s": max(paints[1:]), "first_paint_cold_s": paints[0], "cancel_s": max(ends)}
+            page = browser.new_page(viewport={"width": 1440, "height": 900}, bypass_csp=True)  # for `wait_for_function`
+            page.goto(f"http://127.0.0.1:{port}/?token=timed")
+            page.get_by_role("tab", name="Compare").click()
+            page.locator(".fp-plot").nth(4).wait_for(timeout=60_000)
+            page.wait_for_timeout(2000)
+            timed = selections(page, count)
+            page.close()
+    out = {"first_paint_s": max(paints[1:]), "first_paint_cold_s": paints[0], "plots_drawn_s": max(drawn[1:])}
+    print("  ".join(f"{what} {seconds:.2f}" for what, seconds in out.items()), flush=True)
+    return out | times("study", timed)
 
 
 def main() -> None:
@@ -174,15 +207,14 @@ def main() -> None:
     parser.add_argument("--study", type=Path, help="folder of a study with a model, copied before it is used")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    found: dict[str, Any] = {"machine": described("panel", "bokeh"), "points": args.points}
-    found["plots"] = plots(args.points, args.selections)
-    for kind in ("ours", "bokeh"):
-        for what, value in found["plots"][kind].items():
-            print(said(kind, what, value))
-    print(f"Bokeh's charts take {found['plots']['ratio']:.0f} times as long")
-    if args.study:
-        found["app"] = app(args.study)
-        print("  ".join(f"{name} {value:.2f}" for name, value in found["app"].items()))
+    found: dict[str, Any] = {"machine": described("tornado"), "points": args.points}
+    print(f"{'':20}{'median':>9}{'p95':>9}{'largest':>9}")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=ARGS)
+        found["plots"] = plots(browser, args.points, args.selections)
+        if args.study:
+            found["page"] = first_paint(browser, args.study, args.selections)
+        browser.close()
     if args.json:
         args.json.write_text(json.dumps(found, indent=1) + "\n")
 

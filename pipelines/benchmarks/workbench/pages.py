@@ -1,75 +1,99 @@
-"""Build the pages that are timed: five linked plots and a film, with frictrack and with Bokeh alone.
+"""Serve the bare page that is timed: five linked plots of many points, and a film.
 
-python pages.py ours 100000 5090
+python pages.py 100000 5090
 """
 
 from __future__ import annotations
 
 import sys
+from functools import lru_cache, partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
 
 import cv2
 import numpy as np
-import panel as pn
-from bokeh.layouts import gridplot
-from bokeh.models import BoxSelectTool, ColumnDataSource, Scatter
-from bokeh.plotting import figure
 
-from frictrack.workbench.panel_plots import PanelPlots
-from frictrack.workbench.plot_data import PlotData, dots, plot
+from frictrack.workbench.plot_layers import PlotData, axis, dots, plot
 
-COLUMN_NAMES = ("t", "x", "v", "F", "phase")
+QUANTITIES = ("t", "x", "v", "F", "phase")
 FRAMES, WIDTH, HEIGHT = 4000, 640, 360
+RUNS = 4
+PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>timed</title>
+<link rel="stylesheet" href="/tokens.css"><link rel="stylesheet" href="/plots/plots.css">
+<style>body { margin: 0; display: grid; grid-template-columns: 400px 1fr; height: 100vh }
+#film { height: 400px } #plots { min-height: 0 }</style>
+<div id="film"></div><div id="plots"></div>
+<script type="module">
+import { FilmView, LinkedView, parsePacked, PlotGrid } from "/plots/index.js";
+const frame = async (film, n) => createImageBitmap(await (await fetch(`/frame?n=${n}`)).blob());
+const view = new LinkedView({ frame });
+const { scene, columns } = parsePacked(await (await fetch("/scene")).arrayBuffer());
+view.setScene(scene, columns);
+const grid = new PlotGrid(document.querySelector("#plots"), view);
+const film = new FilmView(document.querySelector("#film"), view);
+const size = { width: WIDTH, height: HEIGHT, fps: 4000 };
+film.setFilms(scene.runs.map(({ name, count }) => ({ run: name, frames: count, ...size })));
+view.point(0, "key");
+Object.assign(window, { view, grid, film, ready: true });
+</script></html>"""
 
 
-def columns(n: int) -> dict[str, np.ndarray]:
-    """A slide with noise, n points in every column."""
+def scene(n: int) -> PlotData:
+    """A slide with noise, n points in every one of five plots."""
     rng = np.random.default_rng(0)
     t = np.linspace(0, 1000, n)
     v = 5 - 4 * t / 1000
-    found = {"t": t, "x": t * (5 - 2 * t / 1000), "v": v, "F": 8 + v + rng.normal(size=n), "phase": (t / 17) % 1}
-    return found | {"left": np.sin(t / 30) + rng.normal(size=n)}
+    columns = {"t": t, "x": t * (5 - 2 * t / 1000), "v": v, "F": 8 + v + rng.normal(size=n), "phase": (t / 17) % 1}
+    columns |= {"left": np.sin(t / 30) + rng.normal(size=n)}
+    layer = dots("left", "measured", "residual", "residual", by_run=True, main=True)
+    shown = [plot(f"against {name}", axis(name, name, ""), ("left", "µm"), layer) for name in QUANTITIES]
+    count = n // RUNS
+    runs = [{"name": f"v{k + 1}", "first": k * count, "count": count, "index": k, "frame": 0} for k in range(RUNS)]
+    return PlotData(n, columns, shown, runs)
 
 
-def frame(number: int) -> tuple[int, bytes]:
-    """A picture with a block that moves."""
+@lru_cache(64)
+def frame(number: int) -> bytes:
+    """JPEG of a picture with a block that moves."""
     picture = np.random.default_rng(number % 8).integers(60, 90, (HEIGHT, WIDTH), dtype=np.uint8)
-    x = 20 + (WIDTH - 140) * number // FRAMES
+    x = 20 + (WIDTH - 140) * (number % FRAMES) // FRAMES
     picture[150:210, x : x + 90] = 200
-    return number, bytes(cv2.imencode(".jpg", picture)[1])
+    return bytes(cv2.imencode(".jpg", picture)[1])
 
 
-def ours(n: int) -> pn.Column:
-    """Five of our plots and the film."""
-    shown = [plot(f"against {name}", (name, name), "left", dots("left")) for name in COLUMN_NAMES]
-    scene = PlotData(n, columns(n), shown, [{"name": "run", "first": 0, "count": n, "colour": "#0072b2"}])
-    linked = PanelPlots(sizing_mode="stretch_width")
-    linked.draw(scene)
-    linked.film = {"frames": FRAMES, "width": WIDTH, "height": HEIGHT, "fps": 4000, "label": "run", "first": 0}
-    linked.show_frame(frame(0))
+class Handler(SimpleHTTPRequestHandler):
+    """Static files of the workbench, the page, its data and frames."""
 
-    def selected(event: object) -> None:
-        middle = linked.selection.get("middle")
-        if middle is not None:
-            linked.show_frame(frame(middle * FRAMES // n))
+    protocol_version = "HTTP/1.1"
 
-    linked.param.watch(selected, "selection")
-    return pn.Column(linked, sizing_mode="stretch_width")
+    def __init__(self, *args: Any, page: bytes, data: bytes, **more: Any) -> None:
+        self.page, self.data = page, data
+        super().__init__(*args, directory=str(files("frictrack.workbench").joinpath("static")), **more)
 
+    def do_GET(self) -> None:
+        path, _, query = self.path.partition("?n=")
+        made = {"/": (self.page, "text/html"), "/scene": (self.data, "application/octet-stream")}
+        if path == "/frame":
+            self.answer(frame(int(query)), "image/jpeg")
+        elif path in made:
+            self.answer(*made[path])
+        else:
+            super().do_GET()
 
-def bokeh(n: int) -> pn.Column:
-    """Five of Bokeh's with one source: what is selected in one is selected in all."""
-    source = ColumnDataSource(columns(n))
-    charts = []
-    for name in COLUMN_NAMES:
-        chart = figure(width=400, height=230, tools="box_select,pan")
-        chart.toolbar.active_drag = next(tool for tool in chart.tools if isinstance(tool, BoxSelectTool))
-        drawn = chart.scatter(name, "left", source=source, size=2, color="#1a1a1a")
-        drawn.selection_glyph = Scatter(size=2, fill_color="#d55e00", line_color="#d55e00")
-        charts.append(chart)
-    return pn.Column(pn.pane.Bokeh(gridplot(charts, ncols=2, toolbar_location=None)))
+    def answer(self, body: bytes, kind: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *args: Any) -> None:
+        """Say nothing."""
 
 
 if __name__ == "__main__":
-    kind, n, port = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-    made = {"ours": ours, "bokeh": bokeh}[kind]
-    pn.serve(lambda: made(n), port=port, address="127.0.0.1", show=False, websocket_origin=[f"127.0.0.1:{port}"])
+    page = PAGE.replace("WIDTH", str(WIDTH)).replace("HEIGHT", str(HEIGHT)).encode()
+    made = partial(Handler, page=page, data=scene(int(sys.argv[1])).pack())
+    ThreadingHTTPServer(("127.0.0.1", int(sys.argv[2])), made).serve_forever()

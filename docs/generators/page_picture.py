@@ -1,0 +1,37 @@
+"""Draw the picture of the page for the documentation: `python docs/generators/page_picture.py`."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import frictrack as ft
+from frictrack.flow import Session, open_study
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from browser import Server, browser
+
+PICTURE = Path(__file__).parents[1] / "_static" / "page.png"
+SIZE = {"width": 1280, "height": 800}
+
+
+def main() -> None:
+    """Run the sample study, and draw the page with the curve of the best candidate."""
+    with tempfile.TemporaryDirectory() as folder:
+        study = ft.samples.copy_films(folder)
+        Session(open_study(study)).run()
+        server = Server(study).start()
+        with browser() as chromium:
+            page = chromium.new_page(viewport=SIZE)
+            page.goto(server.address)
+            page.get_by_role("tab", name="Compare").click()
+            page.locator(".ui-candidate.best").hover()
+            page.get_by_role("button", name="candidate, with patch").wait_for(timeout=60_000)
+            page.wait_for_timeout(500)
+            page.screenshot(path=PICTURE)
+        server.stop()
+
+
+if __name__ == "__main__":
+    main()

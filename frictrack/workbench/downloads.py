@@ -1,0 +1,233 @@
+"""The files that the page offers for download: report, tables, HDF5 files, a script that repeats the study, figures."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from tempfile import SpooledTemporaryFile
+from typing import IO, TYPE_CHECKING, Any
+
+from frictrack.errors import FrictrackError
+from frictrack.workbench.errors import MissingError, OutdatedError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from frictrack.results import Results
+    from frictrack.study import Study
+
+FIGURE_FORMATS = ("svg", "png", "pdf")
+MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
+CONTENT_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".pdf": "application/pdf",
+    ".zip": "application/zip",
+    ".py": "text/x-python; charset=utf-8",
+}
+Content = IO[bytes]
+
+
+def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | None = None) -> Content:
+    """Make a file for download.
+
+    Parameters
+    ----------
+    what : str
+        Name of the file; one of `DOWNLOADS`.
+    snapshot : Snapshot
+        The study and its results as they were read last.
+    form : str
+        Format of figures; one of `FIGURE_FORMATS`.
+    outdated : str, optional
+        Why the report is outdated, if it is to be refused then.
+
+    Returns
+    -------
+    file
+        Open file at its beginning; the caller closes it.
+
+    Raises
+    ------
+    FrictrackError
+        If there is no such file.
+    OutdatedError
+        If the report is outdated.
+    MissingError
+        If there are no results yet.
+
+    """
+    if what not in DOWNLOADS or form not in FIGURE_FORMATS:
+        known = f"{', '.join(DOWNLOADS)} (figures as {', '.join(FIGURE_FORMATS)})"
+        raise FrictrackError(f"expected one of the files {known} but got {what!r} as {form!r}", usage=True)
+    if snapshot is None or snapshot.study is None or (snapshot.results is None and what != "repeat.py"):
+        raise MissingError(f"expected results for {what} but there are none; press Run first")
+    if what.startswith("report") and outdated:
+        raise OutdatedError(f"{outdated.rstrip('.')}; write it again or download it as it is")
+    return DOWNLOADS[what](snapshot.study, snapshot.results, form)
+
+
+def _report_path(study: Study) -> Path:
+    path = study.output / "report.html"
+    if not path.exists():
+        raise MissingError(f"expected the report {path} but it does not exist; write it first")
+    return path
+
+
+def _report_html(study: Study, results: Results, form: str) -> Content:
+    return _report_path(study).open("rb")
+
+
+def _report_pdf(study: Study, results: Results, form: str) -> Content:
+    from frictrack.report import print_pdf  # noqa: PLC0415
+
+    return print_pdf(_report_path(study)).open("rb")
+
+
+def _tables(study: Study, results: Results, form: str) -> Content:
+    from frictrack.export import write  # noqa: PLC0415
+
+    return zip_files((path.name, path) for path in write(results, "csv"))
+
+
+def _hdf5_files(study: Study, results: Results, form: str) -> Content:
+    return zip_files((path.name, path) for path in sorted(results.output.glob("*.h5")))
+
+
+def _script(study: Study, results: Results | None, form: str) -> Content:
+    from frictrack.flow import replay_script  # noqa: PLC0415
+
+    return BytesIO(replay_script(study).encode())
+
+
+def _figures(study: Study, results: Results, form: str) -> Content:
+    return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in figures(results))
+
+
+DOWNLOADS: dict[str, Callable[[Any, Any, str], Content]] = {
+    "report.html": _report_html,
+    "report.pdf": _report_pdf,
+    "tables.zip": _tables,
+    "hdf5.zip": _hdf5_files,
+    "repeat.py": _script,
+    "figures.zip": _figures,
+}
+
+
+def figures(results: Results) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """List every figure of a study; each is drawn when its function is called.
+
+    Yields
+    ------
+    tuple of (str, callable)
+        File name without suffix, and the function that draws the figure.
+
+    """
+    from frictrack import plots  # noqa: PLC0415 - loads Matplotlib
+
+    for run in results.runs:
+        yield f"motion {run.name}", lambda run=run: plots.motion(run)  # type: ignore[misc]
+        if run.film is not None:
+            yield f"film {run.name}", lambda run=run: plots.film(run)  # type: ignore[misc]
+    for model in results.models:
+        yield f"model {model.name}", lambda model=model: plots.fit(model, results.runs)  # type: ignore[misc]
+        if model.diagnosis:
+            found = model.diagnosis
+            fails = found["fails_at"]
+            yield f"fails {model.name}", lambda m=model, f=fails: plots.failing(m, results.runs, f)  # type: ignore[misc]
+            yield f"candidates {model.name}", lambda found=found: plots.candidates(found)  # type: ignore[misc]
+    if results.models:
+        yield "history", lambda: plots.history(results.models)
+
+
+def figure_bytes(made: Figure, form: str) -> bytes:
+    """Convert a figure to the content of a file.
+
+    Parameters
+    ----------
+    made : Figure
+        The figure.
+    form : str
+        "svg", "png" or "pdf".
+
+    """
+    from frictrack import plots  # noqa: PLC0415
+
+    if form == "svg":
+        return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
+    if form == "png":
+        return plots.png(made, dpi=200)
+    sheet = BytesIO()
+    made.savefig(sheet, format=form)
+    return sheet.getvalue()
+
+
+def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
+    """Pack files into one ZIP archive.
+
+    Parameters
+    ----------
+    files : iterator of tuple
+        Name of each file, and its content or its path.
+
+    Returns
+    -------
+    file
+        The archive, in memory or on the disk, at its beginning.
+
+    """
+    sheet: Any = SpooledTemporaryFile(MEMORY_BYTES)  # noqa: SIM115 - the caller closes it
+    with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files:
+            if isinstance(content, Path):
+                archive.write(content, name)
+            else:
+                archive.writestr(name, content)
+    sheet.seek(0)
+    return sheet
+
+
+def page_figure(name: str, snapshot: Any) -> bytes:
+    """Draw a figure that the page shows.
+
+    Parameters
+    ----------
+    name : str
+        "cutoff:RUN", "scan:EFFECT", "unexplained" or "history".
+    snapshot : Snapshot
+        The study and its results as they were read last.
+
+    Returns
+    -------
+    bytes
+        The figure as SVG.
+
+    Raises
+    ------
+    MissingError
+        If there is no such figure.
+
+    """
+    results = snapshot.results if snapshot else None
+    made = _draw(name, results) if results is not None else None
+    if made is None:
+        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
+    return figure_bytes(made, "svg")
+
+
+def _draw(name: str, results: Results) -> Figure | None:
+    from frictrack import plots  # noqa: PLC0415
+
+    kind, _, which = name.partition(":")
+    diagnosis = results.diagnosis or {}
+    run = next((one for one in results.runs if one.name == which), None)
+    if kind == "cutoff" and run is not None and run.cutoff is not None:
+        return plots.cutoff(run.name, run.cutoff, run.mass)
+    if kind == "scan" and plots.has_scan(results.figures.get(which, {})):
+        return plots.scan(which, results.figures[which], width=5.0)
+    if kind == "unexplained" and diagnosis.get("unexplained"):
+        return plots.unexplained(diagnosis["unexplained"])
+    if kind == "history" and results.models:
+        return plots.history(results.models)
+    return None

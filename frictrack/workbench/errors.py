@@ -1,0 +1,17 @@
+"""Errors that the page tells apart by their status."""
+
+from __future__ import annotations
+
+from frictrack.errors import FrictrackError
+
+
+class OutdatedError(FrictrackError):
+    """The study has changed since the page was drawn, or a file is older than the model (status 409)."""
+
+
+class BusyError(OutdatedError):
+    """Other work that is still of use is running (status 409)."""
+
+
+class MissingError(FrictrackError):
+    """A film, a run or a result is not there (status 404)."""

@@ -1,0 +1,164 @@
+"""The films that the page shows: those of the study, and recordings of its folder that are in no study yet.
+
+Every film is decoded in a thread of its own, so that neither the server nor another film waits for it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from frictrack.workbench.errors import MissingError
+
+if TYPE_CHECKING:
+    from frictrack.workbench.frame_images import FrameImages
+
+MAX_OPEN_FILMS = 6  # the one that was not shown for the longest time is closed
+MAX_FRAMES_AHEAD = 8  # decoded while a film plays
+MAX_STEP = 4  # frames from one picture to the next of a film that plays
+
+
+@dataclass(frozen=True)
+class FilmFile:
+    """A film on the disk, as it is now.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    fps : float or None
+        Frames per second; None if the study does not tell it.
+    version : str
+        Changes when the file does.
+
+    """
+
+    path: Path
+    fps: float | None
+    version: str
+
+
+def film_file(path: Path, fps: float | None = None) -> FilmFile:
+    """Look at a film on the disk.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    fps : float, optional
+        Frames per second as the study tells it.
+
+    Raises
+    ------
+    MissingError
+        If there is no such file.
+
+    """
+    try:
+        stat = path.stat()
+    except OSError as e:
+        raise MissingError(f"expected the film {path} but it is gone; put it back or remove the run") from e
+    return FilmFile(path, fps, f"{stat.st_mtime_ns:x}-{stat.st_size:x}")
+
+
+class OpenFilm:
+    """One film and the thread that decodes it. Frames that follow are decoded ahead while it plays.
+
+    Parameters
+    ----------
+    file : FilmFile
+        The film.
+
+    """
+
+    def __init__(self, file: FilmFile) -> None:
+        self.file = file
+        self._thread = ThreadPoolExecutor(1, f"film {file.path.name}")
+        self._images: FrameImages | None = None
+        self._waiting, self._last = 0, -1
+
+    def info(self) -> Future[dict[str, Any]]:
+        """`frames`, `width`, `height` and `fps` of the film, and its `version`."""
+        return self._thread.submit(lambda: {**self._opened().info, "version": self.file.version})
+
+    def frame(self, number: int) -> Future[bytes]:
+        """JPEG of a frame; a number outside the film is clipped."""
+        self._waiting += 1
+        return self._thread.submit(self._frame, number)
+
+    def _frame(self, number: int) -> bytes:
+        self._waiting -= 1
+        found, picture = self._opened()[number]
+        step, self._last = found - self._last, found
+        if 0 < step <= MAX_STEP:
+            self._read_ahead(found + step, step, MAX_FRAMES_AHEAD)
+        return picture
+
+    def _read_ahead(self, number: int, step: int, count: int) -> None:
+        """Decode one of the next frames, unless somebody waits for another one; then the one after it."""
+
+        def decode() -> None:
+            images = self._opened()
+            if not self._waiting and number < images.info["frames"]:
+                images[number]
+                self._read_ahead(number + step, step, count - 1)
+
+        if count and not self._waiting:
+            try:
+                self._thread.submit(decode)
+            except RuntimeError:  # the film was closed
+                return
+
+    def _opened(self) -> FrameImages:
+        if self._images is None:
+            from frictrack.workbench.frame_images import FrameImages  # noqa: PLC0415 - loads OpenCV
+
+            self._images = FrameImages(self.file.path, self.file.fps)
+        return self._images
+
+    def close(self) -> None:
+        """Close the film when the frames that are waited for are decoded."""
+        try:
+            self._thread.submit(lambda: self._images.close() if self._images else None)
+        except RuntimeError:
+            return
+        self._thread.shutdown(wait=False)
+
+
+class Films:
+    """The films that are open. A film whose file has changed is opened again."""
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[Path, OpenFilm] = OrderedDict()
+        self._lock = Lock()
+
+    def open(self, file: FilmFile) -> OpenFilm:
+        """Open a film, or find it open; the pictures are decoded when they are asked for.
+
+        Parameters
+        ----------
+        file : FilmFile
+            The film as it is now.
+
+        """
+        with self._lock:
+            held = self._open.get(file.path)
+            if held is None or held.file != file:
+                if held is not None:
+                    held.close()
+                held = self._open[file.path] = OpenFilm(file)
+            self._open.move_to_end(file.path)
+            while len(self._open) > MAX_OPEN_FILMS:
+                self._open.popitem(last=False)[1].close()
+            return held
+
+    def close(self) -> None:
+        """Close all films."""
+        with self._lock:
+            for film in self._open.values():
+                film.close()
+            self._open.clear()

@@ -1,0 +1,277 @@
+"""Follow the files of one study: read them when they change, and send the new state to every open tab.
+
+The files are the only state. A change made by the command line, by a job or by another tab is noticed in the same way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import os
+import secrets
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from frictrack.errors import FrictrackError
+from frictrack.files import INTERNAL_FOLDER
+from frictrack.workbench.films import Films
+from frictrack.workbench.job_follower import JobFollower, JobsNow
+from frictrack.workbench.job_launcher import WarmLauncher
+
+if TYPE_CHECKING:
+    from frictrack.workbench.jobs import Job
+
+POLL_S = 0.1  # between two checks of the files
+RESUME_S = 2.0  # without a job: the user may try the next candidate
+MAX_POLL_S = 0.5  # when a check takes long, as on a network drive
+T = TypeVar("T")
+
+
+class LiveStudy:
+    """The state of one study as its files are, and the tabs that show it.
+
+    Parameters
+    ----------
+    path : Path
+        Study file, which need not exist yet.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.server = secrets.token_hex(8)  # tells the tabs that another process answers
+        self.version = 0
+        self.snapshot: Any = None
+        self.state: dict[str, Any] = {}
+        self._text = "{}"
+        self.output = path.parent / f"{path.stem}_results"  # until the study file is read
+        self.launcher = WarmLauncher()
+        self.resumes_background = False  # the fit of a candidate has interrupted it
+        self.resume_background: Callable[[LiveStudy], None] = lambda live: None  # the server sets it
+        self._idle_since = time.monotonic()
+        self._seen: object = None
+        self._jobs, self._follower = JobsNow(), JobFollower()
+        self._listeners: set[Callable[[str], object]] = set()
+        self.films = Films()
+        self._reader, self._writer, self._drawer = (ThreadPoolExecutor(1, name) for name in ("read", "write", "draw"))
+        self._wake, self._ready = asyncio.Event(), asyncio.Event()
+
+    # --- what the tabs get
+
+    async def state_json(self) -> str:
+        """The newest state as JSON; waits for the first one."""
+        await self._ready.wait()
+        return self._whole
+
+    def listen(self, call: Callable[[str], object]) -> Callable[[], None]:
+        """Call a function with every message to the tabs, as JSON; return a function that ends this."""
+        self._listeners.add(call)
+        return lambda: self._listeners.discard(call)
+
+    def _send(self, message: str) -> None:
+        for call in tuple(self._listeners):
+            call(message)
+
+    # --- following the files
+
+    def look_now(self) -> None:
+        """Check the files at once, because they have just been changed."""
+        self._wake.set()
+
+    async def read(self, call: Callable[..., T], *arguments: Any) -> T:
+        """Run a function in the only thread that reads the files of the study."""
+        return await asyncio.get_running_loop().run_in_executor(self._reader, call, *arguments)
+
+    async def read_snapshot(self) -> Any:
+        """The study and its results as they were read last; waits for the first time."""
+        await self._ready.wait()
+        return self.snapshot
+
+    async def draw(self, call: Callable[..., T], *arguments: Any) -> T:
+        """Run a function in the only thread that draws figures."""
+        return await asyncio.get_running_loop().run_in_executor(self._drawer, call, *arguments)
+
+    async def write(self, call: Callable[..., T], *arguments: Any) -> T:
+        """Run a function that changes the study, given this object first; changes are made one after the other."""
+        done = await asyncio.get_running_loop().run_in_executor(self._writer, call, self, *arguments)
+        self.look_now()
+        return done
+
+    async def watch(self) -> None:
+        """Follow the files until cancelled."""
+        while True:
+            began = time.monotonic()
+            try:
+                await self._check()
+                await self._use_idle_time()
+            except FrictrackError:  # the files changed meanwhile; the next check tells it
+                await asyncio.sleep(POLL_S)
+            except Exception:
+                logging.getLogger(__name__).exception("the files of the study cannot be followed")
+                await asyncio.sleep(1.0)
+            pause = min(max(POLL_S, time.monotonic() - began), MAX_POLL_S)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), pause)
+            self._wake.clear()
+
+    async def _use_idle_time(self) -> None:
+        """Prepare the process of the next job; continue background work that was interrupted."""
+        if self.launcher.is_needed:
+            await asyncio.to_thread(self.launcher.prepare)
+        if self.resumes_background and time.monotonic() - self._idle_since > RESUME_S:
+            await self.write(self.resume_background)
+
+    async def _check(self) -> None:
+        """Read the files if they have changed. The marks are taken first: a change while they are read is seen next."""
+        marks, jobs = await self.read(self._look)
+        ended = jobs.last is not None and jobs.last != self._jobs.last
+        self._idle_since = time.monotonic() if jobs.running else self._idle_since
+        if jobs != self._jobs:
+            self._jobs = jobs
+            self._send(f'{{"type":"job",{self._job_json}}}')
+        if marks != self._seen or ended:
+            self._seen = marks
+            self.version += 1
+            self._text = await self.read(self._read_state, self.version)
+            self._ready.set()
+            self._send(f'{{"type":"state","state":{self._whole}}}')
+
+    def _look(self) -> tuple[object, JobsNow]:
+        """Marks of the files, and the jobs."""
+        self.output = output_folder(self.path)
+        return file_marks(self.path, self.output), self._follower.look(self.output)
+
+    @property
+    def last_job(self) -> dict[str, Any] | None:
+        """The job that ended last."""
+        return self._jobs.last
+
+    @property
+    def _job_json(self) -> str:
+        return f'"job":{to_json(self._jobs.running)},"last_job":{to_json(self._jobs.last)}'
+
+    @property
+    def _whole(self) -> str:
+        """The state with the jobs, as JSON."""
+        return f"{self._text[:-1]},{self._job_json}}}"
+
+    def running_job(self) -> Job | None:
+        """The running job, as the files are now."""
+        from frictrack.workbench.jobs import running_job  # noqa: PLC0415
+
+        return running_job(self.output)
+
+    def _read_state(self, version: int) -> str:
+        """Read the study and describe it; what cannot be read is said in `error`."""
+        from frictrack.workbench.summaries import read_snapshot, state_of  # noqa: PLC0415 - loads NumPy and more
+
+        try:
+            self.snapshot = read_snapshot(self.path)
+            self.state = {**state_of(self.snapshot)}
+        except Exception as e:
+            if not isinstance(e, OSError | FrictrackError):
+                logging.getLogger(__name__).exception("the study cannot be described")
+            words = f"{self.path.name} cannot be read now ({e}); undo the last change or run it again"
+            self.state = {**self.state, "error": words}
+        self.state |= {"version": version, "server": self.server}
+        return to_json(self.state)
+
+    def close(self) -> None:
+        """Close the films, and end the threads and the process that waits for a job."""
+        self.launcher.close()
+        self.films.close()
+        for thread in (self._reader, self._writer, self._drawer):
+            thread.shutdown(wait=False, cancel_futures=True)
+
+
+def file_marks(path: Path, output: Path) -> list[tuple[str, int, int, int]]:
+    """Marks of all files from which the state of a study is made; they differ when a file has changed.
+
+    Parameters
+    ----------
+    path, output : Path
+        Study file, and folder of its results.
+
+    Returns
+    -------
+    list of tuple
+        Path, time of change, size and inode of the study file, of what lies beside it, and of results and history.
+
+    """
+    folders = (path.parent, output, output / INTERNAL_FOLDER, output / INTERNAL_FOLDER / "attempts")
+    return sorted(mark for folder in folders for mark in _marks_in(folder) if mark[0] != str(output))
+
+
+def _marks_in(folder: Path) -> list[tuple[str, int, int, int]]:
+    """Marks of the files of one folder, without temporary and lock files; empty if there is no such folder."""
+    out = []
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(".") or entry.name in ("lock", "work"):
+                continue
+            with suppress(OSError):  # vanished meanwhile
+                is_folder, stat = entry.is_dir(), entry.stat()
+                if is_folder and folder.name == INTERNAL_FOLDER:
+                    continue
+                out.append((entry.path, stat.st_mtime_ns, 0 if is_folder else stat.st_size, stat.st_ino))
+    return out
+
+
+_outputs: dict[Path, tuple[int, Path]] = {}  # study file -> its time of change, folder of its results
+
+
+def output_folder(path: Path) -> Path:
+    """Folder of the results of a study; where the study file cannot be read, the last one known or the default.
+
+    Parameters
+    ----------
+    path : Path
+        Study file, which need not exist.
+
+    """
+    from frictrack.study import results_folder  # noqa: PLC0415 - loads pydantic
+
+    known = _outputs.get(path)
+    try:
+        changed = path.stat().st_mtime_ns
+        if known is None or known[0] != changed:
+            known = _outputs[path] = changed, results_folder(path)
+    except (OSError, FrictrackError):
+        known = known or (0, path.parent / f"{path.stem}_results")
+    return known[1]
+
+
+def to_json(value: Any) -> str:
+    """Convert to JSON as browsers read it: numbers that are not finite become null.
+
+    Examples
+    --------
+    >>> to_json({"a": float("nan")})
+    '{"a":null}'
+
+    """
+    try:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_builtin)
+    except ValueError:
+        return json.dumps(_finite(json.loads(json.dumps(value, default=_builtin))), separators=(",", ":"))
+
+
+def _builtin(value: Any) -> Any:
+    """Convert NumPy numbers and arrays, paths and sets."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return sorted(value) if isinstance(value, set | frozenset) else str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

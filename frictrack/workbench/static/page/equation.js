@@ -1,0 +1,19 @@
+// Equations of the catalogue as text with real sub- and superscripts: "F_c s + F_v v^2".
+
+import { html } from "./hooks.js";
+
+const MARK = /([_^])(\{[^}]*\}|\([^)]*\)|[A-Za-z0-9.,]+)/g;
+
+/** Text between marks stays as it is; `_x` becomes a subscript and `^x` a superscript. */
+export function Equation({ text }) {
+  const parts = [];
+  let at = 0;
+  for (const found of (text || "").matchAll(MARK)) {
+    parts.push(text.slice(at, found.index));
+    const inner = found[2].replace(/^[{]|[}]$/g, "");
+    parts.push(found[1] === "_" ? html`<sub>${inner}</sub>` : html`<sup>${inner}</sup>`);
+    at = found.index + found[0].length;
+  }
+  parts.push((text || "").slice(at));
+  return html`<span>${parts.map((part) => (typeof part === "string" ? part.replace(/(^|[\s(])-/g, "$1\u2212") : part))}</span>`;
+}

@@ -1,0 +1,84 @@
+// One field of the study: its text, and beside it how it is read, while it is typed.
+
+import { html, useEffect, useId, useRef, useState } from "./hooks.js";
+import { post } from "./api.js";
+import { spaced } from "./format.js";
+import { Icon, Spinner } from "./icons.js";
+
+const CHECK_MS = 120; // after the last key
+
+/** Ask the server how a text is read; nothing is written. */
+function useCheck(name, text, run) {
+  const [read, setRead] = useState(null);
+  useEffect(() => {
+    setRead(null);
+    if (text === null) return undefined;
+    const abort = new AbortController();
+    const timer = setTimeout(async () => {
+      try {
+        const answer = await post("/api/check", { fields: { [name]: text }, run }, { signal: abort.signal });
+        setRead(answer.fields[name]);
+      } catch {
+        /* a newer text is being checked, or the banner says that the server is gone */
+      }
+    }, CHECK_MS);
+    return () => (clearTimeout(timer), abort.abort());
+  }, [name, text, run]);
+  return read;
+}
+
+/**
+ * `field` is the Field of the state, without which nothing can be typed; `onCommit(text)` resolves to whether it was written. `run` is given for a field of one run.
+ */
+export function Field({ name, label, field, placeholder, run, onCommit, action, compact }) {
+  const id = useId(name), box = useRef(), sent = useRef(null);
+  const [text, setText] = useState(null); // null: as it is in the study
+  const [saving, setSaving] = useState(false);
+  const read = useCheck(name, text, run);
+  const shown = text !== null && read ? read : field || {};
+  useEffect(() => {
+    sent.current = null;
+    if (document.activeElement !== box.current) setText(null);
+  }, [field?.text, field?.source]);
+  const commit = async () => {
+    if (text === null) return;
+    if (text.trim() === (field?.text || "")) return setText(null);
+    if (read?.error) return; // said beside the box; nothing is written
+    if (sent.current === text.trim()) return; // Enter has written it; the lost focus need not
+    sent.current = text.trim();
+    setSaving(true);
+    const written = await onCommit(text.trim());
+    setSaving(false);
+    if (!written) sent.current = null;
+    if (written) setTimeout(() => document.activeElement !== box.current && setText(null), 400);
+  };
+  const key = (event) => {
+    if (event.key === "Enter") commit();
+    if (event.key === "Escape") setText(null);
+  };
+  const change = (event) => {
+    sent.current = null;
+    setText(event.target.value);
+  };
+  const { error, warning, echo } = shown;
+  const missing = !error && !(text ?? field?.text) && !echo && field?.needed;
+  const kind = error ? "bad" : warning ? "warn" : "";
+  return html`
+    <div class=${`ui-field ${kind} ${compact ? "compact" : ""}`} data-missing=${String(Boolean(missing))} data-name=${name}>
+      <div class="ui-field-head">
+        <label for=${id} class=${compact ? "ui-hidden" : ""}>${label}</label>
+        <output class="ui-echo" for=${id}>${saving ? html`<${Spinner} />` : missing ? "needed" : spaced(echo || "")}</output>
+      </div>
+      <div class="ui-field-row">
+        <input
+          id=${id} ref=${box} value=${text ?? field?.text ?? ""} placeholder=${placeholder} disabled=${!field} autocomplete="off" spellcheck="false" enterkeyhint="done"
+          aria-invalid=${error ? "true" : null} aria-describedby=${`${id}-words`}
+          onInput=${change} onBlur=${commit} onKeyDown=${key}
+        />
+        ${action}
+      </div>
+      <p class=${`ui-field-words ${kind}`} id=${`${id}-words`} aria-live="polite">
+        ${kind ? html`<${Icon} name=${kind} />` : ""}${error || warning || ""}
+      </p>
+    </div>`;
+}

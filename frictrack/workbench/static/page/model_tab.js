@@ -1,0 +1,83 @@
+// The current model: its equation, its effects with parameters and settings, more effects, and how it is fitted.
+
+import { html, useEffect, useState } from "./hooks.js";
+import { getJSON } from "./api.js";
+import { addEffect, start } from "./actions.js";
+import { Button, Choice, Panel, TextBox } from "./controls.js";
+import { Convergence } from "./convergence.js";
+import { EffectBlock } from "./effect_block.js";
+import { spaced } from "./format.js";
+import { Equation } from "./equation.js";
+import { foreground, outdatedWords } from "./selectors.js";
+import { useStore } from "./store.js";
+
+const SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"].map((name) => [name, name]);
+
+/** Effects that can be added, read once per state of the study. */
+function useCatalogue() {
+  const [found, setFound] = useState([]), revision = useStore((s) => s.study?.revision);
+  useEffect(() => {
+    getJSON("/api/effects").then((all) => setFound(all.effects || all), () => {});
+  }, [revision]);
+  return found;
+}
+
+function AddEffect({ catalogue, taken, why }) {
+  const [text, setText] = useState(""), [name, setName] = useState("");
+  const fits = (one) => `${one.name} ${one.what} ${one.looks_like}`.toLowerCase().includes(text.toLowerCase());
+  const options = catalogue.filter((one) => !taken.includes(one.name) && fits(one));
+  const chosen = options.find((one) => one.name === name) || options[0];
+  return html`
+    <${Panel} title="Add an effect">
+      <div class="ui-box wide"><label for="effect-search">Search by name or by what it looks like</label>
+        <input id="effect-search" type="search" value=${text} placeholder="bends upward at the fast end" onInput=${(e) => setText(e.target.value)} /></div>
+      ${options.length
+        ? html`
+            <${Choice} label=${`Effect (${options.length})`} value=${chosen.name} options=${options.map((one) => [one.name, one.name])} onChange=${setName} />
+            <p class="ui-equation small"><${Equation} text=${chosen.equation} /></p>
+            <p class="ui-note">${spaced(chosen.looks_like ? `Looks like ${chosen.looks_like}.` : chosen.what)}</p>
+            <${Button} icon="add" label=${`Add ${chosen.name}`} why=${why} onClick=${() => addEffect(chosen.name)} />`
+        : html`<p class="ui-note">No effect matches "${text}".</p>`}
+    <//>`;
+}
+
+function Fit({ why }) {
+  const [search, setSearch] = useState("varpro"), [over, setOver] = useState("all");
+  const [seed, setSeed] = useState("0"), [model, setModel] = useState("");
+  const fit = () => start("fit", { model: model || null, search, over, seed: Number.parseInt(seed, 10) || 0 }, `Fit ${model || "the model"}`);
+  return html`
+    <${Panel} title="Fit">
+      <${TextBox} wide label="Another model" value=${model} placeholder="tustin, atm1:2, or coulomb, viscous" onCommit=${setModel} />
+      <div class="ui-row">
+        <${Choice} label="Search" value=${search} options=${SEARCHES} onChange=${setSearch} />
+        <${Choice} label="Parameters" value=${over} options=${[["all", "all"], ["nonlinear", "nonlinear"]]} onChange=${setOver} />
+        <${TextBox} label="Seed" value=${seed} onCommit=${setSeed} />
+      </div>
+      <${Button} icon="run" kind="primary" label="Fit" why=${why} onClick=${fit} />
+      <${Convergence} />
+    <//>`;
+}
+
+export function ModelTab() {
+  const [model, job, ready] = [useStore((s) => s.study?.model), useStore(foreground), useStore((s) => s.study?.ready)];
+  const stale = useStore((s) => outdatedWords(s, "model"));
+  const catalogue = useCatalogue();
+  const why = job ? "Wait until the work ends, or cancel it." : ready?.can_run === false ? ready.words : null;
+  return html`
+    <div class="ui-model">
+      <div class=${`ui-work ${stale ? "stale" : ""}`}>
+        ${model
+          ? html`
+              <section class="ui-panel ui-law" aria-label="Law">
+                <p class="ui-equation"><${Equation} text=${model.equation} /></p>
+                ${(model.remarks || []).map((words) => html`<p class="ui-note">${spaced(words)}</p>`)}
+              </section>
+              <div class="ui-effects">${model.effects.map((one) => html`<${EffectBlock} key=${one.name} effect=${one} why=${why} />`)}</div>`
+          : html`<div class="ui-nothing"><h2>No model is fitted yet</h2><p>Fit the model of the study file, or type another one at the right.</p></div>`}
+      </div>
+      <aside class="ui-side" aria-label="Effects and fit">
+        <${AddEffect} catalogue=${catalogue} taken=${model?.effects.map((one) => one.name) || []} why=${model ? why : "Fit a model first."} />
+        <${Fit} why=${why} />
+      </aside>
+    </div>`;
+}

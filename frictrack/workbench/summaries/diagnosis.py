@@ -1,0 +1,224 @@
+"""Describe the diagnosis of the current model: verdict, candidates, formulas, next experiments, where it fails."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any, TypedDict
+
+from frictrack import plots
+from frictrack.axes import AXES
+from frictrack.number_format import format_change, format_interval, format_number, format_share
+from frictrack.report import held_out_change, mark_code, study_verdict
+from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
+from frictrack.results import ModelResults, Results, to_builtins
+from frictrack.study import Study
+from frictrack.verdicts import describe_verdict
+from frictrack.workbench.plot_data import RESIDUAL_TITLES
+from frictrack.workbench.summaries.candidates import error_change
+from frictrack.workbench.summaries.repairs import rests_on_repairs
+from frictrack.workbench.summaries.snapshot import Snapshot
+
+MAX_FORMULAS = 3
+
+
+class DiagnosisSummary(TypedDict):
+    """The diagnosis of the current model.
+
+    Attributes
+    ----------
+    verdict, title, words
+        The kind of verdict, the headline, and the verdict as one sentence that names the effects.
+    sentences, numbers
+        The paragraph of the report, and the statistics, as sentences.
+    complete
+        False while only the verdict is known.
+    rests_on_repairs
+        How far the verdict rests on repaired frames; None if it does not.
+    plot
+        Title of the plot in which the model fails most.
+    candidates, formulas
+        Candidate effects as cards; formulas for a force that no effect explains.
+    unexplained
+        A sentence on that force; None if everything is explained.
+    next, next_words
+        Experiments that would settle it; sentences on effects that no experiment separates.
+    fails_at
+        Spans of time in which the model fails.
+
+    """
+
+    verdict: str
+    title: str
+    words: str
+    sentences: list[str]
+    numbers: list[str]
+    complete: bool
+    rests_on_repairs: str | None
+    plot: str
+    candidates: list[dict[str, Any]]
+    formulas: list[dict[str, Any]]
+    unexplained: str | None
+    next: list[dict[str, Any]]
+    next_words: list[str]
+    fails_at: list[dict[str, Any]]
+
+
+def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
+    """Describe the diagnosis of the current model in the words of the report; None before it is made.
+
+    Parameters
+    ----------
+    snapshot
+        The study as its files are.
+
+    """
+    results, study = snapshot.results, snapshot.study
+    if results is None or results.diagnosis is None or study is None:
+        return None
+    found = results.diagnosis
+    verdict = study_verdict(results)
+    left = found.get("unexplained") or {}
+    summary: DiagnosisSummary = to_builtins(
+        DiagnosisSummary(
+            verdict=found["verdict"],
+            title=verdict.headline,
+            words=_capitalised(describe_verdict(found)),
+            sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
+            numbers=_numbers(found),
+            complete=found.get("complete", True),
+            rests_on_repairs=rests_on_repairs(found),
+            plot=_failing_plot(found),
+            candidates=_candidates(results, found, snapshot.attempted),
+            formulas=[_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
+            unexplained=_unexplained(left),
+            next=[_experiment(step) for step in separating_experiments(found)],
+            next_words=[_plain(line) for line in inseparable(found)],
+            fails_at=[_span(span) for span in found.get("fails_at") or [] if span.get("t")],
+        )
+    )
+    return summary
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _plain(text: str) -> str:
+    """Return a text without the marks of code in it."""
+    return str(mark_code(text).striptags())
+
+
+def _numbers(found: Mapping[str, Any]) -> list[str]:
+    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
+    repeats = found.get("repeats_words")
+    return [f"Reduced chi-squared {chi2}; p of the lack of fit {p}.", *([repeats] if repeats else [])]
+
+
+# --- candidates
+
+
+def _candidates(
+    results: Results, found: Mapping[str, Any], attempted: Mapping[str, ModelResults]
+) -> list[dict[str, Any]]:
+    cards = candidate_cards(found)
+    both = zip(cards, found["candidates"], strict=True)
+    return [_card(card, raw, results, tried=attempted.get(card.name)) for card, raw in both]
+
+
+def _card(
+    card: CandidateCard, raw: Mapping[str, Any], results: Results, *, tried: ModelResults | None
+) -> dict[str, Any]:
+    words = {key: str(text.striptags()) for key, text in card.words.items()}
+    return {
+        "name": card.name,
+        "rank": card.rank,
+        "passes": card.passes,
+        "acts_on": card.acts_on,
+        **{key: words[key] for key in ("what", "looks_like", "here", "confirm")},
+        "rivals": list(card.rivals) if card.passes else [],
+        "numbers": [_text(cell) for cell in card.numbers],
+        "fitted": tried is not None,
+        "delta_bic": raw["delta_bic"],
+        "p": raw["p"],
+        "error_with": held_out_change(raw) or None,
+        "errors": _errors(raw, results, tried),
+        "has_scan": bool(plots.has_scan(results.figures.get(card.name, {}))),
+    }
+
+
+def _errors(raw: Mapping[str, Any], results: Results, tried: ModelResults | None) -> dict[str, Any] | None:
+    """Return the error now and with a candidate: of the fit that was tried, else of the diagnosis; None if unknown."""
+    if tried is not None and results.current is not None:
+        return error_change(results.current, tried)
+    key, unit = ("um", "µm") if raw.get("heldout_rms_after_um") is not None else ("N", "N")
+    before, after = raw.get(f"heldout_rms_before_{key}"), raw.get(f"heldout_rms_after_{key}")
+    if before is None or after is None:
+        return None
+    return {"now": before, "with": after, "unit": unit, "words": f"Held-out error {held_out_change(raw)}."}
+
+
+def _failing_plot(found: Mapping[str, Any]) -> str:
+    """Return the title of the plot in which the model fails most: over the axis along which the misfit repeats."""
+    repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
+    over = dict(zip(("t", "x", "v"), RESIDUAL_TITLES, strict=True))
+    return next((over[axis] for axis in repeats if axis in over), RESIDUAL_TITLES[0])
+
+
+def _text(cell: Any) -> str:
+    return str(cell.striptags()) if hasattr(cell, "striptags") else str(cell)
+
+
+# --- a force that no effect explains
+
+
+def _unexplained(left: Mapping[str, Any]) -> str | None:
+    if not left:
+        return None
+    if left.get("words"):
+        return f"{_capitalised(left['words'])}."
+    return f"A force that no effect of the library explains repeats best with {AXES[left['axis']].name}."
+
+
+def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
+    """Describe a formula that can be added to the model as an effect of the study."""
+    effect = tomllib.loads(found["toml"])["effect"][0] if found.get("toml") else {}
+    if effect:
+        effect["effect"] = _free_name(effect["effect"], study)
+    share = f"{100 * found['share']:.1f} % of the misfit, evidence {format_change(found['delta_bic'])}"
+    return {"formula": found["formula"], "words": share, "effect": effect, "needs": list(found.get("beside", []))}
+
+
+def _free_name(name: str, study: Study) -> str:
+    """Return the name of an effect, with a number if the study has one of that name."""
+    taken = {table.effect for table in study.effects}
+    names = (f"{name}{mark}" for mark in ("", *(f"_{k}" for k in range(2, len(taken) + 3))))
+    return next(one for one in names if one not in taken)
+
+
+# --- next experiments, and where the model fails
+
+
+def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
+    evidence = step["expected_delta_bic"]
+    expected = f"; expected delta BIC at least {format_number(evidence, 2)}" if evidence is not None else ""
+    return {
+        "title": _plain(step["what"]),
+        "words": f"Distinguishes {_plain(step['tells'])}{expected}.",
+        "separates": list(step["separates"]),
+        "kind": step["kind"],
+    }
+
+
+def _span(span: Mapping[str, Any]) -> dict[str, Any]:
+    """Describe one span of time in which the model fails."""
+    x = span.get("x")
+    where = f", x = {format_interval(x, 1e3)} mm" if x else ""
+    share = format_share(span["share_of_error"])
+    return {
+        "run": span["run"],
+        "t_ms": [1e3 * end for end in span["t"]],
+        "x_mm": [1e3 * end for end in x] if x else None,
+        "share": span["share_of_error"],
+        "words": f"{span['run']}, {format_interval(span['t'], 1e3)} ms{where}: {share} of the misfit",
+    }

@@ -1,0 +1,252 @@
+"""Describe the models tried: their errors, and the parameters and settings of the current one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, TypedDict
+
+from frictrack.effects import catalogue
+from frictrack.flow import user_effects
+from frictrack.number_format import format_quantity
+from frictrack.plots import numbered_name, residual_unit
+from frictrack.report import held_out_error, mark_equation
+from frictrack.results import ModelResults, to_builtins
+from frictrack.study import EffectTable, Study
+from frictrack.workbench.summaries.outdated import why_outdated
+from frictrack.workbench.summaries.snapshot import Snapshot
+
+SETTINGS = ("fix", "bounds", "prior", "tie", "per_run")
+
+
+class ModelEntry(TypedDict):
+    """One model that was tried.
+
+    Attributes
+    ----------
+    group, label
+        Name in the results ("2_tustin+patch"), and in words ("2. Tustin + patch").
+    current
+        Whether it is the current model.
+    effects
+        Names of its effects.
+    errors
+        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs), heldout_unit and
+        heldout_by ("frames" or "run"); None where not computed.
+    equation
+        The fitted equation as plain text.
+    outdated
+        Why it does not belong to the study of now; None if it does.
+
+    """
+
+    group: str
+    label: str
+    current: bool
+    effects: list[str]
+    errors: dict[str, Any]
+    equation: str
+    outdated: str | None
+
+
+def list_models(snapshot: Snapshot) -> list[ModelEntry]:
+    """List the models in the order in which they were tried.
+
+    Parameters
+    ----------
+    snapshot
+        The study as its files are.
+
+    """
+    models = snapshot.results.models if snapshot.results else ()
+    return [
+        ModelEntry(
+            group=model.name,
+            label=numbered_name(model.name),
+            current=model.current,
+            effects=list(model.summary["model"]),
+            errors=model_errors(model),
+            equation=model.equation,
+            outdated=why_outdated(snapshot, "model", model.name),
+        )
+        for model in models
+    ]
+
+
+def model_errors(model: ModelResults) -> dict[str, Any]:
+    """Select the errors of a model that the page shows.
+
+    Parameters
+    ----------
+    model
+        The model.
+
+    """
+    errors = model.summary["errors"]
+    unit = residual_unit(model)
+    heldout, heldout_unit = held_out_error(errors)
+    found: dict[str, Any] = to_builtins(
+        {
+            "reduced_chi2": errors.get("reduced_chi2"),
+            "rms": errors.get("rms_displacement_um" if unit == "µm" else "rms_N"),
+            "rms_unit": unit,
+            "heldout": heldout,
+            "heldout_unit": heldout_unit,
+            "heldout_by": errors.get("heldout"),
+        }
+    )
+    return found
+
+
+def falling_error(snapshot: Snapshot) -> list[dict[str, Any]]:
+    """Return the errors of the models in the order in which they were tried, for the strip of falling error.
+
+    Parameters
+    ----------
+    snapshot
+        The study as its files are.
+
+    Returns
+    -------
+    list of dict
+        group, label, effects, reduced_chi2, heldout, unit, current, outdated.
+
+    """
+    return [
+        {
+            **{key: model[key] for key in ("group", "label", "effects", "current", "outdated")},
+            "reduced_chi2": model["errors"]["reduced_chi2"],
+            "heldout": model["errors"]["heldout"],
+            "unit": model["errors"]["heldout_unit"],
+        }
+        for model in list_models(snapshot)
+    ]
+
+
+# --- the current model
+
+
+def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
+    """Describe the current model with its parameters and their settings; None before a fit.
+
+    Parameters
+    ----------
+    snapshot
+        The study as its files are.
+
+    Returns
+    -------
+    dict
+        group, label, equation and equation_html, remarks, and effects: name, equation, what, and parameters with name,
+        unit, values (text by run, "" for all runs), settings (fix, low, high, prior, tie, per_run) and bounds.
+
+    """
+    model = snapshot.results.current if snapshot.results else None
+    if model is None or snapshot.study is None:
+        return None
+    library = _library(snapshot.study.effects)
+    return {
+        "group": model.name,
+        "label": numbered_name(model.name),
+        "equation": model.equation,
+        "equation_html": str(mark_equation(model.equation)),
+        "remarks": list(model.summary.get("remarks", [])),
+        "effects": [_effect(name, library, model, snapshot.study) for name in model.summary["model"]],
+    }
+
+
+def effect_library(study: Study | None) -> list[dict[str, Any]]:
+    """Return the catalogue of effects, with those that the study defines.
+
+    Parameters
+    ----------
+    study
+        The study, if there is one.
+
+    """
+    found: list[dict[str, Any]] = to_builtins(list(_library(study.effects if study else ()).values()))
+    return found
+
+
+def _library(tables: Sequence[EffectTable]) -> dict[str, dict[str, Any]]:
+    """Return the entry of the catalogue by name of the effect."""
+    return _catalogue(tuple(table.model_dump_json() for table in tables))
+
+
+@lru_cache(maxsize=8)
+def _catalogue(tables: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    own = user_effects([EffectTable.model_validate_json(table) for table in tables])
+    return {entry["name"]: entry for entry in catalogue(own)}
+
+
+def _effect(name: str, library: Mapping[str, Any], model: ModelResults, study: Study) -> dict[str, Any]:
+    entry = library.get(name) or library.get(name.split(":", maxsplit=1)[0], {})
+    given = {parameter["name"]: parameter for parameter in entry.get("parameters", [])}
+    values = _values(model, name)
+    settings = _settings(study.effects, name)
+    return {
+        "name": name,
+        "equation": entry.get("equation", ""),
+        "equation_html": str(mark_equation(entry.get("equation", ""))),
+        "what": entry.get("what", ""),
+        "parameters": [
+            _parameter(parameter, given.get(parameter), values.get(parameter, {}), settings)
+            for parameter in dict.fromkeys((*values, *given))
+        ],
+    }
+
+
+def _parameter(
+    name: str, about: Mapping[str, Any] | None, values: Mapping[str, Any], settings: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    own = {key: settings[key].get(name) for key in SETTINGS}
+    low, high = own["bounds"] or (None, None)
+    unit = about["unit"] if about else next(iter(values.values()))["unit"]
+    return {
+        "name": name,
+        "unit": unit,
+        "values": {run: value_text(value) for run, value in values.items()},
+        "settings": {
+            "fix": own["fix"],
+            "low": low,
+            "high": high,
+            "prior": list(own["prior"]) if own["prior"] else None,
+            "tie": own["tie"],
+            "per_run": own["per_run"],
+        },
+        "bounds": about["bounds"] if about else None,
+    }
+
+
+def _settings(tables: Iterable[EffectTable], effect: str) -> dict[str, dict[str, Any]]:
+    """Return the settings of an effect in the study file: by kind, then by parameter."""
+    found = next((table for table in tables if table.effect == effect), None)
+    return {key: dict(getattr(found, key)) if found else {} for key in SETTINGS}
+
+
+def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
+    """Return the fitted values of an effect: by parameter, then by run ("" for all runs)."""
+    out: dict[str, dict[str, Any]] = {}
+    for full, value in model.summary["parameters"].items():
+        address, _, run = full.partition("[")
+        owner, _, parameter = address.rpartition(".")
+        if owner == effect:
+            out.setdefault(parameter, {})[run.rstrip("]")] = value
+    return out
+
+
+def value_text(value: Mapping[str, Any]) -> str:
+    """Write a fitted value with its standard deviation, and why it is not determined.
+
+    Parameters
+    ----------
+    value
+        "value", "std", "unit" and perhaps "std_misfit" and "reason", as the JSON of a fit has them.
+
+    """
+    reason = f" ({value['reason']})" if value.get("reason") else ""
+    if value["value"] is None:
+        return f"not determined{reason}"
+    std, mark = value.get("std_misfit"), " († ± with the misfit)"
+    std, mark = (value.get("std"), "") if std is None else (std, mark)
+    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{reason}"

@@ -1,0 +1,168 @@
+"""Read everything that the page shows of a study from its files: study file, results, history, recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+from frictrack.errors import FrictrackError
+from frictrack.flow import (
+    AttemptsReader,
+    Change,
+    CommandHistory,
+    ResultsReader,
+    Surveyed,
+    open_study,
+    survey_recording,
+)
+from frictrack.results import ModelResults, Results
+from frictrack.study import Study, find_recordings, read_toml
+
+MAX_RECORDINGS = 1000  # surveyed recordings that are kept
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What the files of a study said at one moment.
+
+    Attributes
+    ----------
+    path
+        The study file, which need not exist.
+    study, results
+        The study and its stored results. None without a study file, or if it could not be read so far.
+    raw
+        The tables of the study file as they are written; empty if it cannot be read.
+    changes
+        The command history, oldest first.
+    recordings
+        Recordings in the folder of the study file.
+    attempted
+        The current model with one more effect, by effect, as far as it was fitted for a comparison.
+    error
+        Why the study file or the results cannot be read; None if they can.
+
+    """
+
+    path: Path
+    study: Study | None = None
+    results: Results | None = None
+    raw: dict[str, Any] = field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
+    recordings: tuple[Surveyed, ...] = ()
+    attempted: Mapping[str, ModelResults] = field(default_factory=dict)
+    error: str | None = None
+
+
+class SnapshotReader:
+    """Read snapshots of one study; what has not changed is read once.
+
+    Parameters
+    ----------
+    path
+        The study file.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._results = ResultsReader(with_budgets=False)
+        self._attempts = AttemptsReader()
+        self._last = Snapshot(path)
+
+    def read(self) -> Snapshot:
+        """Read the files as they are now; after an error, what was read last stays in the snapshot."""
+        recordings = tuple(_survey(path) for path in _recordings(self.path.parent))
+        if not self.path.exists():
+            vanished = self._last.study is not None or self._last.error is not None
+            gone = f"expected the study file {self.path} but it is gone; put it back, or open the sample study"
+            self._last = Snapshot(self.path, recordings=recordings, error=gone if vanished else None)
+            return replace(self._last)
+        try:
+            raw = read_toml(self.path.name, self.path.read_text(encoding="utf-8"))
+            study = open_study(self.path, allow_incomplete=True)
+            history = CommandHistory(study.output)
+            results = self._results.read(study)
+            names = [candidate["effect"] for candidate in (results.diagnosis or {}).get("candidates", [])]
+            attempted = self._attempts.read(study, names)
+            self._last = Snapshot(self.path, study, results, raw, tuple(history.changes), recordings, attempted)
+        except (FrictrackError, OSError, UnicodeDecodeError) as e:
+            return replace(self._last, recordings=recordings, error=str(e))
+        return self._last
+
+
+@cache
+def _reader(path: Path) -> SnapshotReader:
+    return SnapshotReader(path)
+
+
+def read_snapshot(path: Path) -> Snapshot:
+    """Read the files of a study as they are now; nothing is computed and nothing is raised.
+
+    Parameters
+    ----------
+    path
+        The study file, which need not exist.
+
+    """
+    return _reader(path).read()
+
+
+def _recordings(folder: Path) -> list[Path]:
+    try:
+        return find_recordings(folder)
+    except (FrictrackError, OSError):
+        return []
+
+
+def _survey(path: Path) -> Surveyed:
+    """Look at a recording, unless it was looked at before and has not changed."""
+    try:
+        state = path.stat()
+    except OSError as e:
+        return Surveyed(path, problem=e.strerror or str(e))
+    return _surveyed(path, state.st_mtime_ns, state.st_size, _entries(path))
+
+
+def _entries(path: Path) -> int:
+    """Number of files in a folder of pictures; 0 for a file."""
+    return len(os.listdir(path)) if path.is_dir() else 0
+
+
+@lru_cache(maxsize=MAX_RECORDINGS)
+def _surveyed(path: Path, *_: int) -> Surveyed:
+    try:
+        return survey_recording(path)
+    except (FrictrackError, OSError) as e:
+        return Surveyed(path, problem=str(e))
+
+
+def surveyed_source(path: Any) -> Surveyed | None:
+    """Return what is known of the recording of a run; None for one at an address, or one that is gone.
+
+    Parameters
+    ----------
+    path
+        `RunTable.source`.
+
+    """
+    return _survey(path) if isinstance(path, Path) and path.exists() else None
+
+
+def file_version(path: Any) -> str:
+    """Return a text that changes when the content of a recording changes; "" for one at an address.
+
+    Parameters
+    ----------
+    path
+        `RunTable.source`.
+
+    """
+    if not isinstance(path, Path) or not path.exists():
+        return ""
+    state = path.stat()
+    return f"{state.st_mtime_ns:x}-{state.st_size:x}"

@@ -1,0 +1,42 @@
+"""A run whose frame rate or scale is wrong is found by its level of dry friction, which absorbs the error."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import frictrack as ft
+
+MU, DRAG, SIGMA = 0.26, 0.05, 5e-7  # of the weight; kg/s per kg; m
+SPEEDS = (3.0, 4.0, 5.0, 6.0)
+
+
+def slide(speed: float, seed: int, *, rate: float = 1.0, scale: float = 1.0, friction: float = 1.0) -> ft.Run:
+    """x'' = -mu g - c x', in closed form; `rate` and `scale` are the errors of what the user states."""
+    t = np.arange(400) / 4000.0
+    level = friction * MU * 9.80665 / DRAG
+    x = (speed + level) / DRAG * (1 - np.exp(-DRAG * t)) - level * t
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(t))
+    return ft.Run.from_arrays(t / rate, scale * (x + noise), mass=0.35, name=f"v{speed:g}")
+
+
+def remarks(**wrong: float) -> list[str]:
+    runs = [slide(v, k, **(wrong if k == 2 else {})) for k, v in enumerate(SPEEDS)]
+    return [
+        line for line in ft.fit("coulomb, viscous", runs).summary()["remarks"] if line.startswith("dry friction in")
+    ]
+
+
+@pytest.mark.parametrize(("wrong", "ratio"), [({"rate": 2.0}, 4.0), ({"rate": 0.5}, 0.25), ({"scale": 1.5}, 1.5)])
+def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float], ratio: float) -> None:
+    (line,) = remarks(**wrong)
+    found = re.match(r"dry friction in v5 is ([\d.]+) times", line)
+    assert found, line
+    assert float(found[1]) == pytest.approx(ratio, rel=0.1)
+
+
+@pytest.mark.parametrize("friction", [0.9, 1.0, 1.1])
+def test_friction_that_scatters_as_surfaces_do_is_no_remark(friction: float) -> None:
+    assert remarks(friction=friction) == []

@@ -1,0 +1,362 @@
+"""The page in a real browser: films first, numbers as they are read, and nothing on it that is not true.
+
+Screenshots go to `FRICTRACK_ARTEFACTS`, when set.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import CHROMIUM, Open, Server, Tab
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+SAMPLES = Path(__file__).parent.parent / "sample_videos"
+STUDY = """# the quickest film of the samples
+[study]
+name = "one film"
+mass = "0.35 kg"
+model = "tustin"
+
+[camera]
+fps = 4000
+scale = "0.5 mm/px"
+
+[[run]]
+name = "fast"
+video = "fast.avi"
+"""
+TARGET = re.compile(r"target = \[[\d., ]+\]")
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Iterator[Server]:
+    """A folder with one film and nothing else."""
+    shutil.copy(SAMPLES / "fast.avi", tmp_path)
+    server = Server(tmp_path, log=tmp_path / "server.log").start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def untracked(tmp_path: Path) -> Iterator[Server]:
+    """A complete study of one film before any work."""
+    shutil.copy(SAMPLES / "fast.avi", tmp_path)
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY, encoding="utf-8")
+    server = Server(study, log=tmp_path / "server.log").start()
+    yield server
+    if server.process and server.process.poll() is None:
+        server.stop()
+
+
+@pytest.fixture
+def tables(study_file: Path) -> Iterator[Server]:
+    """A study of three tables whose motion is known."""
+    server = Server(study_file).start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The sample study after `run`; tests undo what they change."""
+    folder = tmp_path_factory.mktemp("page") / "study"
+    shutil.copytree(finished_sample, folder)
+    server = Server(folder / "study.toml").start()
+    yield server
+    server.stop()
+
+
+def text_of(server: Server) -> str:
+    path = server.study if server.study.suffix else server.study / "study.toml"
+    return path.read_text(encoding="utf-8")
+
+
+def film_shown(page: Tab) -> None:
+    page.page.locator(".fp-label", has_text=re.compile(r"frame \d+ of 150")).wait_for()
+
+
+# --- films first
+
+
+def test_films_play_and_a_ruler_is_drawn_before_any_number_is_typed(film: Server, tab: Open) -> None:
+    page = tab().open(film)
+    page.click("Use this recording")
+    film_shown(page)
+    page.picture("1_film_first")
+    page.click("Play")
+    page.until(lambda: "frame 0 of" not in page.page.locator(".fp-label").inner_text())
+    page.click("Pause")
+    page.click("Draw a ruler on the film (R)")
+    page.drag_on_film((0.2, 0.4), (0.6, 0.4))
+    page.fill("This line is", "100 mm").hears("Scale: the ruler that you drew.")
+    assert re.search(r'length = "100 mm"', text_of(film))
+    assert "mass" not in text_of(film).split("[[run]]")[0].replace("# mass", "")
+    assert page.page.locator(".ui-banner.bad").count() == 0
+
+
+def test_run_says_what_is_missing(film: Server, tab: Open) -> None:
+    page = tab().open(film)
+    page.click("Run").hears("Choose recordings or open the sample study first.")
+    page.click("Use this recording")
+    film_shown(page)
+    page.click("Run")
+    page.page.locator(".ui-message.warn").wait_for()
+    focused = page.page.evaluate("document.activeElement.closest('.ui-field')?.dataset.name")
+    assert focused in ("mass", "fps", "scale")
+
+
+def test_numbers_are_read_back_while_they_are_typed(untracked: Server, tab: Open) -> None:
+    before, page = text_of(untracked), tab().open(untracked)
+    echo = page.page.locator('.ui-field[data-name="mass"] .ui-echo')
+    page.until(lambda: "0.35" in echo.inner_text())
+    page.fill("Mass", "350 g", enter=False)
+    page.until(lambda: re.sub(r"\s", " ", echo.inner_text()) in ("0.35 kg", "0.350 kg"))
+    assert text_of(untracked) == before  # nothing is written while typing
+    page.fill("Mass", "350", enter=False)
+    page.page.locator('.ui-field[data-name="mass"] .ui-field-words:is(.warn, .bad)', has_text="350 g").wait_for()
+    page.fill("Scale", "0.5", enter=False)
+    page.page.locator('.ui-field[data-name="scale"] .ui-field-words:is(.warn, .bad)').wait_for()
+    for name in ("Scale", "Mass"):
+        page.page.get_by_label(name, exact=True).press("Escape")
+    page.fill("Frame rate", "0", enter=False)
+    page.page.locator('.ui-field[data-name="fps"] .ui-field-words.bad').wait_for()
+    page.page.get_by_label("Frame rate", exact=True).press("Enter")
+    page.page.wait_for_timeout(300)
+    assert "fps = 4000" in text_of(untracked)
+    for name in ("Mass", "Frame rate", "Scale"):
+        assert page.page.get_by_label(name, exact=True).is_visible()
+
+
+def test_numbers_of_one_run_are_its_own(untracked: Server, tab: Open) -> None:
+    before, page = text_of(untracked), tab().open(untracked)
+    page.click("Per run")
+    page.fill("Mass of fast", "0.4 mm", enter=False)
+    page.page.locator('.ui-per-run .ui-field[data-name="mass"] .ui-field-words.bad').wait_for()
+    page.fill("Mass of fast", "0.4 kg").hears("Mass of fast: 0.4 kg.")
+    page.fill("Scale of fast", "0.6 mm/px").hears("Scale of fast: 0.6 mm/px.")
+    assert 'mass = "0.4 kg"\nscale = "0.6 mm/px"' in text_of(untracked)
+    page.page.keyboard.press("Tab")
+    page.page.locator("body").click(position={"x": 5, "y": 5})
+    page.page.keyboard.press("Control+z")
+    page.until(lambda: "0.6" not in text_of(untracked))
+    page.click("Undo")
+    page.until(lambda: text_of(untracked) == before)
+
+
+def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Open) -> None:
+    before, page = text_of(untracked), tab().open(untracked)
+    film_shown(page)
+    page.click("Target")
+    page.drag_on_film((0.08, 0.2), (0.28, 0.8))
+    page.hears("Target set in fast.")
+    assert TARGET.search(text_of(untracked))
+    page.click("Undo")
+    page.until(lambda: text_of(untracked) == before)
+
+
+def test_the_sample_study_is_one_click_away(tmp_path: Path, tab: Open) -> None:
+    server = Server(tmp_path).start()
+    try:
+        page = tab().open(server)
+        page.click("Open the sample study")
+        film_shown(page)
+        page.until(lambda: "unready" not in (page.button("Run").get_attribute("class") or ""))
+    finally:
+        server.stop()
+
+
+def test_films_are_dropped_on_the_page(tmp_path: Path, tab: Open) -> None:
+    server = Server(tmp_path).start()
+    try:
+        page = tab().open(server)
+        page.page.locator("input[type=file]").first.set_input_files(SAMPLES / "fast.avi")
+        film_shown(page)
+        assert (tmp_path / "fast.avi").read_bytes() == (SAMPLES / "fast.avi").read_bytes()
+    finally:
+        server.stop()
+
+
+def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open) -> None:
+    (tmp_path / "broken.avi").write_bytes((SAMPLES / "fast.avi").read_bytes()[:4000])
+    server = Server(tmp_path).start()
+    try:
+        page = tab().open(server)
+        page.sees("broken.avi")
+        if page.button("Use this recording").is_visible():
+            page.click("Use this recording")
+            page.page.locator(".ui-banner, .fp-label, .ui-message", has_text="broken.avi").first.wait_for()
+        else:
+            assert page.page.get_by_label("broken.avi").is_disabled()
+        page.picture("1_broken")
+        page.faults.clear()  # the film was refused, as it should be
+    finally:
+        server.stop()
+
+
+# --- always true
+
+
+def test_a_dead_server_is_said_and_a_new_one_found(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    untracked.stop(signal.SIGKILL)
+    page.hears("The server does not answer. Start `frictrack app` again; the page reconnects by itself.", 10_000)
+    page.picture("2_no_server")
+    untracked.start()
+    page.page.locator(".ui-banner", has_text="does not answer").wait_for(state="detached", timeout=20_000)
+    page.fill("Mass", "0.36 kg").hears("Mass: 0.36 kg.")
+    page.faults.clear()  # its server was taken from it
+
+
+def test_files_that_vanish_are_said_once(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    film = untracked.study.parent / "fast.avi"
+    film.rename(film.with_suffix(".gone"))
+    page.hears("fast.avi", 10_000)
+    film.with_suffix(".gone").rename(film)
+    page.page.locator(".ui-banner", has_text="fast.avi").wait_for(state="detached", timeout=10_000)
+    untracked.study.unlink()
+    page.hears("study.toml", 10_000)
+    page.page.wait_for_timeout(1500)
+    assert untracked.log is not None
+    assert "Traceback" not in untracked.log.read_text(encoding="utf-8")
+    page.faults.clear()
+
+
+def test_two_pages_see_the_same_and_do_not_undo_each_other_unseen(tables: Server, tab: Open) -> None:
+    one, other = tab().open(tables).to("Model"), tab().open(tables).to("History")
+    one.click("Fit")
+    one.hears(": done.")
+    other.sees(re.compile(r"oulomb \+ viscous \(current\)"))
+    one.page.get_by_role("button", name="Settings of coulomb.F_c").click()
+    one.fill("F_c: fixed at", "2.0").hears("coulomb.F_c: fix set.")
+    other.hears(re.compile("outdated"), 5_000)
+    other.click("Undo").hears("Undone")
+    one.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached", timeout=5_000)
+    assert "F_c" not in text_of(tables)
+
+
+def test_a_change_made_elsewhere_is_not_overwritten_unseen(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    refused: list[int] = []
+
+    def as_seen_before(route: Any) -> None:
+        """Send the revision of an earlier state, as a page does that has not heard of the newest one."""
+        told = json.loads(route.request.post_data)
+        route.continue_(post_data=json.dumps({**told, "seen": told["seen"] + 7}))
+
+    page.page.route("**/api/do", as_seen_before)
+    page.page.on("response", lambda r: r.status == 409 and refused.append(r.status))
+    page.fill("Mass", "0.5 kg")
+    page.page.locator(".ui-banner.bad").wait_for()
+    assert refused == [409]
+    assert "0.5 kg" not in text_of(untracked)
+    page.faults.clear()
+
+
+def test_an_outdated_report_is_not_downloaded_unseen(sample: Server, tab: Open) -> None:
+    before, page = text_of(sample), tab().open(sample)
+    page.fill("Mass", "0.36 kg").hears("Mass: 0.36 kg.")
+    page.hears(re.compile("outdated"))
+    page.until(lambda: "outdated" in (page.button("Report").get_attribute("class") or ""))
+    page.click("Report")
+    page.page.get_by_role("dialog", name="This report is outdated").wait_for()
+    page.picture("2_outdated")
+    with page.page.expect_download() as got:
+        page.click("Download it as it is")
+    assert "<html" in Path(got.value.path()).read_text(encoding="utf-8")
+    page.faults.clear()  # the server has refused it once, with its reason
+    page.click("Undo")
+    page.until(lambda: text_of(sample) == before)
+    page.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached")
+
+
+def test_outdated_results_are_grey_and_can_be_updated(sample: Server, tab: Open) -> None:
+    before, page = text_of(sample), tab().open(sample).to("Compare")
+    page.page.locator(".fp-plot").first.wait_for()
+    assert page.page.locator(".ui-work.stale").count() == 0
+    page.fill("Mass", "0.36 kg")
+    page.page.locator(".ui-work.stale").wait_for()
+    page.page.locator(".ui-banner").get_by_role("button", name="Update").first.wait_for()
+    page.click("Undo")
+    page.until(lambda: text_of(sample) == before)
+    page.page.locator(".ui-work.stale").wait_for(state="detached")
+
+
+def test_a_message_never_covers_the_view(sample: Server, tab: Open) -> None:
+    page = tab().open(sample).to("Compare")
+    page.page.locator(".fp-plot").first.wait_for()
+    boxes = [page.page.locator(where).bounding_box() for where in (".ui-view", ".ui-status", ".ui-banners")]
+    assert all(boxes)
+    view, status, banners = (box for box in boxes if box)
+    assert view["y"] + view["height"] <= status["y"] + 1
+    assert banners["y"] + banners["height"] <= view["y"] + 1
+
+
+def test_the_page_asks_for_its_token(study_file: Path, tab: Open) -> None:
+    server = Server(study_file, token="sesame").start()
+    try:
+        page = tab()
+        page.page.goto(server.bare_address)
+        assert "token" in page.page.content()
+        page.page.goto(server.bare_address + "?token=wrong")
+        assert "token" in page.page.content()
+        page.faults.clear()  # those were refused, as they should be
+        page.page.goto(server.address)
+        page.sees("History")
+        page.page.goto(server.bare_address)  # the cookie is enough now
+        page.sees("History")
+    finally:
+        server.stop()
+
+
+# --- quick
+
+
+def test_the_page_paints_before_its_data_arrive(untracked: Server, tab: Open) -> None:
+    page = tab()
+
+    def late(route: Any) -> None:
+        time.sleep(1.5)
+        route.continue_()
+
+    page.page.route("**/api/state", late)
+    page.page.goto(untracked.address, wait_until="commit")
+    page.page.get_by_role("tab", name="Film").wait_for(timeout=1_400)
+
+
+def test_a_click_shows_at_once_that_it_is_under_way(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    page.page.route("**/api/job", lambda route: None)  # never answered
+    shown = page.page.evaluate(
+        """async () => {
+            const began = performance.now();
+            [...document.querySelectorAll(".ui-header button")].find((b) => b.textContent === "Run").click();
+            while (!document.querySelector(".ui-progress")) await new Promise(requestAnimationFrame);
+            return performance.now() - began;
+        }"""
+    )
+    assert shown < 1000  # ms; without the answer of the server
+    assert page.page.get_by_role("tab", name="Compare").get_attribute("aria-selected") == "true"
+
+
+def test_the_film_is_large(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    page.page.set_viewport_size({"width": 1440, "height": 900})
+    box = page.page.locator(".fp-picture").bounding_box()
+    assert box is not None
+    assert box["width"] > 780
+    assert box["width"] / box["height"] < 8  # a film of 512 x 72 px has no margin above and below

@@ -1,0 +1,45 @@
+"""A mass that is wrong in one run is named where no effect explains what it leaves."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import frictrack as ft
+from frictrack.diagnose.suspect_runs import MAX_FRAMES, suspect_run_remarks
+
+MU, VISCOUS, SIGMA = 0.26, 0.3, 5e-7  # of the weight; N s/m; m
+
+
+def slide(speed: float, mass: float, stated: float, frames: int = 300) -> ft.Run:
+    """m x'' = -mu m g - c x', in closed form."""
+    t = np.arange(frames) / 4000.0
+    drag = VISCOUS / mass
+    level = MU * 9.80665 / drag
+    x = (speed + level) / drag * (1 - np.exp(-drag * t)) - level * t
+    noise = SIGMA * np.random.default_rng(round(10 * speed)).standard_normal(frames)
+    return ft.Run.from_arrays(t, x + noise, mass=stated, name=f"v{speed:g}")
+
+
+def remarks(masses: list[float], stated: list[float], frames: int = 300) -> list[str]:
+    speeds = (3.0, 4.0, 5.0, 6.0)
+    runs = [slide(v, m, s, frames) for v, m, s in zip(speeds, masses, stated, strict=True)]
+    fitted = ft.fit("coulomb, viscous", runs)
+    return suspect_run_remarks(fitted.solution, runs, np.random.default_rng(0))
+
+
+def test_the_run_whose_mass_is_wrong_is_named_with_the_mass_that_explains_it() -> None:
+    (line,) = remarks([0.35, 0.35, 0.7, 0.7], [0.35, 0.35, 0.7, 0.35])
+    assert line.startswith("one wrong mass would explain")
+    found = re.search(r"([\d.]+) kg instead of 0.350 kg for v6", line)
+    assert found, line
+    assert float(found[1]) == pytest.approx(0.7, rel=0.1)
+
+
+def test_right_masses_are_not_doubted_and_long_records_are_left_out() -> None:
+    assert remarks([0.35] * 4, [0.35] * 4) == []
+    long = [slide(v, 0.35, 0.35, MAX_FRAMES // 3) for v in (30.0, 40.0, 50.0)]
+    fitted = ft.fit("coulomb, viscous", long[:2])
+    assert suspect_run_remarks(fitted.solution, long * 2, np.random.default_rng(0)) == []
