@@ -167,6 +167,7 @@ class Server:
 
 
 Open = Callable[[], Tab]
+Serve = Callable[..., Server]  # takes a study file or folder, and the options of Server
 
 
 @contextmanager

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import Open, Server, Tab, browser
+from browser import Open, Serve, Server, Tab, browser
 from page_client import Client
 
 from frictrack.fit import global_search
@@ -103,7 +104,36 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def tab(chromium: Any) -> Iterator[Open]:
+def serve() -> Iterator[Serve]:
+    """Starts servers of the page that run until the test and its tabs are over."""
+    with ExitStack() as servers:
+
+        def start(study: Path, **options: Any) -> Server:
+            server = Server(study, **options).start()
+            servers.callback(server.stop)
+            return server
+
+        yield start
+
+
+@pytest.fixture
+def tables(study_file: Path, serve: Serve) -> Server:
+    """A study of three tables whose motion is known."""
+    return serve(study_file)
+
+
+@pytest.fixture(scope="module")
+def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The sample study after `run`, for the tests of one file; they undo what they change."""
+    folder = tmp_path_factory.mktemp("page") / "study"
+    shutil.copytree(finished_sample, folder)
+    server = Server(folder / "study.toml").start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def tab(chromium: Any, serve: Serve) -> Iterator[Open]:
     """Opens tabs; at the end none of them has asked anybody outside, or met an error."""
     opened: list[Tab] = []
 

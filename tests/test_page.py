@@ -10,12 +10,11 @@ import re
 import shutil
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import CHROMIUM, Open, Server, Tab
+from browser import CHROMIUM, Open, Serve, Server, Tab
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
@@ -37,42 +36,19 @@ TARGET = re.compile(r"target = \[[\d., ]+\]")
 
 
 @pytest.fixture
-def film(tmp_path: Path) -> Iterator[Server]:
+def film(tmp_path: Path, serve: Serve) -> Server:
     """A folder with one film and nothing else."""
     shutil.copy(SAMPLES / "fast.avi", tmp_path)
-    server = Server(tmp_path, log=tmp_path / "server.log").start()
-    yield server
-    server.stop()
+    return serve(tmp_path, log=tmp_path / "server.log")
 
 
 @pytest.fixture
-def untracked(tmp_path: Path) -> Iterator[Server]:
+def untracked(tmp_path: Path, serve: Serve) -> Server:
     """A complete study of one film before any work."""
     shutil.copy(SAMPLES / "fast.avi", tmp_path)
     study = tmp_path / "study.toml"
     study.write_text(STUDY, encoding="utf-8")
-    server = Server(study, log=tmp_path / "server.log").start()
-    yield server
-    if server.process and server.process.poll() is None:
-        server.stop()
-
-
-@pytest.fixture
-def tables(study_file: Path) -> Iterator[Server]:
-    """A study of three tables whose motion is known."""
-    server = Server(study_file).start()
-    yield server
-    server.stop()
-
-
-@pytest.fixture(scope="module")
-def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The sample study after `run`; tests undo what they change."""
-    folder = tmp_path_factory.mktemp("page") / "study"
-    shutil.copytree(finished_sample, folder)
-    server = Server(folder / "study.toml").start()
-    yield server
-    server.stop()
+    return serve(study, log=tmp_path / "server.log")
 
 
 def text_of(server: Server) -> str:
@@ -163,43 +139,34 @@ def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Op
     page.until(lambda: text_of(untracked) == before)
 
 
-def test_the_sample_study_is_one_click_away(tmp_path: Path, tab: Open) -> None:
-    server = Server(tmp_path).start()
-    try:
-        page = tab().open(server)
-        page.click("Open the sample study")
-        film_shown(page)
-        page.until(lambda: "unready" not in (page.button("Run").get_attribute("class") or ""))
-    finally:
-        server.stop()
+def test_the_sample_study_is_one_click_away(tmp_path: Path, tab: Open, serve: Serve) -> None:
+    server = serve(tmp_path)
+    page = tab().open(server)
+    page.click("Open the sample study")
+    film_shown(page)
+    page.until(lambda: "unready" not in (page.button("Run").get_attribute("class") or ""))
 
 
-def test_films_are_dropped_on_the_page(tmp_path: Path, tab: Open) -> None:
-    server = Server(tmp_path).start()
-    try:
-        page = tab().open(server)
-        page.page.locator("input[type=file]").first.set_input_files(SAMPLES / "fast.avi")
-        film_shown(page)
-        assert (tmp_path / "fast.avi").read_bytes() == (SAMPLES / "fast.avi").read_bytes()
-    finally:
-        server.stop()
+def test_films_are_dropped_on_the_page(tmp_path: Path, tab: Open, serve: Serve) -> None:
+    server = serve(tmp_path)
+    page = tab().open(server)
+    page.page.locator("input[type=file]").first.set_input_files(SAMPLES / "fast.avi")
+    film_shown(page)
+    assert (tmp_path / "fast.avi").read_bytes() == (SAMPLES / "fast.avi").read_bytes()
 
 
-def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open) -> None:
+def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open, serve: Serve) -> None:
     (tmp_path / "broken.avi").write_bytes((SAMPLES / "fast.avi").read_bytes()[:4000])
-    server = Server(tmp_path).start()
-    try:
-        page = tab().open(server)
-        page.sees("broken.avi")
-        if page.button("Use this recording").is_visible():
-            page.click("Use this recording")
-            page.page.locator(".ui-banner, .fp-label, .ui-message", has_text="broken.avi").first.wait_for()
-        else:
-            assert page.page.get_by_label("broken.avi").is_disabled()
-        page.picture("1_broken")
-        page.faults.clear()  # the film was refused, as it should be
-    finally:
-        server.stop()
+    server = serve(tmp_path)
+    page = tab().open(server)
+    page.sees("broken.avi")
+    if page.button("Use this recording").is_visible():
+        page.click("Use this recording")
+        page.page.locator(".ui-banner, .fp-label, .ui-message", has_text="broken.avi").first.wait_for()
+    else:
+        assert page.page.get_by_label("broken.avi").is_disabled()
+    page.picture("1_broken")
+    page.faults.clear()  # the film was refused, as it should be
 
 
 # --- always true
@@ -304,21 +271,18 @@ def test_a_message_never_covers_the_view(sample: Server, tab: Open) -> None:
     assert banners["y"] + banners["height"] <= view["y"] + 1
 
 
-def test_the_page_asks_for_its_token(study_file: Path, tab: Open) -> None:
-    server = Server(study_file, token="sesame").start()
-    try:
-        page = tab()
-        page.page.goto(server.bare_address)
-        assert "token" in page.page.content()
-        page.page.goto(server.bare_address + "?token=wrong")
-        assert "token" in page.page.content()
-        page.faults.clear()  # those were refused, as they should be
-        page.page.goto(server.address)
-        page.sees("History")
-        page.page.goto(server.bare_address)  # the cookie is enough now
-        page.sees("History")
-    finally:
-        server.stop()
+def test_the_page_asks_for_its_token(study_file: Path, tab: Open, serve: Serve) -> None:
+    server = serve(study_file, token="sesame")
+    page = tab()
+    page.page.goto(server.bare_address)
+    assert "token" in page.page.content()
+    page.page.goto(server.bare_address + "?token=wrong")
+    assert "token" in page.page.content()
+    page.faults.clear()  # those were refused, as they should be
+    page.page.goto(server.address)
+    page.sees("History")
+    page.page.goto(server.bare_address)  # the cookie is enough now
+    page.sees("History")
 
 
 # --- quick

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import CHROMIUM, SLOW, Open, Server, Tab
+from browser import CHROMIUM, SLOW, Open, Serve, Server, Tab
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 TABS = ("Film", "Compare", "Motion", "Model", "History")
@@ -57,21 +56,9 @@ RING = """() => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The sample study after `run`."""
-    folder = tmp_path_factory.mktemp("access") / "study"
-    shutil.copytree(finished_sample, folder)
-    server = Server(folder / "study.toml").start()
-    yield server
-    server.stop()
-
-
 @pytest.fixture
-def empty(tmp_path: Path) -> Iterator[Server]:
-    server = Server(tmp_path).start()
-    yield server
-    server.stop()
+def empty(tmp_path: Path, serve: Serve) -> Server:
+    return serve(tmp_path)
 
 
 def themed(chromium: Any, theme: str, width: int = 1440, height: int = 900) -> Tab:
@@ -160,32 +147,29 @@ def test_shortcuts_reach_every_view_and_the_help(sample: Server, tab: Open) -> N
     page.page.get_by_role("dialog").wait_for(state="detached")
 
 
-def test_the_loop_with_the_keyboard_alone(tmp_path: Path, tab: Open) -> None:
+def test_the_loop_with_the_keyboard_alone(tmp_path: Path, tab: Open, serve: Serve) -> None:
     shutil.copy(SAMPLES / "fast.avi", tmp_path)
-    server = Server(tmp_path).start()
-    try:
-        page = tab().open(server)
-        keys = page.page.keyboard
-        page.button("Use this recording").wait_for()
-        _tab_to(page, "Use this recording")
+    server = serve(tmp_path)
+    page = tab().open(server)
+    keys = page.page.keyboard
+    page.button("Use this recording").wait_for()
+    _tab_to(page, "Use this recording")
+    keys.press("Enter")
+    page.page.locator(".fp-label", has_text="frame").wait_for()
+    for label, text in (("Mass", "0.35 kg"), ("Frame rate", "4000"), ("Scale", "0.5 mm/px")):
+        _tab_to(page, label)
+        keys.type(text)
         keys.press("Enter")
-        page.page.locator(".fp-label", has_text="frame").wait_for()
-        for label, text in (("Mass", "0.35 kg"), ("Frame rate", "4000"), ("Scale", "0.5 mm/px")):
-            _tab_to(page, label)
-            keys.type(text)
-            keys.press("Enter")
-        keys.press("Control+Enter")
-        page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for(timeout=SLOW)
-        page.idle()
-        _tab_to(page, re.compile("^Add "))
-        keys.press("Enter")
-        page.page.locator(".ui-brief", has_text=re.compile(r"2\. ")).wait_for(timeout=SLOW)
-        page.idle()
-        keys.press("Control+z")
-        page.hears("Undone")
-        page.page.locator(".ui-brief", has_text=re.compile(r"1\. ")).wait_for()
-    finally:
-        server.stop()
+    keys.press("Control+Enter")
+    page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for(timeout=SLOW)
+    page.idle()
+    _tab_to(page, re.compile("^Add "))
+    keys.press("Enter")
+    page.page.locator(".ui-brief", has_text=re.compile(r"2\. ")).wait_for(timeout=SLOW)
+    page.idle()
+    keys.press("Control+z")
+    page.hears("Undone")
+    page.page.locator(".ui-brief", has_text=re.compile(r"1\. ")).wait_for()
 
 
 def _tab_to(page: Tab, name: str | re.Pattern[str]) -> None:

@@ -6,32 +6,11 @@ Screenshots go to `FRICTRACK_ARTEFACTS`, when set.
 from __future__ import annotations
 
 import re
-import shutil
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, Open, Server
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-
-
-@pytest.fixture(scope="module")
-def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The sample study after `run`; tests undo what they change."""
-    folder = tmp_path_factory.mktemp("film") / "study"
-    shutil.copytree(finished_sample, folder)
-    server = Server(folder / "study.toml").start()
-    yield server
-    server.stop()
-
-
-@pytest.fixture
-def tables(study_file: Path) -> Iterator[Server]:
-    """A study of three tables whose motion is known."""
-    server = Server(study_file).start()
-    yield server
-    server.stop()
 
 
 def text_of(server: Server) -> str:

@@ -78,13 +78,6 @@ def films(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     server.stop()
 
 
-@pytest.fixture
-def tables(study_file: Path) -> Iterator[Server]:
-    server = Server(study_file).start()
-    yield server
-    server.stop()
-
-
 def verdict(page: Tab) -> str:
     """Wait for the verdict on the current model."""
     title = page.page.locator(".ui-verdict-title")

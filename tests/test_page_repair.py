@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-from browser import CHROMIUM, Open, Server, Tab
+from browser import CHROMIUM, Open, Serve, Server, Tab
 from test_repair import COVERED, FLASH, STUDY, errors, pictures
 
 from frictrack.flow import Session, open_study
@@ -19,12 +18,10 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-
 
 
 @pytest.fixture
-def hand(tmp_path: Path) -> Iterator[Server]:
+def hand(tmp_path: Path, serve: Serve) -> Server:
     tifffile.imwrite(tmp_path / "hand.tif", pictures(), photometric="minisblack")
     (tmp_path / "study.toml").write_text(STUDY)
-    server = Server(tmp_path / "study.toml").start()
-    yield server
-    server.stop()
+    return serve(tmp_path / "study.toml")
 
 
 def suspects(page: Tab) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, Open, Server, Tab
+from browser import CHROMIUM, Open, Serve, Server, Tab
 
 from frictrack.flow import Session, open_study, preview_motion, read_results
 from frictrack.motion import differentiate, low_pass
@@ -155,35 +155,29 @@ def test_files_are_downloaded_in_the_format_chosen(bench: Server, tab: Open) -> 
     assert Path(got.value.path()).read_bytes().startswith(b"PK")
 
 
-def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path, tab: Open) -> None:
+def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path, tab: Open, serve: Serve) -> None:
     Session(open_study(study_file)).fit()
-    server = Server(study_file).start()
-    try:
-        page = tab().open(server).to("History")
-        page.sees(re.compile(r"\(current\)"))
-        for name in ("Report (HTML)", "Report (PDF)"):
-            button = page.page.get_by_role("button", name=name)
-            assert button.get_attribute("aria-disabled") == "true"
-            assert button.get_attribute("title") == "Write the report first."
-    finally:
-        server.stop()
+    server = serve(study_file)
+    page = tab().open(server).to("History")
+    page.sees(re.compile(r"\(current\)"))
+    for name in ("Report (HTML)", "Report (PDF)"):
+        button = page.page.get_by_role("button", name=name)
+        assert button.get_attribute("aria-disabled") == "true"
+        assert button.get_attribute("title") == "Write the report first."
 
 
-def test_models_of_the_same_name_are_told_apart(study_file: Path, tab: Open) -> None:
+def test_models_of_the_same_name_are_told_apart(study_file: Path, tab: Open, serve: Serve) -> None:
     session = Session(open_study(study_file))
     session.fit()
     session.add("drag")
     session.remove("drag")
-    server = Server(study_file).start()
-    try:
-        page = tab().open(server).to("History")
-        rows = page.page.locator(".ui-models tbody th")
-        page.until(lambda: rows.count() == 3)
-        names = rows.all_inner_texts()
-        assert len(set(names)) == 3
-        page.to("Compare")
-        options = page.page.get_by_label("Model", exact=True).locator("option").all_inner_texts()
-        assert len(set(options)) == 3
-        assert page.page.get_by_label("Model", exact=True).input_value() == session.models.current_group
-    finally:
-        server.stop()
+    server = serve(study_file)
+    page = tab().open(server).to("History")
+    rows = page.page.locator(".ui-models tbody th")
+    page.until(lambda: rows.count() == 3)
+    names = rows.all_inner_texts()
+    assert len(set(names)) == 3
+    page.to("Compare")
+    options = page.page.get_by_label("Model", exact=True).locator("option").all_inner_texts()
+    assert len(set(options)) == 3
+    assert page.page.get_by_label("Model", exact=True).input_value() == session.models.current_group
