@@ -158,6 +158,12 @@ class Server:
         return {**os.environ, "PATH": os.pathsep.join(filter(None, (self.paths, os.environ["PATH"])))}
 
     @property
+    def study_text(self) -> str:
+        """The study file as it is now."""
+        file = self.study if self.study.is_file() else self.study / "study.toml"
+        return file.read_text(encoding="utf-8")
+
+    @property
     def bare_address(self) -> str:
         return f"http://127.0.0.1:{self.port}/"
 

@@ -51,11 +51,6 @@ def untracked(tmp_path: Path, serve: Serve) -> Server:
     return serve(study, log=tmp_path / "server.log")
 
 
-def text_of(server: Server) -> str:
-    path = server.study if server.study.suffix else server.study / "study.toml"
-    return path.read_text(encoding="utf-8")
-
-
 def film_shown(page: Tab) -> None:
     page.page.locator(".fp-label", has_text=re.compile(r"frame \d+ of 150")).wait_for()
 
@@ -74,8 +69,8 @@ def test_films_play_and_a_ruler_is_drawn_before_any_number_is_typed(film: Server
     page.click("Draw a ruler on the film (R)")
     page.drag_on_film((0.2, 0.4), (0.6, 0.4))
     page.fill("This line is", "100 mm").hears("Scale: the ruler that you drew.")
-    assert re.search(r'length = "100 mm"', text_of(film))
-    assert "mass" not in text_of(film).split("[[run]]")[0].replace("# mass", "")
+    assert re.search(r'length = "100 mm"', film.study_text)
+    assert "mass" not in film.study_text.split("[[run]]")[0].replace("# mass", "")
     assert page.page.locator(".ui-banner.bad").count() == 0
 
 
@@ -91,12 +86,12 @@ def test_run_says_what_is_missing(film: Server, tab: Open) -> None:
 
 
 def test_numbers_are_read_back_while_they_are_typed(untracked: Server, tab: Open) -> None:
-    before, page = text_of(untracked), tab().open(untracked)
+    before, page = untracked.study_text, tab().open(untracked)
     echo = page.page.locator('.ui-field[data-name="mass"] .ui-echo')
     page.until(lambda: "0.35" in echo.inner_text())
     page.fill("Mass", "350 g", enter=False)
     page.until(lambda: re.sub(r"\s", " ", echo.inner_text()) in ("0.35 kg", "0.350 kg"))
-    assert text_of(untracked) == before  # nothing is written while typing
+    assert untracked.study_text == before  # nothing is written while typing
     page.fill("Mass", "350", enter=False)
     page.page.locator('.ui-field[data-name="mass"] .ui-field-words:is(.warn, .bad)', has_text="350 g").wait_for()
     page.fill("Scale", "0.5", enter=False)
@@ -107,36 +102,36 @@ def test_numbers_are_read_back_while_they_are_typed(untracked: Server, tab: Open
     page.page.locator('.ui-field[data-name="fps"] .ui-field-words.bad').wait_for()
     page.page.get_by_label("Frame rate", exact=True).press("Enter")
     page.page.wait_for_timeout(300)
-    assert "fps = 4000" in text_of(untracked)
+    assert "fps = 4000" in untracked.study_text
     for name in ("Mass", "Frame rate", "Scale"):
         assert page.page.get_by_label(name, exact=True).is_visible()
 
 
 def test_numbers_of_one_run_are_its_own(untracked: Server, tab: Open) -> None:
-    before, page = text_of(untracked), tab().open(untracked)
+    before, page = untracked.study_text, tab().open(untracked)
     page.click("Per run")
     page.fill("Mass of fast", "0.4 mm", enter=False)
     page.page.locator('.ui-per-run .ui-field[data-name="mass"] .ui-field-words.bad').wait_for()
     page.fill("Mass of fast", "0.4 kg").hears("Mass of fast: 0.4 kg.")
     page.fill("Scale of fast", "0.6 mm/px").hears("Scale of fast: 0.6 mm/px.")
-    assert 'mass = "0.4 kg"\nscale = "0.6 mm/px"' in text_of(untracked)
+    assert 'mass = "0.4 kg"\nscale = "0.6 mm/px"' in untracked.study_text
     page.page.keyboard.press("Tab")
     page.page.locator("body").click(position={"x": 5, "y": 5})
     page.page.keyboard.press("Control+z")
-    page.until(lambda: "0.6" not in text_of(untracked))
+    page.until(lambda: "0.6" not in untracked.study_text)
     page.click("Undo")
-    page.until(lambda: text_of(untracked) == before)
+    page.until(lambda: untracked.study_text == before)
 
 
 def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Open) -> None:
-    before, page = text_of(untracked), tab().open(untracked)
+    before, page = untracked.study_text, tab().open(untracked)
     film_shown(page)
     page.click("Target")
     page.drag_on_film((0.08, 0.2), (0.28, 0.8))
     page.hears("Target set in fast.")
-    assert TARGET.search(text_of(untracked))
+    assert TARGET.search(untracked.study_text)
     page.click("Undo")
-    page.until(lambda: text_of(untracked) == before)
+    page.until(lambda: untracked.study_text == before)
 
 
 def test_the_sample_study_is_one_click_away(tmp_path: Path, tab: Open, serve: Serve) -> None:
@@ -210,7 +205,7 @@ def test_two_pages_see_the_same_and_do_not_undo_each_other_unseen(tables: Server
     other.hears(re.compile("outdated"), 5_000)
     other.click("Undo").hears("Undone")
     one.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached", timeout=5_000)
-    assert "F_c" not in text_of(tables)
+    assert "F_c" not in tables.study_text
 
 
 def test_a_change_made_elsewhere_is_not_overwritten_unseen(untracked: Server, tab: Open) -> None:
@@ -228,12 +223,12 @@ def test_a_change_made_elsewhere_is_not_overwritten_unseen(untracked: Server, ta
     page.fill("Mass", "0.5 kg")
     page.page.locator(".ui-banner.bad").wait_for()
     assert refused == [409]
-    assert "0.5 kg" not in text_of(untracked)
+    assert "0.5 kg" not in untracked.study_text
     page.faults.clear()
 
 
 def test_an_outdated_report_is_not_downloaded_unseen(sample: Server, tab: Open) -> None:
-    before, page = text_of(sample), tab().open(sample)
+    before, page = sample.study_text, tab().open(sample)
     page.fill("Mass", "0.36 kg").hears("Mass: 0.36 kg.")
     page.hears(re.compile("outdated"))
     page.until(lambda: "outdated" in (page.button("Report").get_attribute("class") or ""))
@@ -245,19 +240,19 @@ def test_an_outdated_report_is_not_downloaded_unseen(sample: Server, tab: Open) 
     assert "<html" in Path(got.value.path()).read_text(encoding="utf-8")
     page.faults.clear()  # the server has refused it once, with its reason
     page.click("Undo")
-    page.until(lambda: text_of(sample) == before)
+    page.until(lambda: sample.study_text == before)
     page.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached")
 
 
 def test_outdated_results_are_grey_and_can_be_updated(sample: Server, tab: Open) -> None:
-    before, page = text_of(sample), tab().open(sample).to("Compare")
+    before, page = sample.study_text, tab().open(sample).to("Compare")
     page.page.locator(".fp-plot").first.wait_for()
     assert page.page.locator(".ui-work.stale").count() == 0
     page.fill("Mass", "0.36 kg")
     page.page.locator(".ui-work.stale").wait_for()
     page.page.locator(".ui-banner").get_by_role("button", name="Update").first.wait_for()
     page.click("Undo")
-    page.until(lambda: text_of(sample) == before)
+    page.until(lambda: sample.study_text == before)
     page.page.locator(".ui-work.stale").wait_for(state="detached")
 
 

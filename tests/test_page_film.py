@@ -13,10 +13,6 @@ from browser import CHROMIUM, Open, Server
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 
 
-def text_of(server: Server) -> str:
-    return server.study.read_text(encoding="utf-8")
-
-
 # --- runs, legend, film
 
 
@@ -75,7 +71,7 @@ def test_only_the_best_candidate_has_the_strong_button(sample: Server, tab: Open
 
 
 def test_frames_are_mended_in_three_clicks_and_the_bytes_come_back(sample: Server, tab: Open) -> None:
-    before, page = text_of(sample), tab().open(sample)
+    before, page = sample.study_text, tab().open(sample)
     page.page.locator(".fp-label", has_text=re.compile(r"frame \d+ of 150")).wait_for()
     page.page.get_by_role("slider", name="Frame", exact=True).press("Home")
     page.click("Choose frames")  # 1: those that are shown
@@ -85,13 +81,13 @@ def test_frames_are_mended_in_three_clicks_and_the_bytes_come_back(sample: Serve
     page.picture("4_mend")
     track.click()  # 3
     page.page.locator(".ui-spans.mended li").wait_for()
-    assert re.search(r'how = "track", target = \[', text_of(sample))
+    assert re.search(r'how = "track", target = \[', sample.study_text)
     page.idle()
     page.picture("4_mended")
     assert page.page.locator(".ui-banner.bad").count() == 0
     page.click(re.compile("^Take the repair of frames 0 to 9 back")).hears(re.compile("taken back"))
-    assert "repair" not in text_of(sample)
+    assert "repair" not in sample.study_text
     for _ in range(2):
         page.click("Undo").hears("Undone")
         page.page.wait_for_timeout(400)
-    page.until(lambda: text_of(sample) == before)
+    page.until(lambda: sample.study_text == before)

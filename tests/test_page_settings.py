@@ -59,21 +59,17 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     server.stop()
 
 
-def text_of(server: Server) -> str:
-    return server.study.read_text(encoding="utf-8")
-
-
 def undone(page: Tab, server: Server, before: str) -> None:
     for _ in range(4):
-        if text_of(server) == before:
+        if server.study_text == before:
             return
         page.click("Undo").hears("Undone")
         page.page.wait_for_timeout(300)
-    page.until(lambda: text_of(server) == before)
+    page.until(lambda: server.study_text == before)
 
 
 def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
-    before, page = text_of(bench), tab().open(bench).to("Motion")
+    before, page = bench.study_text, tab().open(bench).to("Motion")
     slider = page.page.get_by_label("Cut-off of a plain low-pass")
     slider.wait_for()
     page.sees(re.compile("Noise that passes"))
@@ -83,9 +79,9 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
             page.page.keyboard.press("ArrowRight")
     page.page.get_by_role("group", name="Curves").get_by_role("button", name=re.compile("Hz")).wait_for()
     page.picture("11_previewed")
-    assert text_of(bench) == before
+    assert bench.study_text == before
     page.click("Use this cut-off").hears("Cut-off of fast")
-    assert "cutoff = " in text_of(bench)
+    assert "cutoff = " in bench.study_text
     page.hears(re.compile("outdated"))
     undone(page, bench, before)
 
@@ -99,16 +95,16 @@ def test_a_preview_is_what_the_study_would_give(bench: Server, cutoff: float) ->
 
 
 def test_the_free_section_is_typed_and_detected_again(bench: Server, tab: Open) -> None:
-    before, page = text_of(bench), tab().open(bench).to("Motion")
+    before, page = bench.study_text, tab().open(bench).to("Motion")
     page.fill("From", "12").hears("Free section of fast: set.")
-    assert re.search(r'free = \["12 ms", "[\d.]+ ms"\]', text_of(bench))
+    assert re.search(r'free = \["12 ms", "[\d.]+ ms"\]', bench.study_text)
     page.click("Detect").hears("Free section of fast: detected again.")
-    assert "free" not in text_of(bench)
+    assert "free" not in bench.study_text
     undone(page, bench, before)
 
 
 def test_priors_ties_and_values_per_run_are_set_in_the_block(bench: Server, tab: Open) -> None:
-    before, page = text_of(bench), tab().open(bench).to("Model")
+    before, page = bench.study_text, tab().open(bench).to("Model")
     page.page.get_by_role("button", name="Settings of coulomb.F_c").press("Enter")
     for label, text, why in (
         ("F_c: prior", "eight", "mean ± standard deviation"),
@@ -118,13 +114,13 @@ def test_priors_ties_and_values_per_run_are_set_in_the_block(bench: Server, tab:
         ("F_c: tied to", "vibration.frequency", "add vibration, or take the tie out"),
     ):
         page.fill(label, text).hears(why)
-        assert text_of(bench) == before
+        assert bench.study_text == before
     page.faults.clear()  # the server has refused them with their reasons
     page.page.get_by_label("F_c: tied to", exact=True).press("Escape")
     page.fill("F_c: prior", "8 ± 0.1").hears("coulomb.F_c: prior set.")
     page.page.get_by_label("F_c: per run", exact=True).select_option("each run")
     page.hears("coulomb.F_c: per run set.")
-    found = text_of(bench)
+    found = bench.study_text
     assert found.startswith(before.rstrip())
     assert re.search(r'effect = "coulomb"\nprior = \{F_c = \[8(\.0)?, 0\.1\]\}\nper_run = \{F_c = true\}', found)
     page.picture("12_settings")

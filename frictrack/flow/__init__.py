@@ -10,7 +10,7 @@
     pipeline, stages            bring the stages of one run up to date
     film_stages, track_quality, target_rotation                 from a film to its displacement
     sensor_stage, auxiliary_signals                             what other instruments recorded
-    tried_models, study_edits, command_history, replay          models tried, changes of the study, undo
+    fit_request, tried_models, study_edits, command_history, replay   models tried, changes of the study, undo
     verdict_first, attempts                                     the verdict before all else, fits of candidates
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
     stored_results, outdated                                    read stored results, find outdated ones
@@ -28,6 +28,7 @@ from frictrack.lazy import lazy_names
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
     from frictrack.flow.film_stages import contact_sheet_path
+    from frictrack.flow.fit_request import FitRequest, user_effects
     from frictrack.flow.input_checks import table_needs_mass
     from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
     from frictrack.flow.opening import open_study
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
         read_results,
     )
     from frictrack.flow.survey import Surveyed, survey_recording
-    from frictrack.flow.tried_models import FitRequest, user_effects
     from frictrack.flow.verdict_first import change_and_diagnose, conclude, run_study
     from frictrack.flow.verification import verify
 
@@ -61,7 +61,7 @@ _MODULE_OF = {
     "demo": "sample_demo",
     "describe_keys": "new_study",
     "Findings": "plausibility_checks",
-    "FitRequest": "tried_models",
+    "FitRequest": "fit_request",
     "no_progress": "pipeline",
     "open_study": "opening",
     "plan": "run_plan",
@@ -80,7 +80,7 @@ _MODULE_OF = {
     "Surveyed": "survey",
     "table_needs_mass": "input_checks",
     "undo_stacks": "command_history",
-    "user_effects": "tried_models",
+    "user_effects": "fit_request",
     "verify": "verification",
 }
 

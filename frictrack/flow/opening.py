@@ -8,7 +8,7 @@ from typing import Any
 
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
-from frictrack.flow.tried_models import FitRequest
+from frictrack.flow.fit_request import FitRequest
 from frictrack.study import Study, load
 
 

@@ -17,11 +17,12 @@ from frictrack import effects, store
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
-from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
+from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest

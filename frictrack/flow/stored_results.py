@@ -19,13 +19,14 @@ from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.duplicate_runs import duplicate_notes
+from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.outdated import find_outdated
 from frictrack.flow.pipeline import RunPipeline, no_progress
 from frictrack.flow.run_budget import run_budget
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.track_quality import track_quality
-from frictrack.flow.tried_models import FitRequest, TriedModels, model_results
+from frictrack.flow.tried_models import TriedModels, model_results
 from frictrack.motion import derivatives, low_pass
 from frictrack.records import Array, RunEvents
 from frictrack.results import ModelResults, Results, RunResults, to_builtins

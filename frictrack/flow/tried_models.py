@@ -3,136 +3,27 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from frictrack import effects, models, store
-from frictrack.effects import Effect, EffectSettings, check_ties, definitions
+from frictrack import store
 from frictrack.flow.attempts import attempt_path, make_attempts_folder, stored_attempt
 from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
-from frictrack.models import Model
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
 from frictrack.store import GroupContent, Provenance
-from frictrack.study import EffectTable, RunTable, Study
+from frictrack.study import RunTable, Study
 
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
-
-
-@dataclass(frozen=True)
-class FitRequest:
-    """What the user asked of a fit: a model, edits of it, and how it is fitted.
-
-    Attributes
-    ----------
-    base
-        Name of a model ("tustin"), or names of effects.
-    edits
-        Effects that were added ("+texture") or removed ("-viscous") since.
-    domain, search, seed, per, over
-        See `frictrack.fit`.
-
-    Examples
-    --------
-    >>> request = FitRequest("tustin").edited("+texture")
-    >>> request.name
-    'tustin+texture'
-    >>> request.edited("-texture") == FitRequest("tustin")
-    True
-
-    """
-
-    base: str | tuple[str, ...]
-    edits: tuple[str, ...] = ()
-    domain: str = "displacement"
-    search: str = "varpro"
-    seed: int = 0
-    per: str | None = None
-    over: str = "all"
-
-    def edited(self, edit: str) -> FitRequest:
-        """Return the request with one more edit (``"+texture"``, ``"-viscous"``); opposite edits cancel."""
-        opposite = ("-" if edit[0] == "+" else "+") + edit[1:]
-        kept = tuple(e for e in self.edits if e != opposite)
-        return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
-
-    def model(self, tables: Iterable[EffectTable] = ()) -> Model:
-        """Return the model, with the settings of the study's `[[effect]]` tables.
-
-        Raises
-        ------
-        FrictrackError
-            (usage) For an unknown effect, or settings that contradict each other.
-
-        """
-        own = user_effects(tables)
-        model = models.parse(self.base, own)
-        for edit in self.edits:
-            model = model + effects.get(edit[1:], own) if edit[0] == "+" else model - edit[1:]
-        return apply_effect_tables(model, tables)
-
-    @property
-    def name(self) -> str:
-        """A short name that can be the name of a group: ``tustin+texture``."""
-        base = self.base if isinstance(self.base, str) else "+".join(self.base)
-        return re.sub(r"[\s,/]+", "+", base) + "".join(self.edits)
-
-    @classmethod
-    def from_json(cls, text: str) -> FitRequest:
-        """Read what `to_json` wrote."""
-        raw = json.loads(text)
-        base = raw["base"] if isinstance(raw["base"], str) else tuple(raw["base"])
-        return cls(**(raw | {"base": base, "edits": tuple(raw["edits"])}))
-
-    def to_json(self) -> str:
-        """Return the request as JSON; equal requests give equal texts."""
-        return json.dumps(asdict(self), sort_keys=True)
 
 
 def _instrument_noise(run: RunTable) -> list[Any]:
     """Return the stated noise and drift of the instrument; empty if neither is stated."""
     return [run.noise, run.drift] if run.noise or run.drift else []
-
-
-def apply_effect_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
-    """Return the model with the settings of `[[effect]]` tables; tables of effects that it lacks are ignored.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If settings contradict each other.
-
-    """
-    adjusted = model.adjusted(_settings(tables))
-    check_ties(adjusted.effects)
-    return adjusted
-
-
-def user_effects(tables: Iterable[EffectTable]) -> list[Effect]:
-    """Return the effects that `[[effect]]` tables define by a formula; every table is checked.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If a formula or a setting is wrong.
-
-    """
-    return definitions(_settings(tables))
-
-
-def configured_effects(tables: Iterable[EffectTable]) -> list[Effect]:
-    """Return every effect that has an `[[effect]]` table, with its settings applied."""
-    settings = _settings(tables)
-    own = definitions(settings)
-    return [one.applied(effects.get(one.effect, own)) for one in settings]
-
-
-def _settings(tables: Iterable[EffectTable]) -> list[EffectSettings]:
-    return [EffectSettings(**table.model_dump()) for table in tables]
 
 
 class TriedModels:

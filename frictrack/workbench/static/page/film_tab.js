@@ -7,6 +7,7 @@ import { Button, Note, Panel, Segments, Skeleton } from "./controls.js";
 import { count, spaced } from "./format.js";
 import { Icon } from "./icons.js";
 import { Linked } from "./linked.js";
+import { HINTS } from "../plots/film_hints.js";
 import { RepairPanel, useRepair } from "./repair_panel.js";
 import { filmOf, foreground, outdatedWords } from "./selectors.js";
 import { DropZone, FolderRecordings, StartView } from "./start_view.js";
@@ -22,16 +23,6 @@ const TOOLS = [
   ["obstacles", "Obstacle", "obstacle"],
   ["repair", "Repair", "repair"],
 ];
-const HINTS = {
-  "": "Space plays the film; Ctrl and the wheel zoom it.",
-  target: "Drag a box around the moving target; a click marks its middle.",
-  polygon: "Click the corners of the target; a double click or Enter closes the outline.",
-  reference: "Drag a box around something that stands still.",
-  ruler: "Drag along a length that you know.",
-  exclude: "Drag a box over what moves with the target and is not part of it.",
-  obstacles: "Drag a box over something that stands still before the target.",
-  repair: "Choose frames on the time line; then drag a box around the target in one of them.",
-};
 const STATES = { new: "new", tracked: "tracked", measured: "measured" };
 
 /** Runs of the study, each with what is known about it. */

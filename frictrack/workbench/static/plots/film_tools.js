@@ -1,17 +1,10 @@
 // Draw target, reference, ruler and other shapes on the film, with the mouse or with the keyboard. The tool that holds is that
 // of the moment at which the drag begins.
 
+import { HINTS } from "./film_hints.js";
+
 const CLICK = 3; // px of the film
 const CLOSE = 8; // px of the screen around the first corner that close a polygon
-export const TOOLS = {
-  target: "Drag a box around the moving target, or click on it.",
-  polygon: "Click on the corners of the target; Enter or a double click closes the outline.",
-  reference: "Drag a box around something that does not move.",
-  ruler: "Drag along a known length.",
-  exclude: "Drag a box over what moves with the target and is not part of it.",
-  obstacles: "Drag a box over something that stands still before the target.",
-  repair: "Drag a box around the target in this frame.",
-};
 const KEYS_HELP = " By keyboard: arrow keys move the cross (shift: ten pixels), Enter sets a corner, Escape ends.";
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -26,7 +19,7 @@ export class FilmTools {
 
   /** A shape that is being dragged keeps the tool with which it was begun. */
   set(tool) {
-    const next = TOOLS[tool] ? tool : "";
+    const next = HINTS[tool] ? tool : "";
     if (next === this.tool) return;
     this.tool = next;
     if (!this.held) this.reset();
@@ -37,7 +30,7 @@ export class FilmTools {
     this.changed();
   }
 
-  get help() { return this.tool ? TOOLS[this.tool] + KEYS_HELP : ""; }
+  get help() { return this.tool ? HINTS[this.tool] + KEYS_HELP : ""; }
 
   /** What is being drawn: {tool, shape}, or null. */
   get draft() {
