@@ -156,7 +156,7 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     assert box["y"] + box["height"] <= 900  # the plot in which it differs most is on the screen
     page.page.get_by_role("button", name="candidate, with patch").wait_for()  # in the legend
     page.picture("8_tried")
-    page.click("Undo")
+    page.click("Undo").hears("Undone")
 
 
 def test_the_report_is_written_and_downloaded(films: Server, tab: Open) -> None:

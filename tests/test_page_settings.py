@@ -103,6 +103,17 @@ def test_the_free_section_is_typed_and_detected_again(bench: Server, tab: Open) 
     undone(page, bench, before)
 
 
+def test_what_is_typed_stays_when_the_study_changes_meanwhile(bench: Server, tab: Open) -> None:
+    before, page, other = bench.study_text, tab().open(bench).to("Motion"), tab().open(bench)
+    page.fill("From", "12", enter=False)
+    other.fill("Mass", "0.41 kg")
+    page.until(lambda: page.page.get_by_label("Mass", exact=True).input_value() == "0.41 kg")
+    assert page.page.get_by_label("From", exact=True).input_value() == "12"
+    page.page.get_by_label("From", exact=True).press("Escape")
+    assert page.page.get_by_label("From", exact=True).input_value() != "12"
+    undone(other, bench, before)
+
+
 def test_priors_ties_and_values_per_run_are_set_in_the_block(bench: Server, tab: Open) -> None:
     before, page = bench.study_text, tab().open(bench).to("Model")
     page.page.get_by_role("button", name="Settings of coulomb.F_c").press("Enter")

@@ -1,6 +1,6 @@
 // Small controls that all tabs share: button, segmented choice, panel, run picker.
 
-import { html, useId } from "./hooks.js";
+import { html, useEffect, useId, useRef, useState } from "./hooks.js";
 import { Icon, Spinner } from "./icons.js";
 import { selectedRun, update, useStore } from "./store.js";
 
@@ -88,17 +88,31 @@ export function RunPicker() {
 
 /** A labelled input whose text is written on Enter or when it loses the focus; Escape takes it back. */
 export function TextBox({ label, value, onCommit, placeholder, unit, hidden, wide, why }) {
-  const id = useId("box");
-  const commit = (event) => event.target.value.trim() !== value && onCommit(event.target.value.trim());
+  const id = useId("box"), box = useRef(), sent = useRef(null);
+  const [text, setText] = useState(null); // null: as it is in the study; what is typed outlives new states of the study
+  useEffect(() => {
+    if (document.activeElement === box.current && box.current.value !== sent.current) return;
+    sent.current = null;
+    setText(null);
+  }, [value]);
+  const commit = () => {
+    const typed = box.current.value;
+    if (typed.trim() === value || typed === sent.current) return; // Enter has sent it; the lost focus need not
+    sent.current = typed;
+    onCommit(typed.trim());
+  };
   const key = (event) => {
-    if (event.key === "Enter") commit(event);
-    if (event.key === "Escape") event.target.value = value;
+    if (event.key === "Enter") commit();
+    if (event.key === "Escape") setText(null);
   };
   return html`
     <div class=${`ui-box ${wide ? "wide" : ""}`}>
       <label for=${id} class=${hidden ? "ui-hidden" : ""}>${label}</label>
       <span class="ui-box-row">
-        <input id=${id} value=${value} placeholder=${placeholder} disabled=${Boolean(why)} title=${why} onBlur=${commit} onKeyDown=${key} />
+        <input
+          id=${id} ref=${box} value=${text ?? value} placeholder=${placeholder} disabled=${Boolean(why)} title=${why}
+          onInput=${(event) => setText(event.target.value)} onBlur=${commit} onKeyDown=${key}
+        />
         ${unit && html`<span class="ui-unit">${unit}</span>`}
       </span>
     </div>`;
