@@ -118,12 +118,12 @@ def fuzz(folder: Path, form: str, seeds: range) -> None:
 def in_another_process(folder: Path, form: str, seeds: range) -> None:
     """A crash of a decoder must not take the tests with it; memory is bounded by the system."""
     code = (
-        "import resource, sys; from pathlib import Path\n"
+        "import re, resource, sys; from pathlib import Path\n"
         "resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))\n"
         f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import test_recording_damaged as t\n"
         f"t.fuzz(Path({str(folder)!r}), {form!r}, range({seeds.start}, {seeds.stop}))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"
+        "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
     )
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=600, check=False,

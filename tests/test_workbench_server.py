@@ -150,6 +150,13 @@ def test_a_change_by_the_command_line_reaches_two_tabs_within_a_second(study_fil
     assert time.monotonic() - began < 1.0
 
 
+def test_a_tab_that_opens_knows_the_change_just_made(study_file: Path, page: Clients) -> None:
+    client, session = page(study_file), Session(open_study(study_file), author="cli")
+    for k in range(5):
+        session.apply("edit", table="study", key="mass", value=f"0.4{k} kg")
+        assert client.state["revision"] == k + 1
+
+
 def test_two_tabs_do_not_overwrite_each_other(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     status, made = client.post(

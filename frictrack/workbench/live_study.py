@@ -60,13 +60,19 @@ class LiveStudy:
         self._listeners: set[Callable[[str], object]] = set()
         self.films = Films()
         self._reader, self._writer, self._drawer = (ThreadPoolExecutor(1, name) for name in ("read", "write", "draw"))
-        self._wake, self._ready = asyncio.Event(), asyncio.Event()
+        self._wake, self._ready, self._checked = asyncio.Event(), asyncio.Event(), asyncio.Condition()
+        self._asked = self._answered = 0  # requests of the state, and how many of them the last check came after
 
     # --- what the tabs get
 
     async def state_json(self) -> str:
-        """The newest state as JSON; waits for the first one."""
+        """The state as the files are now, as JSON: a change that was made before is in it."""
         await self._ready.wait()
+        self._asked += 1
+        mine = self._asked
+        self.look_now()
+        async with self._checked:
+            await self._checked.wait_for(lambda: self._answered >= mine)
         return self._whole
 
     def listen(self, call: Callable[[str], object]) -> Callable[[], None]:
@@ -106,7 +112,7 @@ class LiveStudy:
     async def watch(self) -> None:
         """Follow the files until cancelled."""
         while True:
-            began = time.monotonic()
+            began, asked = time.monotonic(), self._asked
             try:
                 await self._check()
                 await self._use_idle_time()
@@ -115,6 +121,9 @@ class LiveStudy:
             except Exception:
                 logging.getLogger(__name__).exception("the files of the study cannot be followed")
                 await asyncio.sleep(1.0)
+            async with self._checked:
+                self._answered = asked
+                self._checked.notify_all()
             pause = min(max(POLL_S, time.monotonic() - began), MAX_POLL_S)
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), pause)
