@@ -17,6 +17,7 @@ from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.null_distribution import N_DRAWS
 from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
+from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.results import to_builtins
 
@@ -65,6 +66,17 @@ def test_a_later_round_stops_early_only_where_nothing_is_left(texture_missing):
     assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS
     assert going_on.leaves_misfit
     assert going_on.passing[0].effect.name == "texture"
+
+
+def test_a_stricter_level_demands_a_larger_effect(nothing_missing):
+    fitted = fit(LAW, runs_with())
+    strict = diagnose(fitted, alpha=0.002, quick=True)
+    assert (nothing_missing.alpha, strict.alpha) == (0.01, 0.002)
+    assert strict.summary()["alpha"] == 0.002
+    for name in ("texture", "drag"):
+        assert strict.detection_limits[name]["value"] > nothing_missing.detection_limits[name]["value"]
+    with pytest.raises(FrictrackError, match="between 0 and 1 but got alpha = 0"):
+        diagnose(fitted, alpha=0.0)
 
 
 def test_a_law_that_is_the_whole_truth_is_complete(nothing_missing):

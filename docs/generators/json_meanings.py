@@ -151,6 +151,7 @@ MEANINGS = {
     "p": "p-value",
     "verdict": '"complete", "missing", "ambiguous", "unexplained" or "undetermined"',
     "complete": "whether all parts of the diagnosis were computed",
+    "alpha": "significance level of the diagnosis: half for lack of fit, half for all candidates together",
     "undetermined": "effects or parameters that the runs could not have shown",
     "effect": "name of the effect",
     "explained_alone": "share of the misfit that it explains alone",

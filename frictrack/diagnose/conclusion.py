@@ -17,14 +17,14 @@ from frictrack.compare import failing_spans
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
-from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals
+from frictrack.diagnose.rivals import find_rivals
+from frictrack.diagnose.rounds import RefinedCandidate, Round
 from frictrack.diagnose.simpler_model import find_simpler_model
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import unexplained_force
@@ -164,6 +164,7 @@ class Conclusion:
             remarks=[*_remarks(self.fit, first.excluded), *self.remarks],
             figures=curves,
             complete=False,
+            alpha=2 * first.tests.level,
         )
 
     def _judge(
@@ -271,7 +272,8 @@ def _importance(
             )
         )
     names = {t.effect.name for t in found}
-    others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
+    level = first.tests.level
+    others = [c.effect for c in listed if c.p < level and c.effect not in names and not c.implausible]
     shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
     return out + [Importance(name, alone[name], None, None, unit) for name in shown]
 
@@ -297,7 +299,7 @@ def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _
         refined = chosen.get(name, t)
         indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
         shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
-        held = heldout if t.p < ALPHA / 2 else None
+        held = heldout if first.is_significant(t) else None
         out.append(_candidate(shown, held, residual_kind(first.solution.problem)))
     return out
 

@@ -18,7 +18,7 @@ from frictrack.fit.stepwise import EVENT_PENALTY, effect_for_scan, ties_are_reso
 from frictrack.models import Model
 from frictrack.records import Array
 
-ALPHA = 0.01  # significance level: half for lack of fit, half for candidates
+ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half for candidates
 COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
 
 
@@ -63,14 +63,17 @@ class SearchTests:
     p
         p-value of every candidate.
     critical
-        Excess that a search exceeds by chance with probability ``ALPHA / 2``.
+        Excess that a search exceeds by chance with probability `level`.
+    level
+        Significance level of each of the two tests: lack of fit, and all candidates together.
 
     """
 
     p_lack_of_fit: float
     scanned: list[ScannedCandidate]
     p: dict[str, float]
-    critical: float  # excess that one search in 1/ALPHA * 2 exceeds by chance
+    critical: float
+    level: float
 
 
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
@@ -138,7 +141,9 @@ def _can_occur_twice(effect: Effect) -> bool:
     return (per_run or in_place) and any(p.scan is not None and p.free for p in effect.parameters)
 
 
-def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> SearchTests:
+def run_tests(
+    solution: Solution, draws: NullEnsemble, library: Sequence[Effect], level: float = ALPHA / 2
+) -> SearchTests:
     """Test a fitted model for lack of fit and for every candidate.
 
     Parameters
@@ -149,6 +154,8 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
         Data and draws of the null hypothesis.
     library
         The candidates.
+    level
+        Significance level of each of the two tests.
 
     Returns
     -------
@@ -162,7 +169,8 @@ def run_tests(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]
         p_lack_of_fit=lack_of_fit(draws),
         scanned=scanned,
         p=p,
-        critical=float(np.quantile(max_excess[1:], 1 - ALPHA / 2)),
+        critical=float(np.quantile(max_excess[1:], 1 - level)),
+        level=level,
     )
 
 

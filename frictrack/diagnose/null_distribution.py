@@ -31,6 +31,7 @@ from frictrack.motion.noise import (
 from frictrack.records import Array, Mask
 
 N_DRAWS = 999
+MIN_DRAWS_BELOW_LEVEL = 2  # p-values that a level must leave below it; a small level takes more draws
 TAU_GRID = np.geomspace(2e-4, 0.32, 13)  # spreads of friction levels at which a draw is estimated
 
 
@@ -55,6 +56,18 @@ class NullEnsemble:
         """Projector of the model's residual at the data's own spread, (L, L)."""
         own_group = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
         return self.series.residual_projectors[own_group]
+
+
+def count_draws(level: float) -> int:
+    """Number of draws of a test at a significance level: `N_DRAWS`, or more where these cannot show such a level.
+
+    Examples
+    --------
+    >>> count_draws(0.005), count_draws(0.001)
+    (999, 1999)
+
+    """
+    return max(N_DRAWS, int(np.ceil(MIN_DRAWS_BELOW_LEVEL / level)) - 1)
 
 
 def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, MIN_CHI2_SEPARATED, information_criterion
-from frictrack.diagnose.rounds import Notify, RefinedCandidate, RoundOutcome, find_rivals, simulate_promising
+from frictrack.diagnose.rivals import find_rivals
+from frictrack.diagnose.rounds import Notify, RefinedCandidate, RoundOutcome, simulate_promising
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution

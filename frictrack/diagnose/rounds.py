@@ -20,11 +20,10 @@ from frictrack.diagnose.hypothesis_tests import (
 from frictrack.diagnose.model_selection import (
     MAX_CHI2_NEAR,
     MIN_CHI2_SEPARATED,
-    expected_separation,
     information_criterion,
     parameter_penalty,
 )
-from frictrack.diagnose.null_distribution import NullEnsemble, draw_null_ensemble
+from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -34,16 +33,14 @@ from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
     deepen_trials,
-    misfit_left_by_other,
     refine_to_end,
     simulate_trial,
     try_effect,
 )
-from frictrack.fit.uncertainty import dispersion
 
 MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
 N_DRAWS_LATER_ROUND = 199  # of a later round, where they show clearly that nothing is left
-MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below ALPHA / 2, but for one case in a million
+MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
 MAX_CANDIDATES_SIMULATED = 6
 MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
@@ -127,7 +124,11 @@ class Round:
     @property
     def leaves_misfit(self) -> bool:
         """Whether the misfit is significant."""
-        return self.tests.p_lack_of_fit < ALPHA / 2
+        return self.tests.p_lack_of_fit < self.tests.level
+
+    def is_significant(self, candidate: RefinedCandidate) -> bool:
+        """Whether a candidate is significant in the whole search."""
+        return candidate.p < self.tests.level
 
     @property
     def tested(self) -> RoundOutcome:
@@ -142,10 +143,16 @@ class Round:
     @property
     def passing(self) -> list[RefinedCandidate]:
         """Plausible candidates that are significant and simulated, best first."""
-        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution and not t.objection]
+        return [t for t in self.tried if self.is_significant(t) and t.delta_bic > 0 and t.solution and not t.objection]
 
 
-def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
+def run_round(
+    solution: Solution,
+    own: Sequence[Effect],
+    rng: np.random.Generator,
+    notify: Notify,
+    level: float = ALPHA / 2,
+) -> Round:
     """Test a model for every effect that it may lack, with all draws.
 
     Parameters
@@ -158,30 +165,34 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
         Random generator.
     notify
         Called with the current step.
+    level
+        Significance level of the test for lack of fit, and of that of all candidates together.
 
     Returns
     -------
     Round
 
     """
-    draws, tests, excluded = _run_all_tests(solution, own, rng, notify)
+    draws, tests, excluded = _run_all_tests(solution, own, rng, notify, level)
     return Round(solution, draws, tests, _refine_candidates(solution, draws, tests, notify), excluded)
 
 
 def _run_all_tests(
-    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify
+    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify, level: float
 ) -> tuple[NullEnsemble, SearchTests, dict[str, str]]:
     """Test a model with all draws; also return the effects that could not be tried."""
     notify("drawing data of the null hypothesis")
-    draws = draw_null_ensemble(solution, rng)
+    draws = draw_null_ensemble(solution, rng, count_draws(level))
     notify("scanning every effect of the library")
-    return draws, *_test_library(solution, own, draws)
+    return draws, *_test_library(solution, own, draws, level)
 
 
-def _test_library(solution: Solution, own: Sequence[Effect], draws: NullEnsemble) -> tuple[SearchTests, dict[str, str]]:
+def _test_library(
+    solution: Solution, own: Sequence[Effect], draws: NullEnsemble, level: float
+) -> tuple[SearchTests, dict[str, str]]:
     """Test a model for every effect; also return those that could not be tried."""
     library, excluded = list_candidates(solution, own)
-    return run_tests(solution, draws, library), excluded
+    return run_tests(solution, draws, library, level), excluded
 
 
 def _refine_candidates(
@@ -191,10 +202,18 @@ def _refine_candidates(
     data = draws.series.coordinates[:, 0]
     notify("refining significant candidates")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
-    return simulate_promising(draws.law, solution, _deepen_significant(draws.law, trials, tests.p), tests.p)
+    significant = deepen_trials(draws.law, [t for t in trials if tests.p[t.effect.name] < tests.level])
+    others = [t for t in trials if tests.p[t.effect.name] >= tests.level]  # not to be added whatever they explain
+    return simulate_promising(draws.law, solution, significant, tests.p) + _linearised(draws.law, others, tests.p)
 
 
-def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, notify: Notify) -> Round:
+def run_later_round(
+    solution: Solution,
+    own: Sequence[Effect],
+    rng: np.random.Generator,
+    notify: Notify,
+    level: float = ALPHA / 2,
+) -> Round:
     """Test a model with the effects found; few draws do where these show clearly that nothing is left.
 
     Of such a round only the decision matters that nothing is significant. A sequential Monte Carlo test reaches it with
@@ -211,6 +230,8 @@ def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Ge
         Random generator.
     notify
         Called with the current step.
+    level
+        Significance level of the test for lack of fit, and of that of all candidates together.
 
     Returns
     -------
@@ -224,11 +245,11 @@ def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Ge
     """
     draws = draw_null_ensemble(solution, rng, N_DRAWS_LATER_ROUND)
     if lack_of_fit(draws) >= MIN_P_CLEAR:
-        tests, excluded = _test_library(solution, own, draws)
+        tests, excluded = _test_library(solution, own, draws, level)
         if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
             return Round(solution, draws, tests, [], excluded)
-    draws, tests, excluded = _run_all_tests(solution, own, rng, notify)
-    significant = min(tests.p.values(), default=1.0) < ALPHA / 2
+    draws, tests, excluded = _run_all_tests(solution, own, rng, notify, level)
+    significant = min(tests.p.values(), default=1.0) < level
     refined = _refine_candidates(solution, draws, tests, notify) if significant else []
     return Round(solution, draws, tests, refined, excluded)
 
@@ -236,19 +257,11 @@ def run_later_round(solution: Solution, own: Sequence[Effect], rng: np.random.Ge
 def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
     """Select candidates that are significant, or nearly as good as the best; at least the best two."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
-    top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < ALPHA / 2 else np.inf
+    top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < tests.level else np.inf
     selected = [
         s for s in order if tests.p[s.effect.name] < MAX_P_REFINED or s.statistic[0] > top - _near_margin(s.effect, top)
     ]
     return selected if len(selected) >= 2 else order[:2]
-
-
-def _deepen_significant(
-    law: LinearisedModel, trials: list[CandidateTrial], p: dict[str, float]
-) -> list[CandidateTrial]:
-    """Search significant trials again where that may help; the others cannot be added whatever they explain."""
-    significant = [t for t in trials if p[t.effect.name] < ALPHA / 2]
-    return deepen_trials(law, significant) + [t for t in trials if p[t.effect.name] >= ALPHA / 2]
 
 
 def _near_margin(effect: Effect, top: float) -> float:
@@ -288,17 +301,32 @@ def simulate_promising(
         All candidates, best first.
 
     """
-    own, misfit = information_criterion(solution), baseline_misfit(law)
-    promised = {t.effect.name: misfit - t.misfit - _extra_penalty(law, t.layout) for t in trials}
+    own = information_criterion(solution)
     out: list[RefinedCandidate] = []
-    for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
-        name = t.effect.name
-        candidate = RefinedCandidate(t.effect, None, promised[name], p[name], linear_trial=(law, t))
-        candidate = replace(candidate, objection=physical_objection(t.layout, t.p, t.effect))
+    for candidate in _linearised(law, trials, p):
         if not candidate.objection and _is_worth_simulating(out, candidate, min_evidence):
-            candidate = _simulated(candidate, own, simulated.get(name))
-        out.append(candidate)
-    return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
+            out.append(_simulated(candidate, own, simulated.get(candidate.effect.name)))
+        else:
+            out.append(candidate)
+    return sorted(out, key=_best_first)
+
+
+def _best_first(candidate: RefinedCandidate) -> tuple[bool, float]:
+    """Sort key: plausible candidates before others, then by evidence."""
+    return bool(candidate.objection), -candidate.delta_bic
+
+
+def _linearised(
+    law: LinearisedModel, trials: Sequence[CandidateTrial], p: Mapping[str, float]
+) -> list[RefinedCandidate]:
+    """The candidates as they are along the measured motion, with the evidence that they promise there."""
+    misfit = baseline_misfit(law)
+    out = []
+    for t in trials:
+        promised = misfit - t.misfit - _extra_penalty(law, t.layout)
+        new = RefinedCandidate(t.effect, None, promised, p[t.effect.name], linear_trial=(law, t))
+        out.append(replace(new, objection=physical_objection(t.layout, t.p, t.effect)))
+    return sorted(out, key=_best_first)
 
 
 def _simulated(candidate: RefinedCandidate, own: float, known: Solution | None) -> RefinedCandidate:
@@ -324,62 +352,13 @@ def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, mi
         new.delta_bic
         > MIN_BIC_RATIO_SIMULATED * max([min_evidence, *simulated_gains]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED
     )
-    return near and new.p < ALPHA / 2 and len(simulated_gains) < MAX_CANDIDATES_SIMULATED
+    return near and len(simulated_gains) < MAX_CANDIDATES_SIMULATED
 
 
 def _extra_penalty(law: LinearisedModel, layout: ParameterLayout) -> float:
     """BIC penalty for the parameters beyond those of the bare model."""
     return parameter_penalty(layout, law.solution.problem) - parameter_penalty(
         law.solution.problem.layout, law.solution.problem
-    )
-
-
-def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> tuple[str, ...]:
-    """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
-
-    An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. A rival need not be
-    significant by itself: the true cause may be less significant than its imitation. An effect that was promising but
-    not refined, because the budget was spent, counts as a rival: how much it explains is not known.
-
-    Parameters
-    ----------
-    best
-        The candidate.
-    others
-        All candidates of its round.
-
-    Returns
-    -------
-    tuple of str
-        Names of the rivals.
-
-    """
-    true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
-    unit = dispersion(best.law)
-    near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
-    margin = 2 * MIN_CHI2_SEPARATED * unit
-    near = [t for t in near if t.is_unrefined or best.delta_bic - t.delta_bic < margin]
-    return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))
-
-
-def _explains_as_much(
-    other: RefinedCandidate, best: RefinedCandidate, true: tuple[LinearisedModel, CandidateTrial] | None, unit: float
-) -> bool:
-    """Whether another effect explains what the best one does, and would if that were true.
-
-    `unit` is the dispersion in which chi-squared is counted: above one while misfit remains.
-    """
-    if other.is_unrefined:
-        return True
-    if other.solution is not None:
-        near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
-        unknown = unit > 1 or other.law.problem.budget.is_spent
-        return near and (unknown or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
-    if true is None or other.linear_trial is None or not best.law.problem.simulates:
-        return False
-    (law, trial), rival = true, other.linear_trial[1]
-    return rival.misfit - trial.misfit < MAX_CHI2_NEAR * unit and (
-        unit > 1 or misfit_left_by_other(law, trial, rival) < MIN_CHI2_SEPARATED
     )
 
 

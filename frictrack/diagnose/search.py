@@ -14,10 +14,12 @@ import numpy as np
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
+from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.residual_kinds import residual_kind
-from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, run_later_round, run_round
+from frictrack.diagnose.rivals import find_rivals
+from frictrack.diagnose.rounds import RefinedCandidate, Round, refine_fully, run_later_round, run_round
 from frictrack.diagnose.search_budget import describe_cut, search_budget
 from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
@@ -44,6 +46,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     own: Sequence[Effect] = (),
     auxiliary: AuxiliarySignals | None = None,
     rng: RNG = 0,
+    alpha: float = ALPHA,
     progress: Progress | None = None,
     quick: bool = False,
     on_verdict: Callable[[Diagnosis], None] | None = None,
@@ -64,6 +67,9 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
         "accelerometer" in m/s^2. Those that move with the residual are reported as evidence.
     rng
         Random numbers of the draws: a generator, a seed, or None for other numbers in every call.
+    alpha
+        Significance level: half for lack of fit, half for all candidates together. It bounds the probability that a
+        complete model is said to lack something; a `Session` lowers it for models that are tried as alternatives.
     progress
         Called with the number of rounds done, their total, and the current step.
     quick
@@ -80,7 +86,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     Raises
     ------
     FrictrackError
-        If `fit` holds one fit per group.
+        If `fit` holds one fit per group, or `alpha` is not between 0 and 1.
 
     Examples
     --------
@@ -92,7 +98,9 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    conclusion = _conclude(fit, (own, auxiliary), rng, notify)
+    if not 0 < alpha < 1:
+        raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
+    conclusion = _conclude(fit, (own, auxiliary), (rng, alpha / 2), notify)
     if on_verdict is not None:
         on_verdict(conclusion.verdict)
     if quick:
@@ -103,13 +111,20 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
 
 
 def _conclude(
-    fit: Fit, signals: tuple[Sequence[Effect], AuxiliarySignals | None], rng: RNG, notify: Progress
+    fit: Fit,
+    signals: tuple[Sequence[Effect], AuxiliarySignals | None],
+    chance: tuple[RNG, float],
+    notify: Progress,
 ) -> Conclusion:
-    """Search and conclude; a fit in segments is searched in one piece first, if that explains everything."""
+    """Search and conclude; a fit in segments is searched in one piece first, if that explains everything.
+
+    `chance` is (rng, significance level of each test).
+    """
+    rng, level = chance
     joined = join_segments(fit)
     if joined is not None:
         joined, remark = subsample_frames(joined)
-        found = _search(fit, joined, signals, (np.random.default_rng(rng), notify))
+        found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify))
         conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])))
         if not found.last.leaves_misfit:
             notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
@@ -118,7 +133,7 @@ def _conclude(
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
     start, remarks = residual_kind(start.problem).prepare(start)
-    found = _search(fit, start, signals, (np.random.default_rng(rng), notify))
+    found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify))
     notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
     return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 
@@ -127,15 +142,15 @@ def _search(
     fit: Fit,
     start: Solution,
     signals: tuple[Sequence[Effect], AuxiliarySignals | None],
-    means: tuple[np.random.Generator, Progress],
+    means: tuple[np.random.Generator, float, Progress],
 ) -> FinishedSearch:
-    """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, progress)."""
-    (own, auxiliary), (rng, notify) = signals, means
+    """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, level, progress)."""
+    (own, auxiliary), (rng, level, notify) = signals, means
     generators, budget = rng.spawn(2), search_budget(start.problem, MAX_EFFECTS)
     start = replace(start, problem=start.problem.with_budget(budget))
     kind = residual_kind(start.problem)
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
-    first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what))
+    first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what), level)
     tested, unrefined, found = [first.tested], first.unrefined, list[RefinedCandidate]()
     for done in range(1, MAX_ROUNDS + 1):
 
@@ -154,7 +169,7 @@ def _search(
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_later_round(kind.before_round(law), own, rng, notify_round)
+        last = run_later_round(kind.before_round(law), own, rng, notify_round, level)
         tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     cut = describe_cut(budget, unrefined, found)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from frictrack.diagnose.auxiliary_signals import Evidence
+from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.notebook_view import NotebookView
@@ -167,6 +168,8 @@ class Diagnosis(NotebookView):
         Whether the misfit repeats from run to run, and over which axis.
     complete
         False for the verdict alone: `fails_at`, `importance`, `evidence`, `repeats` and `next_experiment` are empty.
+    alpha
+        Significance level of the diagnosis: half for lack of fit, half for candidates.
     rests_on_repairs
         A sentence if the verdict would change without the frames that the user had tracked again; None otherwise.
 
@@ -200,6 +203,7 @@ class Diagnosis(NotebookView):
     repeats: Repeatability = field(
         default_factory=Repeatability
     )  # whether the failure is common to the runs, and along which axis
+    alpha: float = ALPHA
     complete: bool = True  # False: the verdict, and nothing of what follows from it
     rests_on_repairs: str | None = None  # a sentence if the verdict changes without the frames that were tracked again
 
@@ -229,6 +233,7 @@ class Diagnosis(NotebookView):
             "model": self.model,
             "verdict": self.verdict,
             "complete": self.complete,
+            "alpha": self.alpha,
             "rests_on_repairs": self.rests_on_repairs,
             "undetermined": [u.summary() for u in self.undetermined],
             "importance": [i.summary() for i in self.importance],
