@@ -231,3 +231,17 @@ def test_a_formula_of_the_unexplained_is_taken_into_the_law(tables: Server, tab:
         ("add_and_diagnose", {"effect": "unexplained"}),
     ]
     page.faults.clear()  # there are no plots of this model
+
+
+def test_the_end_of_work_is_said_whichever_message_tells_it_first(tables: Server, tab: Open) -> None:
+    page = tab().open(tables)
+    page.page.locator(".ui-path", has_text="study.toml").wait_for()
+    page.page.evaluate(
+        """async () => {
+            const { receive } = await import("/static/page/live.js");
+            const { store } = await import("/static/page/store.js");
+            const ended = { id: "9999", do: "report", words: "Write the report", state: "done", warnings: [] };
+            receive({ ...store.study, job: null, last_job: ended });
+        }"""
+    )
+    page.hears("Write the report: done.", within=5_000)

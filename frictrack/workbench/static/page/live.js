@@ -19,14 +19,19 @@ export function receive(state) {
   if (old && state.server === old.server && state.version < old.version) return;
   const told = state.job || (store.starting && Date.now() - store.starting.at > SILENT_MS);
   update({ study: state, starting: told ? null : store.starting });
+  if (old) announceEnd(old.last_job, state.last_job);
 }
 
 function receiveJob({ job, last_job: last }) {
   if (!store.study) return;
   const before = store.study.last_job;
   update({ study: { ...store.study, job, last_job: last ?? before }, starting: job ? null : store.starting });
-  if (last && last.id !== before?.id) tellEnd(last);
-  else if (last && last.state !== before?.state && last.state !== "running") tellEnd(last);
+  announceEnd(before, last);
+}
+
+/** Say that a job has ended, whichever message tells it first: that of the job or a whole state. */
+function announceEnd(before, last) {
+  if (last && (last.id !== before?.id || last.state !== before?.state)) tellEnd(last);
 }
 
 const ENDS = {
