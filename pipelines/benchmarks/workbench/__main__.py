@@ -177,7 +177,7 @@ def first_paint(browser: Browser, study: Path, count: int) -> dict[str, Any]:
     """First paint of a study's workbench, and until its plots are drawn, s; highlight and film of its own data, ms."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "study"
-        shutil.copytree(study, copy)
+        shutil.copytree(study.parent if study.is_file() else study, copy)
         paints, drawn = [], []
         with served("-m", "frictrack", "app", str(copy), "--no-browser", "--port", "PORT", "--token", "timed") as port:
             for _ in range(6):
@@ -204,7 +204,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--selections", type=int, default=40)
-    parser.add_argument("--study", type=Path, help="folder of a study with a model, copied before it is used")
+    parser.add_argument("--study", type=Path, help="folder or study file of a study with a model; its folder is copied before it is used")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     found: dict[str, Any] = {"machine": described("tornado"), "points": args.points}

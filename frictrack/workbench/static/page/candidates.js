@@ -14,6 +14,9 @@ const MAX_WEAK = 3; // candidates shown that do not pass
 
 let timer = null;
 
+/** A name that may be broken after its underscores. */
+const breakable = (name) => name.split(/(?<=_)/).map((part) => html`${part}<wbr />`);
+
 /** Draw the curve of a candidate soon; "" takes it away. */
 function trySoon(name, wait = HOVER_MS) {
   clearTimeout(timer);
@@ -62,7 +65,7 @@ function Candidate({ candidate, best, curve }) {
     <li class=${`ui-candidate ${best ? "best" : ""} ${passes ? "" : "weak"} ${tried ? "tried" : ""}`} data-candidate=${name}
       onMouseEnter=${() => trySoon(name)} onMouseLeave=${leave} onFocusIn=${() => trySoon(name)} onFocusOut=${leave}>
       <div class="ui-candidate-head">
-        <h3>${name}</h3>
+        <h3>${breakable(name)}</h3>
         <p class="ui-rank">${spaced(gap)}</p>
         <${Button} small label="Try" aria-label=${`Try ${name}`} kind=${tried ? "on" : best ? "" : "quiet"} onClick=${() => update({ tried: name })} />
         <${Button} small icon="add" label="Add" aria-label=${`Add ${name}`} kind=${best ? "primary" : passes ? "" : "quiet"} why=${why} busy=${adding}
