@@ -110,3 +110,32 @@ def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
     others = f" (and {more} more)" if more else ""
     advice = f"; to settle it: {first['settled_by']}" if first["settled_by"] else ""
     return f"{first['what']}: {first['why']}{others}{advice}"
+
+
+def describe_tests(history: Mapping[str, Any]) -> list[str]:
+    """Say how probable it is that any effect named in the whole work on a study is false.
+
+    Parameters
+    ----------
+    history : mapping
+        "tests" and "alpha_spent" of the JSON of `frictrack history`.
+
+    Returns
+    -------
+    list of str
+        One sentence; empty before the first diagnosis.
+
+    Examples
+    --------
+    >>> describe_tests({"tests": [{"sequence": 1}], "alpha_spent": 0.01})
+    ['1 diagnosis so far: the probability that any effect named is false is at most 1 %.']
+
+    """
+    tests = history.get("tests") or []
+    if not tests:
+        return []
+    n, sequences = len(tests), len({test["sequence"] for test in tests})
+    made = f"{n} diagnos{'is' if n == 1 else 'es'} so far"
+    parts = f" in {sequences} sequences of models" if sequences > 1 else ""
+    spent = f"{100 * history['alpha_spent']:.3g} %"
+    return [f"{made}{parts}: the probability that any effect named is false is at most {spent}."]

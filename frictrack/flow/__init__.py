@@ -11,6 +11,7 @@
     film_stages, track_quality, target_rotation                 from a film to its displacement
     sensor_stage, auxiliary_signals                             what other instruments recorded
     fit_request, tried_models, study_edits, command_history, replay   models tried, changes of the study, undo
+    significance_budget         how probable a false effect is, over all diagnoses of a study
     verdict_first, attempts                                     the verdict before all else, fits of candidates
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
     stored_results, outdated                                    read stored results, find outdated ones
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from frictrack.flow.run_plan import plan
     from frictrack.flow.sample_demo import demo
     from frictrack.flow.session import Session
+    from frictrack.flow.significance_budget import SignificanceBudget
     from frictrack.flow.stages import run_pipeline
     from frictrack.flow.stored_results import (
         AttemptsReader,
@@ -75,6 +77,7 @@ _MODULE_OF = {
     "run_pipeline": "stages",
     "run_study": "verdict_first",
     "Session": "session",
+    "SignificanceBudget": "significance_budget",
     "start_study": "new_study",
     "survey_recording": "survey",
     "Surveyed": "survey",

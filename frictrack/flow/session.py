@@ -20,12 +20,14 @@ from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest
+from frictrack.verdicts import describe_tests
 from frictrack.version import __version__
 
 if TYPE_CHECKING:
@@ -109,6 +111,7 @@ class Session:
         self.study = study
         self.runs = run_pipelines(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
+        self.budget = SignificanceBudget(study.output)
         self._findings: Findings | None = None
         self._inputs_checked = False
         self.path = study.output / "study.h5"
@@ -352,10 +355,10 @@ class Session:
         Returns
         -------
         dict
-            JSON of `frictrack history`.
+            JSON of `frictrack history`: "models", "fails_at", "tests" and "alpha_spent".
 
         """
-        return self.compare()
+        return {**self.compare(), **self.budget.summary()}
 
     def _current_index(self) -> int:
         return self.models.groups.index(self.models.current()[0])
@@ -366,7 +369,8 @@ class Session:
     ) -> dict[str, Any]:
         """Find the effect that the current model lacks.
 
-        The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it.
+        The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it. Its
+        significance level follows from the tests that were made before; see `frictrack.flow.significance_budget`.
 
         Parameters
         ----------
@@ -393,19 +397,30 @@ class Session:
         self.models.fit(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
-        more = {"warnings": self.findings.summary, "findings": self._run_notes()}
+        test = self.budget.plan(key, self.models.input_hash, request.model(self.study.effects).names)
+        spent = alpha_spent([*self.budget.tests, test])
+        more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._run_notes()}
         found = self._read_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
             announce = _once(on_verdict, more)
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
                 announce(found)
-            found = self._diagnose(group, self.models.provenance(key, json.dumps({"seed": seed})), quick, announce)
+            provenance = self.models.provenance(key, json.dumps({"seed": seed}))
+            found = self._diagnose(group, provenance, test.alpha, quick=quick, announce=announce)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
+        if test.named is None:
+            self.budget.record(test, found)
         return {**found, **more}
 
     def _diagnose(
-        self, group: str, provenance: Provenance, quick: bool, announce: Callable[[dict[str, Any]], None]
+        self,
+        group: str,
+        provenance: Provenance,
+        alpha: float,
+        *,
+        quick: bool,
+        announce: Callable[[dict[str, Any]], None],
     ) -> dict[str, Any]:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
@@ -428,6 +443,7 @@ class Session:
             own=own,
             auxiliary=signals,
             rng=seed,
+            alpha=alpha,
             progress=self.progress,
             quick=quick,
             on_verdict=lambda verdict: announce(keep(verdict)),
@@ -596,7 +612,7 @@ class Session:
                     pipeline.get(stage)
         self.compare()
         self.diagnose(self._last_seed() if seed is None else seed)
-        return (*self.notes, *self._update_papers_route())
+        return (*self.notes, *self._update_papers_route(), *describe_tests(self.budget.summary()))
 
     def _last_seed(self) -> int:
         """Return the seed of the last diagnosis."""

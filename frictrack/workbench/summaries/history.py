@@ -8,6 +8,7 @@ from typing import Any, TypedDict
 from frictrack.flow import Change, undo_stacks
 from frictrack.plots import numbered_name
 from frictrack.plots.style import joined_name
+from frictrack.verdicts import describe_tests
 from frictrack.workbench.summaries.snapshot import Snapshot
 
 AUTHORS = {"cli": "command line", "page": "page", "python": "Python"}
@@ -29,6 +30,8 @@ class HistorySummary(TypedDict):
     ----------
     entries
         "n" (number from 1), "words", "author" and "at" (ISO 8601, local time) of each change, oldest first.
+    tests
+        Sentences on the tests that were made of the models.
     can_undo, can_redo
         Whether there is such a change.
     undo_words, redo_words
@@ -37,6 +40,7 @@ class HistorySummary(TypedDict):
     """
 
     entries: list[dict[str, Any]]
+    tests: list[str]
     can_undo: bool
     can_redo: bool
     undo_words: str
@@ -56,6 +60,7 @@ def summarise_history(snapshot: Snapshot) -> HistorySummary:
     done, undone = _stacks(changes)
     return HistorySummary(
         entries=[_entry(change, changes) for change in changes],
+        tests=describe_tests(snapshot.tests),
         can_undo=bool(done),
         can_redo=bool(undone),
         undo_words=f"Undo: {change_words(done[-1])}" if done else "",

@@ -15,6 +15,7 @@ from frictrack.flow import (
     Change,
     CommandHistory,
     ResultsReader,
+    SignificanceBudget,
     Surveyed,
     open_study,
     survey_recording,
@@ -39,6 +40,8 @@ class Snapshot:
         The tables of the study file as they are written; empty if it cannot be read.
     changes
         The command history, oldest first.
+    tests
+        JSON of the tests that were made of its models, as in that of `frictrack history`.
     recordings
         Recordings in the folder of the study file.
     attempted
@@ -53,6 +56,7 @@ class Snapshot:
     results: Results | None = None
     raw: dict[str, Any] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()
+    tests: Mapping[str, Any] = field(default_factory=dict)
     recordings: tuple[Surveyed, ...] = ()
     attempted: Mapping[str, ModelResults] = field(default_factory=dict)
     error: str | None = None
@@ -89,7 +93,8 @@ class SnapshotReader:
             results = self._results.read(study)
             names = [candidate["effect"] for candidate in (results.diagnosis or {}).get("candidates", [])]
             attempted = self._attempts.read(study, names)
-            self._last = Snapshot(self.path, study, results, raw, tuple(history.changes), recordings, attempted)
+            changes, tests = tuple(history.changes), SignificanceBudget(study.output).summary()
+            self._last = Snapshot(self.path, study, results, raw, changes, tests, recordings, attempted)
         except (FrictrackError, OSError, UnicodeDecodeError) as e:
             return replace(self._last, recordings=recordings, error=str(e))
         return self._last

@@ -204,7 +204,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--selections", type=int, default=40)
-    parser.add_argument("--study", type=Path, help="folder or study file of a study with a model; its folder is copied before it is used")
+    parser.add_argument("--study", type=Path, help="folder or file of a study with a model; its folder is copied")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     found: dict[str, Any] = {"machine": described("tornado"), "points": args.points}

@@ -12,7 +12,7 @@ import { useStore } from "./store.js";
 const FORMATS = ["svg", "png", "pdf"].map((name) => [name, name.toUpperCase()]);
 
 function Models() {
-  const [models, busy] = [useStore((s) => s.study?.models || []), useStore((s) => s.busy)];
+  const [models, busy, tests] = [useStore((s) => s.study?.models || []), useStore((s) => s.busy), useStore((s) => s.study?.history.tests || [])];
   if (!models.length) return html`<${Panel} title="Models"><p class="ui-note">No model is fitted yet. Press Run.</p><//>`;
   return html`
     <${Panel} title="Models" className="ui-models">
@@ -34,6 +34,7 @@ function Models() {
           </tbody>
         </table>
       </div>
+      ${tests.map((words) => html`<p class="ui-note">${spaced(words)}</p>`)}
     <//>`;
 }
 
