@@ -121,9 +121,9 @@ def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
         JSON of the diagnosis.
 
     """
-    level = diagnosis["alpha"] / 2
+    level = diagnosis.get("alpha", ALPHA_FIRST) / 2  # earlier versions had this level alone
     names = [one["effect"] for one in diagnosis["candidates"] if one["p"] is not None and one["p"] < level]
-    formulas = (diagnosis["unexplained"] or {}).get("formulas", [])
+    formulas = (diagnosis.get("unexplained") or {}).get("formulas", [])
     defined = ["unexplained"] if formulas else []
     return tuple(dict.fromkeys([*diagnosis["missing"], *names, *defined]))
 
