@@ -23,6 +23,7 @@ from frictrack.diagnose.experiments import (
     Explanation,
     ModelDiscrimination,
     candidate_experiments,
+    evidence_interval,
     make_explanation,
     plan_for_candidates,
     plan_for_unexplained,
@@ -46,7 +47,10 @@ from frictrack.simulate import Conditions, simulate
 LAW = ["coulomb", "viscous"]
 SIGMA = 1e-5
 SCATTER = 0.02  # of the friction level, where runs can tell it
-KEYS = {"what", "separates", "expected_delta_bic", "expected_if_true", "groups", "tells", "kind", "key"}
+KEYS = {"what", "separates", "expected_delta_bic", "expected_interval", "expected_if_true", "groups", "tells"} | {
+    "kind",
+    "key",
+}
 
 
 def law_with(name, values):
@@ -118,6 +122,43 @@ def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pai
     assert observed > 10
     spread = 4 * np.sqrt(expected)  # of a chi-squared of that non-centrality, two standard deviations
     assert expected / 2 - spread < observed < 2 * expected + spread
+
+
+def test_the_interval_is_that_of_two_gaussian_models_of_uncertain_size():
+    rng = np.random.default_rng(3)
+    trace, std = rng.normal(size=400), 0.12  # of the size, relative
+    for mean in (30.0, 300.0):
+        shape = trace * np.sqrt(mean / (trace @ trace))
+        size = 1 + std * rng.normal(size=(20_000, 1))
+        noise = rng.normal(size=(20_000, 1)) * np.linalg.norm(shape)  # of the data along the trace
+        observed = (size**2 * mean + 2 * size * noise)[:, 0]  # chi-squared of the rival minus that of the truth
+        low, high = evidence_interval(mean, std)
+        assert np.mean((observed > low) & (observed < high)) == pytest.approx(0.95, abs=0.012)
+
+
+def test_an_unknown_size_leaves_the_interval_open():
+    low, high = evidence_interval(50.0, np.inf)
+    assert low == pytest.approx(50 - 1.96 * 2 * np.sqrt(50))
+    assert high is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", AMBIGUOUS, ids=lambda p: p[0])
+def test_the_interval_holds_the_evidence_of_the_run_that_is_filmed(case):
+    truth, values, rival, speeds = case
+    inside = []
+    for seed in range(12):
+        runs = runs_with(truth, values, speeds, seed=seed)
+        among = explanations(runs, truth, rival)
+        best = max((o for o in rate_runs(among) if o.separated_pairs()), key=lambda o: o.min_evidence())
+        design = next(e.design for e in candidate_experiments(among[0].solution) if e.key == best.key)
+        new = take(design, law_with(truth, values), SCATTER if len(runs) > 3 else 0.0, seed=100 + seed)
+        _, found = explained([*runs, new], truth, rival)
+        observed = information_criterion(found[rival]) - information_criterion(found[truth])
+        expected = best.evidence[truth, rival]
+        low, high = evidence_interval(expected, among[0].relative_size_std)
+        inside.append(observed > low and (high is None or observed < high))
+    assert sum(inside) >= 9
 
 
 def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():

@@ -202,6 +202,7 @@ MEANINGS = {
     "next_experiment[].what": "what to film",
     "next_experiment[].separates": "effects that it distinguishes",
     "expected_delta_bic": "evidence that is expected of it",
+    "expected_interval": "95 % interval of that evidence; its end is null where the size of the effect is unknown",
     "next_experiment": "what to film next: what, separates, expected_delta_bic",
     "files": "files that were written, or read",
     "report": "the report",

@@ -39,7 +39,17 @@ def _evidence(step: dict[str, Any]) -> str:
     if not step["separates"]:
         return ""
     groups = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
-    return f"separates {groups}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
+    return f"separates {groups}; expected delta BIC {_expected(step)}"
+
+
+def _expected(step: dict[str, Any]) -> str:
+    """Expected evidence with its 95 % interval, if that is known."""
+    expected = format_plain(step.get("expected_delta_bic"), 2)
+    low, high = step.get("expected_interval") or (None, None)
+    if low is None:
+        return expected
+    above = f"at least {format_plain(low, 2)}" if high is None else f"{format_plain(low, 2)} to {format_plain(high, 2)}"
+    return f"{expected} (95 %: {above})"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:

@@ -1,7 +1,12 @@
 """Propose the next experiment: the run, or the direct check, that separates what the present runs cannot."""
 
 from frictrack.diagnose.experiments.advice_text import settled_by
-from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
+from frictrack.diagnose.experiments.expected_separation import (
+    Explanation,
+    ModelDiscrimination,
+    evidence_interval,
+    make_explanation,
+)
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.rating import (
     plan_for_candidates,
@@ -30,6 +35,7 @@ __all__ = [
     "RunDesign",
     "blank_piece",
     "candidate_experiments",
+    "evidence_interval",
     "integrate_motion",
     "make_explanation",
     "plan_for_candidates",

@@ -28,7 +28,7 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.least_squares import PieceResponse, Solution, white_noise_covariance
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
@@ -37,6 +37,7 @@ from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
 SMALL_FORCE_RATIO = 0.05  # of friction: size of an effect that the runs do not determine
+SIGMAS_95 = 1.96  # half the width of a 95 % interval
 MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size
 
 
@@ -68,12 +69,59 @@ class Explanation:
         """The effect as it was fitted."""
         return next(e for e in self.solution.problem.model.effects if e.name == self.effect)
 
+    @cached_property
+    def relative_size_std(self) -> float:
+        """Relative standard deviation of the size of the effect; infinite where the runs leave its size open."""
+        if self.conservative is not self.solution:
+            return np.inf
+        std = np.sqrt(np.maximum(np.diag(white_noise_covariance(self.solution)[0]), 0.0))
+        sizes = {p.name for p in self.fitted_effect.parameters if p.linear or p.role in SIZE_ROLES}
+        own = [
+            std[i] / max(abs(self.solution.p[i]), 1e-300)
+            for i, slot in enumerate(self.solution.problem.layout.slots)
+            if slot.effect == self.effect and slot.parameter in sizes
+        ]
+        return float(min(own, default=0.0))
+
     def simulated_run(self, design: RunDesign, fine: int) -> Piece:
         """Simulate a planned run without noise, with at least `fine` panels per frame; the result is cached."""
         key = design, max([fine, *(e.fine for e in self.conservative.problem.model.effects)])
         if key not in self._simulated:
             self._simulated[key] = simulate_run(self.conservative, design, fine)
         return self._simulated[key]
+
+
+def evidence_interval(expected: float, relative_size_std: float) -> tuple[float, float | None]:
+    """Compute the 95 % interval of evidence that is expected of an experiment.
+
+    The difference of chi-squared between the true explanation and its rival is Gaussian with a variance of four times
+    its mean. It grows with the square of the size of the effect, which is known only so well.
+
+    Parameters
+    ----------
+    expected
+        Expected difference of BIC.
+    relative_size_std
+        Relative standard deviation of the size of the true effect; infinite if it is unknown.
+
+    Returns
+    -------
+    low : float
+    high : float or None
+        None if the size of the effect is unknown: `expected` is then computed for a small one.
+
+    Examples
+    --------
+    >>> low, high = evidence_interval(100.0, 0.1)
+    >>> round(low), round(high)
+    (45, 155)
+
+    """
+    mean = max(expected, 0.0)
+    if not np.isfinite(relative_size_std):
+        return float(expected - SIGMAS_95 * 2 * np.sqrt(mean)), None
+    half = SIGMAS_95 * float(np.hypot(2 * np.sqrt(mean), 2 * mean * relative_size_std))
+    return expected - half, expected + half
 
 
 def make_explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:

@@ -13,10 +13,14 @@ from typing import Any
 
 from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
-from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
+from frictrack.diagnose.experiments.expected_separation import (
+    Explanation,
+    ModelDiscrimination,
+    evidence_interval,
+    make_explanation,
+)
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
-from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
@@ -58,8 +62,16 @@ class RatedExperiment:
         """Evidence relative to effort: a sensor must be bought, mounted and synchronised."""
         return self.min_evidence() * (1.0 if self.kind == "film" or self.key not in COSTLY_CHECKS else 1 / COST_FACTOR)
 
-    def summary(self, effects: Sequence[Effect]) -> dict[str, Any]:
+    def least_interval(self, explanations: Sequence[Explanation]) -> tuple[float, float | None]:
+        """95 % interval of the smallest evidence over the pairs that it separates."""
+        both_ways = [pair for a, b in self.separated_pairs() for pair in ((a, b), (b, a))]
+        true, _ = min(both_ways, key=lambda pair: self.evidence[pair])
+        size_std = next(e.relative_size_std for e in explanations if e.effect == true)
+        return evidence_interval(self.min_evidence(), size_std)
+
+    def summary(self, explanations: Sequence[Explanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
+        effects = [e.fitted_effect for e in explanations]
         pairs = self.separated_pairs()
         members = {name for pair in pairs for name in pair}
         separated = [effect.name for effect in effects if effect.name in members]
@@ -69,6 +81,7 @@ class RatedExperiment:
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": separated,
             "expected_delta_bic": self.min_evidence(),
+            "expected_interval": list(self.least_interval(explanations)),
             "expected_if_true": each,
             "groups": _group_names(separated, pairs),
             "tells": describe_separation(_group_names(separated, pairs)),
@@ -118,7 +131,7 @@ def propose_experiments(
         )
         if experiment.separated_pairs()
     ]
-    out = [experiment.summary([e.fitted_effect for e in explanations]) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
+    out = [experiment.summary(explanations) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
     remaining = [
         pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.separated_pairs() for o in rated)
     ]
@@ -261,6 +274,7 @@ def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation
         "what": describe_unseparated(inseparable),
         "separates": [],
         "expected_delta_bic": 0.0,
+        "expected_interval": None,
         "expected_if_true": {},
         "groups": [list(pair)],
         "tells": "",
