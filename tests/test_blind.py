@@ -293,15 +293,19 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
 
 
 @pytest.mark.usefixtures("short_runs")
-def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path):
-    truth = draw_truth(9004, "two", 4)
+@pytest.mark.parametrize(("kind", "number", "rel"), [("two", 2, 0.1), ("three", 3, 0.5)])  # two others move further
+def test_several_causes_are_as_large_as_each_is_seen_beside_the_others(
+    kind: str, number: int, rel: float, tmp_path: Path
+):
+    truth = draw_truth(9004, kind, 4)
+    assert len(truth.hidden) == number
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
     full = solution_at_truth(truth, session.models.fit(session.models.current()[0]).solution)
     for name, size, rise in zip(truth.hidden, truth.size, truth.rise, strict=True):
         assert size >= SIZE_RANGE[0]
-        assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=0.1)
+        assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=rel)
 
 
 @pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends
@@ -447,6 +451,15 @@ def test_two_causes_are_both_found_by_name_or_by_what_nobody_can_tell_from_them(
     ]
     two = tally(rows)["two"]
     assert (two["both"]["hits"], two["both_by_name"]["hits"]) == (2, 1)
+
+
+def test_three_causes_are_all_found():
+    hidden = ("drag", "texture", "lens")
+    rows = [
+        outcome("three", hidden, named=("lens", "texture", "drag"), verdict="missing"),
+        outcome("three", hidden, named=("texture", "drag"), verdict="missing"),
+    ]
+    assert tally(rows)["three"]["all"]["hits"] == tally(rows)["three"]["all_by_name"]["hits"] == 1
 
 
 def test_a_foreign_cause_is_unexplained_or_reproduced():

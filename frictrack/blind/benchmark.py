@@ -18,7 +18,7 @@ from frictrack.blind.seal import SEAL_FILE, open_seal, seal
 from frictrack.blind.study_files import write_study
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
-from frictrack.blind.truth_sampling import draw_truth
+from frictrack.blind.truth_sampling import KINDS, draw_truth
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow import Progress, no_progress
@@ -27,15 +27,17 @@ from frictrack.workers import run_parallel
 
 STUDIES_PER_KIND_TABLES = {"one": 200, "none": 100, "two": 60, "foreign": 60}
 STUDIES_PER_KIND_FILMS = {"one": 20, "none": 10, "fault": 10}
+STUDIES_OF_ONE_KIND = 60
 OUTCOMES_FOLDER = "outcomes"
 
 
-def make(
+def make(  # noqa: PLR0913 - named settings
     folder: Path,
     n: int | None = None,
     *,
     seed: int = 0,
     film: bool = False,
+    kind: str | None = None,
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -46,11 +48,13 @@ def make(
     folder
         New or empty folder.
     n
-        Number of studies; by default 420 with tables or 40 with films.
+        Number of studies; by default 420 with tables or 40 with films, or 60 of one kind.
     seed
         Seed of all draws.
     film
         Whether to render films instead of writing tables.
+    kind
+        Kind of all studies ("one", "none", "two", "three", "foreign" or "fault"); None for a mixture.
     workers
         Number of processes; by default as many as `run_parallel` chooses.
     progress
@@ -64,10 +68,13 @@ def make(
     Raises
     ------
     FrictrackError
-        If the folder contains files or n is below 1 (usage).
+        If the folder contains files, n is below 1, or the kind is unknown (usage).
 
     """
-    of = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
+    if kind is not None and kind not in KINDS:
+        raise FrictrackError(f'expected one of the kinds {", ".join(KINDS)} but got "{kind}"', usage=True)
+    mixture = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
+    of = mixture if kind is None else {kind: STUDIES_OF_ONE_KIND}
     n = sum(of.values()) if n is None else n
     if n < 1:
         raise FrictrackError(f"expected at least one study but got --n {n}", usage=True)

@@ -12,6 +12,7 @@ from scipy.stats import binomtest, norm
 
 from frictrack.blind.outcome import Outcome
 from frictrack.blind.truth import effect_named
+from frictrack.blind.truth_sampling import KINDS
 
 PARAMETER_CONFIDENCE = 0.99  # level of the intervals that should contain the true parameters
 REDUCED_CHI2_RANGE = (0.9, 1.1)  # within which a fit explains the data
@@ -67,8 +68,8 @@ def _equivalent_set(row: Outcome) -> tuple[str, ...]:
     return row.equivalents.get(row.hidden[0], row.hidden[:1])
 
 
-def are_both_named(row: Outcome) -> bool:
-    """Whether two named effects are the two hidden ones or equivalents of them."""
+def are_all_named(row: Outcome) -> bool:
+    """Whether as many named effects are the hidden ones or equivalents of them."""
     sets = [set(row.equivalents.get(h, (h,))) | {h} for h in row.hidden]
     return any(all(n in s for n, s in zip(pair, sets, strict=True)) for pair in permutations(row.named, len(sets)))
 
@@ -123,7 +124,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
         failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
 
     """
-    kind = {k: [r for r in rows if r.kind == k] for k in ("one", "none", "two", "foreign", "fault")}
+    kind = {k: [r for r in rows if r.kind == k] for k in KINDS}
     one = kind["one"]
     criterion = [r for r in one + kind["fault"] if is_named_first(r)]
     local = [r.overlap for r in one if r.overlap is not None]
@@ -145,8 +146,12 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "undetermined": _share(kind["none"], lambda r: r.verdict == "undetermined"),
         },
         "two": {
-            "both": _share(kind["two"], are_both_named),
+            "both": _share(kind["two"], are_all_named),
             "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),
+        },
+        "three": {
+            "all": _share(kind["three"], are_all_named),
+            "all_by_name": _share(kind["three"], lambda r: set(r.hidden) <= set(r.named)),
         },
         "foreign": {
             "unexplained_or_reproduced": _share(kind["foreign"], is_reproduced),

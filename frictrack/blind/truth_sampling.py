@@ -16,7 +16,8 @@ from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
-KINDS = ("one", "none", "two", "foreign", "fault")
+KINDS = ("one", "none", "two", "three", "foreign", "fault")
+N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others
 LAWS = (  # base laws, and the share of each
     (("coulomb", "stribeck", "viscous"), 0.6),
     (("coulomb", "viscous"), 0.25),
@@ -77,7 +78,7 @@ def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Tr
     seed
         Seed of the draw.
     kind
-        "none", "one", "two", "foreign" or "fault": how many effects are hidden, and which.
+        "none", "one", "two", "three", "foreign" or "fault": how many effects are hidden, and which.
     turn
         Number of the study among those of its kind; effects take turns, so that all are equally frequent.
     film
@@ -137,17 +138,18 @@ def _draw_law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) ->
 def _hidden_effects(
     kind: str, law: tuple[str, ...], first: str | None, rng: np.random.Generator, *, film: bool
 ) -> tuple[str, ...]:
-    """Names of the effects to hide: the first one and, for kind "two", a random second one."""
-    if first is None or kind != "two":
-        return () if first is None else (first,)
-    possible = candidates(kind, law, film=film)
-    has_memory = effect_named(first).memory  # an effect that modifies the same friction would need the same memory
-    others = [
-        n
-        for n in possible
-        if n != first and not effect_named(n).memory and not (has_memory and effect_named(n).modifies)
-    ]
-    return first, str(rng.choice(others))
+    """Names of the effects to hide: the first one, and random further ones."""
+    names = () if first is None else (first,)
+    while len(names) < N_HIDDEN.get(kind, 1):
+        others = [n for n in candidates(kind, law, film=film) if n not in names and _can_join(n, names)]
+        names = (*names, str(rng.choice(others)))
+    return names
+
+
+def _can_join(name: str, hidden: tuple[str, ...]) -> bool:
+    """Whether an effect can be simulated beside others: only the first may have a memory, and then none modifies."""
+    effect = effect_named(name)
+    return not effect.memory and not (effect.modifies and any(effect_named(n).memory for n in hidden))
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -224,7 +226,7 @@ def _count_frames(base_study: Truth, run: RunTruth) -> int:
 
 
 def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
-    """Put the effects into the study; return None if one is not visible, alone or with the other one free."""
+    """Put the effects into the study; return None if one is not visible, alone or with the other ones free."""
     truth, detector = base_study, IdealDetector(base_study)
     hidden = []
     for name in names:
@@ -235,8 +237,9 @@ def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Gene
         runs = zip(truth.runs, found[0][0].runs, strict=True)
         truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
     sizes, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
-    if len(names) == 2:
-        traces = [_trace_beyond_other(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
+    if len(names) > 1:
+        placed = dict(zip(names, (one for one, _ in hidden), strict=True))
+        traces = [_trace_beyond_others(detector, name, placed) for name in names]
         limits = [np.sqrt(detector.limit(effect_named(name))) for name in names]
         sizes = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
         if min(sizes) < SIZE_RANGE[0]:
@@ -245,11 +248,15 @@ def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Gene
     return replace(truth, hidden=names, size=sizes, rise=rises)
 
 
-def _trace_beyond_other(detector: IdealDetector, trace: Array, other: str, placed: PlacedEffect) -> Array:
-    """Part of the trace of one effect that free parameters of the other one cannot explain."""
+def _trace_beyond_others(detector: IdealDetector, name: str, placed: dict[str, PlacedEffect]) -> Array:
+    """Part of the trace of one effect that free parameters of the other ones cannot explain."""
+    others = [_trace_columns(detector, other, one) for other, one in placed.items() if other != name]
+    return unexplained_part(placed[name][1], np.hstack(others))
+
+
+def _trace_columns(detector: IdealDetector, name: str, placed: PlacedEffect) -> Array:
+    """Changes of the data by each parameter of an effect, (N, k); one with memory has its size alone."""
     truth, trace_alone = placed
-    effect = effect_named(other)
-    values = [run.values for run in truth.runs]
-    return unexplained_part(
-        trace, trace_alone[:, None] if effect.memory else detector.trace_derivatives(effect, values)
-    )
+    if effect_named(name).memory:
+        return trace_alone[:, None]
+    return detector.trace_derivatives(effect_named(name), [run.values for run in truth.runs])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -141,10 +141,14 @@ Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studie
 
 
 @command(group=blind)
-def make(
+def make(  # noqa: PLR0913, PLR0917 - the options of the command
     out: Blind,
     n: Annotated[int | None, typer.Option("--n", help="number of studies (default: 420, or 40 with --film)")] = None,
     film: Annotated[bool, typer.Option("--film", help="write rendered films, which are tracked")] = False,
+    kind: Annotated[
+        Literal["one", "none", "two", "three", "foreign", "fault"] | None,
+        typer.Option(help="only studies of this kind"),
+    ] = None,
     workers: Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -158,7 +162,7 @@ def make(
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
 
     with progress_bars() as progress:
-        result = written(out, n, seed=seed, film=film, workers=workers, progress=progress)
+        result = written(out, n, seed=seed, film=film, kind=kind, workers=workers, progress=progress)
     print_result(result, as_json, "", out)
 
 
