@@ -21,6 +21,7 @@ from frictrack.fit.stepwise import (
 )
 from frictrack.fit.uncertainty import dispersion
 
+MIN_BIC_DECISIVE = 10.0  # "very strong" evidence (Kass & Raftery 1995)
 MIN_CHI2_FALL = 1.0  # of a step of a model that is fitted only for a share of the misfit
 
 
@@ -53,9 +54,10 @@ def simplest_candidate(near: Sequence[RefinedCandidate]) -> RefinedCandidate:
 
 
 def stronger_of_smooth_pair(tested: Round, best: RefinedCandidate) -> RefinedCandidate | None:
-    """Return the stronger of two smooth effects that together explain as much as a flexible one.
+    """Return the stronger of two smooth effects that together explain more than a flexible one.
 
-    It is used only while much misfit remains: a flexible effect then imitates the sum of smooth ones.
+    A flexible effect imitates the sum of smooth ones. While much misfit remains, a pair that explains as much is
+    enough; else it must explain decisively more.
 
     Parameters
     ----------
@@ -70,24 +72,31 @@ def stronger_of_smooth_pair(tested: Round, best: RefinedCandidate) -> RefinedCan
         None if no pair explains as much.
 
     """
-    frames = tested.solution.problem.n_frames
-    if is_smooth(best.effect) or tested.solution.chi2 < STRONG_MISFIT_CHI2 * frames:
+    problem = tested.solution.problem
+    if is_smooth(best.effect):
         return None
+    unit = dispersion(best.law)
+    is_strong = tested.solution.chi2 >= STRONG_MISFIT_CHI2 * problem.n_frames
+    margin = MAX_BIC_BARE_MENTION * unit if is_strong else -MIN_BIC_DECISIVE * unit
     law = tested.draws.law
     smooth = [s.effect for s in tested.tests.scanned if is_smooth(s.effect)]
-    single = {e.name: try_linear_effects(law, [e]) for e in smooth}
     pairs = {pair: try_linear_effects(law, pair) for pair in combinations(smooth, 2)}
     if not pairs:
         return None
-    pair, trial = min(
-        pairs.items(), key=lambda item: item[1].misfit + parameter_penalty(item[1].layout, tested.solution.problem)
-    )
+
+    def criterion(trial: CandidateTrial) -> float:
+        return trial.misfit + parameter_penalty(trial.layout, problem)
+
+    pair, trial = min(pairs.items(), key=lambda item: criterion(item[1]))
+    if not is_strong and (best.linear_trial is None or criterion(trial) > criterion(best.linear_trial[1]) + margin):
+        return None
     try:
         found = simulate_trial(law, trial)
     except FrictrackError:
         return None
-    if information_criterion(found) > information_criterion(best.law) + MAX_BIC_BARE_MENTION * dispersion(best.law):
+    if information_criterion(found) > information_criterion(best.law) + margin:
         return None
+    single = {e.name: try_linear_effects(law, [e]) for e in pair}
     stronger = min(pair, key=lambda e: single[e.name].misfit)
     return _candidate_from_pair(tested, stronger, single[stronger.name], best.p)
 
