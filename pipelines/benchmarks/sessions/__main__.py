@@ -1,11 +1,11 @@
 """Measure how many of the effects added in whole sessions are false: diagnose, add, try alternatives, diagnose again.
 
-    python pipelines/benchmarks/sessions [--n 100] [--seed 0] [--additions 6] [--json FILE]
+    python pipelines/benchmarks/sessions [--n 100] [--seed 0] [--additions 6] [--ideas 0] [--json FILE]
 
 Every session works on a simulated study with nothing, one or two effects hidden. A simulated user diagnoses and adds
-the first effect that is named. When nothing is named, the user tries again: the same model with another seed, or with
-a random effect added. The session ends after so many additions, or ten diagnoses. An effect that was named and added
-is false if it is neither hidden nor fits the same data as well as a hidden one.
+the first effect that is named. When nothing is named, the user tries again: the same model with another seed or, in
+the share `ideas` of the cases, with a random effect added. The session ends after so many additions, or six diagnoses.
+An effect that was named and added is false if it is neither hidden nor fits the same data as well as a hidden one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from frictrack.errors import FrictrackError  # noqa: E402
 from frictrack.flow import Session, open_study  # noqa: E402
 
 KINDS = ("none", "one", "two")
-MAX_DIAGNOSES = 10
+MAX_DIAGNOSES = 6
 
 
 @dataclass
@@ -59,8 +59,9 @@ def acceptable_effects(truth: Truth, session: Session) -> set[str]:
     return {name for group in equivalent_effects(truth, solution).values() for name in group}
 
 
-def play(truth: Truth, folder: Path, additions: int, rng: np.random.Generator) -> Outcome:
-    """Play one session."""
+def play(truth: Truth, folder: Path, limits: tuple[int, float], rng: np.random.Generator) -> Outcome:
+    """Play one session; `limits` is (additions, share of ideas)."""
+    additions, ideas = limits
     write_study(truth, folder)
     session, begun = Session(open_study(folder / "study.toml")), time.process_time()
     session.fit()
@@ -75,10 +76,10 @@ def play(truth: Truth, folder: Path, additions: int, rng: np.random.Generator) -
             added.append(name)
             if name.split(":")[0] not in accepted:
                 false.append(name)
-        elif rng.uniform() < 0.5:
-            seed += 1
-        else:
+        elif rng.uniform() < ideas:
             add_random(session, truth, rng)
+        else:
+            seed += 1
     spent = session.budget.summary()["alpha_spent"]
     return Outcome(truth.seed, truth.hidden, added, false, diagnoses, spent, time.process_time() - begun)
 
@@ -101,6 +102,7 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--additions", type=int, default=6)
+    parser.add_argument("--ideas", type=float, default=0.0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     outcomes: list[Outcome] = []
@@ -108,7 +110,7 @@ def main() -> None:
         rng = np.random.default_rng([args.seed, k])
         truth = draw_truth(int(rng.integers(2**31)), KINDS[k % len(KINDS)], k // len(KINDS))
         with tempfile.TemporaryDirectory() as folder:
-            outcomes.append(play(truth, Path(folder) / "study", args.additions, rng))
+            outcomes.append(play(truth, Path(folder) / "study", (args.additions, args.ideas), rng))
         one = outcomes[-1]
         print(f"{k + 1:3d} hidden {', '.join(one.hidden) or 'nothing'}: added {', '.join(one.added) or 'nothing'}; "
               f"false {', '.join(one.false) or 'none'}; {one.diagnoses} diagnoses, "
