@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
     from frictrack.friction import free_section, friction
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
+    from frictrack.priors import Prior
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
     from frictrack.repairing import repair, suspect_spans
@@ -71,6 +72,7 @@ _MODULE_OF = {
     "Fit": "fit",
     "GroupFits": "fit",
     "Motion": "records",
+    "Prior": "priors",
     "Track": "records",
     "effect": "effects",
     "Run": "records",
@@ -89,6 +91,7 @@ __all__ = [
     "GroupFits",
     "KnownAcceleration",
     "Motion",
+    "Prior",
     "Run",
     "Track",
     "__version__",

@@ -6,14 +6,20 @@ from frictrack.fit.uncertainty.level_outliers import level_remarks
 from frictrack.fit.uncertainty.linear import linear_estimates
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
+from frictrack.fit.uncertainty.prior_agreement import PriorAgreement, prior_agreement
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
-from frictrack.fit.uncertainty.reported_values import reported_by_address
+from frictrack.fit.uncertainty.reported_values import (
+    reported_by_address,
+    reported_slots,
+    reported_values_and_jacobian,
+)
 
 __all__ = [
     "Bootstrap",
     "Estimate",
     "Estimates",
     "Misfit",
+    "PriorAgreement",
     "Profile",
     "UncertaintyAnalysis",
     "analyse_uncertainty",
@@ -24,7 +30,10 @@ __all__ = [
     "linear_estimates",
     "merge_uncertainty",
     "misfit_of",
+    "prior_agreement",
     "profile",
     "reported_by_address",
+    "reported_slots",
+    "reported_values_and_jacobian",
     "with_misfit",
 ]
