@@ -51,9 +51,10 @@ GROUPS = (
     ),
     Group(
         "Fitting",
-        "Choose a model and fit it; intervals by profile likelihood and bootstrap; global searches.",
+        "Choose a model and fit it; intervals by profile likelihood and bootstrap; global searches; priors from other "
+        "set-ups.",
         "frictrack",
-        ("models", "fit", "profile", "bootstrap", "search"),
+        ("models", "fit", "profile", "bootstrap", "search", "Prior"),
     ),
     Group(
         "Diagnosing",

@@ -1,9 +1,10 @@
 """Compare the data with the priors of a fit: what comes from the priors, and whether the data contradict them.
 
 The estimate p of a linear model with prior mean m and covariance C has covariance V, the inverse of the sum of both
-precisions. If the prior is true, p - m is normal with covariance C - V. This gives the same chi-squared as the estimate
-d of the data alone, with covariance D: (p - m)' (C - V)^-1 (p - m) = (d - m)' (C + D)^-1 (d - m). Directions in which
-the data say nothing are left out. Errors that noise does not cover (a missing force, slow errors of the tracking) are added.
+precisions. If the prior is true, p - m is normal with covariance C - V. With the estimate d of the data alone and its
+covariance D, this gives the same chi-squared: (p - m)' (C - V)^-1 (p - m) = (d - m)' (C + D)^-1 (d - m). Directions in
+which the data say nothing are left out. Errors that noise does not cover (a missing force, slow errors of the tracking)
+are added.
 
 References
 ----------
