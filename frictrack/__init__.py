@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from frictrack.budget import budget
     from frictrack.calibration import calibrate, plane_map
     from frictrack.compare import Comparison, compare, history
+    from frictrack.covariates import CovariateTrends, trend
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
     from frictrack.errors import FrictrackError
@@ -73,6 +74,8 @@ _MODULE_OF = {
     "GroupFits": "fit",
     "Motion": "records",
     "Prior": "priors",
+    "trend": "covariates",
+    "CovariateTrends": "covariates",
     "Track": "records",
     "effect": "effects",
     "Run": "records",
@@ -84,6 +87,7 @@ _MODULES = ("models", "effects", "samples", "search", "simulate")
 
 __all__ = [
     "Comparison",
+    "CovariateTrends",
     "Diagnosis",
     "Displacement",
     "Fit",
@@ -124,6 +128,7 @@ __all__ = [
     "simulate",
     "suspect_spans",
     "track",
+    "trend",
 ]
 
 

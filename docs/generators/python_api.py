@@ -58,9 +58,10 @@ GROUPS = (
     ),
     Group(
         "Diagnosing",
-        "Compare models, find where one fails and what it lacks; effects of the library and your own.",
+        "Compare models, find where one fails and what it lacks; effects of the library and your own; how a law "
+        "depends on temperature, load or material.",
         "frictrack",
-        ("compare", "history", "diagnose", "effects", "effect"),
+        ("compare", "history", "diagnose", "effects", "effect", "trend"),
     ),
     Group(
         "Simulating",
@@ -75,7 +76,7 @@ GROUPS = (
         (
             *("Track", "Displacement", "Motion", "frictrack.records.Friction", "frictrack.records.Curve"),
             *("frictrack.records.ModelledMotion", "frictrack.records.CutoffTradeOff"),
-            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison"),
+            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison", "CovariateTrends"),
             *("Diagnosis", "frictrack.diagnose.Candidate", "FrictrackError"),
         ),
     ),

@@ -35,7 +35,7 @@ from frictrack.fit.parameters import (
     without_mass,
 )
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.prior_transfer import apply_prior
+from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.segments import (
@@ -59,6 +59,7 @@ from frictrack.threads import one_thread
 
 __all__ = [
     "MAX_SEARCH_GENERATIONS",
+    "PRIOR_NEEDS_NOISE",
     "Bootstrap",
     "Fit",
     "GroupFits",

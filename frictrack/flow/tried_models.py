@@ -158,7 +158,7 @@ class TriedModels:
     def _check_prior(self, request: FitRequest) -> None:
         """Raise FrictrackError (usage) for a fit in which the prior of the study has no weight."""
         if self.study.prior is not None and self._prior(request) is None:
-            from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE  # noqa: PLC0415
+            from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
 
             raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
 

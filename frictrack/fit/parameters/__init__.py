@@ -30,7 +30,7 @@ from frictrack.fit.parameters.mass import (
     with_mass,
     without_mass,
 )
-from frictrack.fit.parameters.priors import (
+from frictrack.fit.parameters.prior_penalties import (
     direct_prior_equations,
     prior_departure,
     prior_jacobian,

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span, Tie
 from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
-from frictrack.fit.parameters.priors import ReportedPrior, covariance_of_priors, reported_priors, whitening
+from frictrack.fit.parameters.prior_covariance import ReportedPrior, covariance_of_priors, whitening
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -232,7 +232,18 @@ class ParameterLayout:
     @cached_property
     def priors(self) -> tuple[ReportedPrior, ...]:
         """Priors of the unknowns, in order; one per run where the parameter has a value per run."""
-        return reported_priors(self)
+        effects = {e.name: e for e in self.model.effects}
+        mass_known = MASS not in effects
+        found_priors = []
+        for i, slot in enumerate(self.slots):
+            prior = None if slot.effect == LEVEL else effects[slot.effect].parameter(slot.parameter).prior
+            if prior is not None:
+                effect = effects[slot.effect]
+                is_direct = slot.parameter not in effect.quoted and (mass_known or not slot.linear)
+                found_priors.append(
+                    ReportedPrior(self.names[i], *prior, i if is_direct else None, _role(effect, slot) == "phase")
+                )
+        return tuple(found_priors)
 
     @cached_property
     def prior_covariance(self) -> Array:

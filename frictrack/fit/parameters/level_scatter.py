@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout
-from frictrack.fit.parameters.priors import prior_jacobian, prior_residual
+from frictrack.fit.parameters.prior_penalties import prior_jacobian, prior_residual
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-4, 0.5)  # range of the relative standard deviation of the levels

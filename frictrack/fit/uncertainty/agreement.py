@@ -125,8 +125,8 @@ def prior_agreement(solution: Solution, covariance: Array) -> PriorAgreement | N
     informed = 1 - size > MIN_INFORMATION
     gain = np.clip(1 - size[informed], MIN_INFORMATION, 1.0)
     to_informed = vectors[:, informed].T
-    more = _positive(to_informed @ rows @ (covariance - noise) @ rows.T @ to_informed.T)
-    expected = np.diag(gain) + more
+    more = _other_errors(explained, rows @ covariance @ rows.T)
+    expected = np.diag(gain) + to_informed @ more @ to_informed.T
     seen = to_informed @ prior_residual(layout, p)
     total = float(seen @ np.linalg.solve(expected, seen)) if informed.any() else 0.0
     dof = int(np.count_nonzero(informed))
@@ -176,6 +176,18 @@ def _shares(solution: Solution, noise: Array, rows: Array, alone: _DataAlone) ->
     share = np.where(unseen, 1.0, added / np.maximum(own + added, 1e-300))
     names = [layout.names[i] for i in reported_slots(layout)]
     return dict(zip(names, map(float, share), strict=True))
+
+
+def _other_errors(explained: Array, total: Array) -> Array:
+    """What errors of the data beyond white noise add to the covariance of the estimate, in units of the prior, (m, m).
+
+    A factor that is common to all variances (Student's t, as the noise level is estimated) is applied to the share of
+    the data alone: the standard deviations of the prior are known.
+    """
+    factor = np.linalg.cholesky(explained + 1e-12 * np.eye(len(explained)))
+    ratio = np.linalg.solve(factor, np.linalg.solve(factor, total).T)
+    wider = max(float(np.linalg.eigvalsh((ratio + ratio.T) / 2)[0]), 1.0)
+    return _positive(total - wider * explained) + _positive((wider - 1) * (explained - explained @ explained))
 
 
 def _positive(matrix: Array) -> Array:

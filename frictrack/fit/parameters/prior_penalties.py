@@ -7,76 +7,14 @@ the sum of squares of W d with W' W = C^-1, so priors are further rows of a leas
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
 from frictrack.fit.parameters.constraints import MASS
-from frictrack.models import Model
+from frictrack.fit.parameters.layout import ParameterLayout
+from frictrack.fit.parameters.prior_covariance import whitening
 from frictrack.records import Array
-
-if TYPE_CHECKING:
-    from frictrack.fit.parameters.layout import ParameterLayout
-
-
-@dataclass(frozen=True)
-class ReportedPrior:
-    """Prior knowledge of a parameter: mean and standard deviation of its reported value.
-
-    `slot` is its position in the parameter vector, None if the reported value differs from the internal one.
-    """
-
-    address: str
-    mean: float
-    std: float
-    slot: int | None
-    phase: bool
-
-
-def reported_priors(layout: ParameterLayout) -> tuple[ReportedPrior, ...]:
-    """Return the priors of the unknowns, in order; one per run where the parameter has a value per run."""
-    effects = {e.name: e for e in layout.model.effects}
-    mass_known = MASS not in effects
-    found_priors = []
-    for i, (slot, name) in enumerate(zip(layout.slots, layout.names, strict=True)):
-        effect = effects.get(slot.effect)  # None for a friction level
-        p = None if effect is None else effect.parameter(slot.parameter)
-        if effect is not None and p is not None and p.prior is not None:
-            is_direct = slot.parameter not in effect.quoted and (mass_known or not slot.linear)
-            found_priors.append(ReportedPrior(name, *p.prior, i if is_direct else None, p.role == "phase"))
-    return tuple(found_priors)
-
-
-def covariance_of_priors(model: Model, priors: Sequence[ReportedPrior]) -> Array:
-    """Compute the covariance (m, m) of priors from their standard deviations and correlations.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If the correlations cannot hold together.
-
-    """
-    std = np.array([q.std for q in priors])
-    at = {q.address: i for i, q in enumerate(priors)}
-    matrix = np.eye(len(priors))
-    for e in model.effects:
-        for p in e.parameters:
-            i = at.get(f"{e.name}.{p.name}")
-            for other, r in p.prior_correlation if i is not None else ():
-                if other in at:
-                    matrix[i, at[other]] = matrix[at[other], i] = r
-    if len(priors) and np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise FrictrackError("expected prior_correlation that can hold together (positive definite)", usage=True)
-    return np.asarray(matrix * std * std[:, None], dtype=np.float64)
-
-
-def whitening(covariance: Array) -> Array:
-    """Compute W (m, m) with W' W the inverse of a covariance."""
-    std = np.sqrt(np.diag(covariance))
-    factor = np.linalg.cholesky(covariance / std / std[:, None])
-    return np.asarray(np.linalg.inv(factor) / std, dtype=np.float64)
 
 
 def prior_departure(layout: ParameterLayout, p: Array) -> Array:
