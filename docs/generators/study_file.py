@@ -39,6 +39,11 @@ TYPES = {
     "File": ("path of a file", "", '"lens.yml"'),
     "PriorFile": ("path of a prior file", "", '"course_a.prior.toml"'),
     "Factor": ("number above 0", "", "2"),
+    "Conditions": (
+        "table of numbers or texts by name",
+        "",
+        '{temperature = "20 degC", material = "steel on brass"}',
+    ),
     "Share": ('number of at least 0, or "10 %"', "", '"10 %"'),
     "Source": ("path or address", "", '"strike_01.avi"'),
     "Target": (schema.TARGETS, "px", "[410, 232, 96, 64]"),

@@ -162,6 +162,8 @@ def batch(out: Console, result: dict[str, Any]) -> None:
         change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
         out.print(f"over the series, {trend['name']} changes by {change}{unit}", markup=False)
+    for line in (line for one in result.get("conditions", ()) for line in one["words"]):
+        out.print(line, markup=False)
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:

@@ -574,6 +574,17 @@ class Session:
         self._load(self.study)
 
     @exclusive
+    def law_text(self) -> str:
+        """Return the current model as the text of a prior file; "" if it rests on a prior, or nothing carries over."""
+        fitted = self.models.fit(self.models.current()[0])
+        if self.study.prior is not None or not hasattr(fitted, "to_prior"):
+            return ""
+        try:
+            return str(fitted.to_prior(self.study.name).to_toml())
+        except FrictrackError:
+            return ""
+
+    @exclusive
     def export_prior(self, path: Path | None = None) -> dict[str, Any]:
         """Write the current model as a prior file for another study: JSON of `frictrack export --to prior`.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,8 @@ class Study:
         Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
     prior, prior_file
         The law of another set-up, as a prior, and its file; None without one.
+    conditions
+        Conditions in which the studies of a campaign differ, by name.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -66,6 +69,7 @@ class Study:
     scale: Any = None
     prior: Prior | None = None
     prior_file: Path | None = None
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -256,6 +260,7 @@ class _Reader:
             scale=camera.scale,
             prior=_prior(head),
             prior_file=head.prior,
+            conditions=head.conditions,
             incomplete=tuple(self.lacks),
         )
 

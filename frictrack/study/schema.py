@@ -175,6 +175,20 @@ def _prior(raw: Any, info: ValidationInfo) -> Path:
     return path
 
 
+def _conditions(raw: Any) -> Any:
+    """Read the conditions of a study: numbers, numbers with a unit, or names of categories."""
+    if not isinstance(raw, dict):
+        raise ValueError(f'expected conditions as {{temperature = "20 degC"}} but got {raw!r}')
+    for name, value in raw.items():
+        if not NAME.fullmatch(name):
+            raise ValueError(f'expected names of conditions of letters, digits, - and _ but got "{name}"')
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        text = isinstance(value, str) and 0 < len(value.strip()) <= MAX_CONDITION_LENGTH
+        if not (number or text):
+            raise ValueError(f'expected {name} in conditions as a number or a text such as "20 degC" but got {value!r}')
+    return raw
+
+
 def _share(raw: Any, info: ValidationInfo) -> float:
     """Read a relative number of at least 0: 0.1 or "10 %"."""
     percent = re.fullmatch(r"\s*(\S+)\s*%\s*", raw) if isinstance(raw, str) else None
@@ -377,6 +391,7 @@ TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a 
 RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
+MAX_CONDITION_LENGTH = 60  # characters
 MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
@@ -389,6 +404,7 @@ Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
 PriorFile = Annotated[Path, BeforeValidator(_prior)]
 Factor = Annotated[float, _number("1", above=0.0)]
+Conditions = Annotated[dict[str, float | str], BeforeValidator(_conditions)]
 Share = Annotated[float, BeforeValidator(_share)]
 Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
@@ -430,6 +446,9 @@ class StudyTable(Keys):
         Factor on the standard deviations of the prior; above 1, the prior counts less.
     prior_scatter
         Relative standard deviation by which the parameters of two set-ups differ, added to that of the prior.
+    conditions
+        Conditions in which studies of a campaign differ, by name: numbers, numbers with a unit, or categories.
+        `frictrack batch` fits how the law depends on them.
     plausible
         You have checked all numbers, although they look implausible.
 
@@ -442,6 +461,7 @@ class StudyTable(Keys):
     prior: PriorFile | None = None
     prior_scale: Factor = 1.0
     prior_scatter: Share = 0.0
+    conditions: Conditions = {}
     plausible: Literal["checked"] | None = None
 
 

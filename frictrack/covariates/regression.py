@@ -1,4 +1,4 @@
-"""Fit how the parameters of a law depend on a condition that differs between studies: temperature, load, material.
+"""Fit a multivariate regression with random effects of studies (meta-regression).
 
 Study j of n has estimates y_j (K,) with covariance S_j (K, K), from its own fit, and the condition c_j:
 
@@ -22,266 +22,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq, minimize
-from scipy.special import ndtr
 from scipy.stats import chi2, f
 
-from frictrack.distributions import student_ppf
+from frictrack.covariates.results import CovariateTrend, ScatterFit
 from frictrack.errors import FrictrackError
 from frictrack.priors import Prior
 from frictrack.records import Array
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-MIN_DEGREES = 2  # studies more than coefficients
 MAX_TAU_RATIO, N_TAUS = 5.0, 80  # possible values of tau, up to a multiple of the spread of the values
 MAX_LOG_RATIO = 8.0  # of the scatter to the spread of the values, for the search
 START_RATIOS = (0.02, 0.5)  # scatter over spread at which the search starts
 
 
 @dataclass(frozen=True, eq=False)
-class CovariateTrend:
-    """How one parameter depends on a condition.
-
-    Attributes
-    ----------
-    name, unit
-        The parameter.
-    terms
-        What the coefficients are: "at 0" and "slope" for a number, the categories otherwise.
-    coefficients, std
-        Coefficients (q,) and their standard deviations.
-    scatter, scatter_std
-        Standard deviation tau between studies, and its own; None where tau is zero.
-    scatter_interval
-        95 % interval of tau.
-    p
-        p-value of no dependence.
-    studies
-        Number of studies.
-    origin
-        Value of the condition at which the fit is centred; None for categories.
-    covariance
-        Covariance (q, q) of the coefficients.
-    mixture
-        Fits of this parameter alone at possible values of tau, for predictions.
-
-    """
-
-    name: str
-    unit: str
-    terms: tuple[str, ...]
-    coefficients: Array
-    std: Array
-    scatter: float
-    scatter_std: float | None
-    scatter_interval: tuple[float, float]
-    p: float
-    studies: int
-    origin: float | None
-    covariance: Array
-    mixture: tuple[ScatterFit, ...]
-
-    @property
-    def degrees(self) -> int:
-        """Degrees of freedom of the intervals."""
-        return self.studies - len(self.terms)
-
-    @property
-    def intervals(self) -> Array:
-        """95 % intervals of the coefficients, (q, 2)."""
-        half = student_ppf(0.975, self.degrees) * self.std
-        return np.stack([self.coefficients - half, self.coefficients + half], axis=1)
-
-    def predict(self, at: float | str) -> Prediction:
-        """Predict the parameter of a new study.
-
-        Parameters
-        ----------
-        at
-            Value of the condition there.
-
-        Raises
-        ------
-        FrictrackError
-            (usage) For a category that no study had.
-
-        """
-        if self.origin is not None:
-            row = np.array([1.0, float(at)])
-        elif at in self.terms:
-            row = np.array([float(term == at) for term in self.terms])
-        else:
-            raise FrictrackError(f'expected one of {", ".join(self.terms)} but got "{at}"', usage=True)
-        value, mean_std = float(row @ self.coefficients), float(np.sqrt(row @ self.covariance @ row))
-        weight = np.array([one.weight for one in self.mixture])
-        mean = np.array([row @ one.coefficients for one in self.mixture])
-        std = np.array([np.sqrt(row @ one.covariance @ row + one.tau**2) for one in self.mixture])
-        total = float(np.sqrt(weight @ (std**2 + (mean - weight @ mean) ** 2)))
-        low, high = (_quantile_of_mixture(weight, mean, std, share) for share in (0.025, 0.975))
-        return Prediction(value, mean_std, total, (low, high), self.unit)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the trend as JSON."""
-        rows = zip(self.terms, self.coefficients, self.std, self.intervals, strict=True)
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "coefficients": {
-                term: {"value": float(value), "std": float(std), "interval": [float(end) for end in ends]}
-                for term, value, std, ends in rows
-            },
-            "scatter": {"value": self.scatter, "std": self.scatter_std, "interval": list(self.scatter_interval)},
-            "p": self.p,
-            "studies": self.studies,
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class ScatterFit:
-    """The fit of one parameter at a possible scatter `tau`, with its weight by the restricted likelihood."""
-
-    tau: float
-    weight: float
-    coefficients: Array
-    covariance: Array
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A parameter that is expected in a new study.
-
-    `mean_std` is the standard deviation of the trend itself; `std` and the 95 % `interval` include the scatter between
-    studies.
-    """
-
-    value: float
-    mean_std: float
-    std: float
-    interval: tuple[float, float]
-    unit: str
-
-
-@dataclass(frozen=True, eq=False)
-class CovariateTrends:
-    """The trends of all parameters over one condition.
-
-    Attributes
-    ----------
-    condition
-        Name of the condition.
-    trends
-        Trends by address of the parameter.
-    load
-        Normal load to which forces belong, N; None if it is not known.
-    left_out
-        Parameters that too few studies have, each with the reason.
-
-    Examples
-    --------
-    >>> import frictrack as ft
-    >>> laws = [ft.Prior(("drag.c",), (c,), ((1e-4,),), ("N s^2/m^2",), (False,)) for c in (0.1, 0.12, 0.2, 0.21)]
-    >>> found = ft.trend(laws, ["steel", "steel", "brass", "brass"], "material")
-    >>> found
-    <CovariateTrends over material: drag.c>
-    >>> [round(float(value), 3) for value in found["drag.c"].coefficients]
-    [0.11, 0.205]
-
-    """
-
-    condition: str
-    trends: Mapping[str, CovariateTrend]
-    load: float | None
-    left_out: Mapping[str, str]
-
-    def __repr__(self) -> str:
-        return f"<CovariateTrends over {self.condition}: {', '.join(self.trends)}>"
-
-    def __getitem__(self, name: str) -> CovariateTrend:
-        return self.trends[name]
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return all coefficients as a pandas DataFrame, by parameter and term; the scatter is the term "scatter"."""
-        import pandas as pd  # noqa: PLC0415 - half a second
-
-        rows = {}
-        for name, trend in self.trends.items():
-            for term, value, std in zip(trend.terms, trend.coefficients, trend.std, strict=True):
-                rows[name, term] = {"value": value, "std": std}
-            rows[name, "scatter"] = {"value": trend.scatter, "std": trend.scatter_std}
-        return pd.DataFrame.from_dict(rows, orient="index").astype(float).rename_axis(["parameter", "term"])
-
-    def summary(self) -> dict[str, Any]:
-        """Return the trends as JSON."""
-        trends = [one.summary() for one in self.trends.values()]
-        return {"condition": self.condition, "load": self.load, "trends": trends, "left_out": dict(self.left_out)}
-
-
-def trend(laws: Sequence[Any], at: Sequence[float | str], condition: str = "condition") -> CovariateTrends:
-    """Fit how the parameters of a law depend on a condition that differs between studies.
-
-    Forces that scale with the load are converted to the load of the first study.
-
-    Parameters
-    ----------
-    laws : sequence of Fit or Prior
-        One law per study.
-    at : sequence of float or str
-        The condition of every study: numbers, or names of categories.
-    condition : str
-        Name of the condition.
-
-    Returns
-    -------
-    CovariateTrends
-        Coefficients, scatter between studies, and predictions of every parameter.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If there are too few studies, or all have the same condition.
-
-    Examples
-    --------
-    >>> import frictrack as ft
-    >>> def law(force):
-    ...     return ft.Prior(("coulomb.F_c",), (force,), ((0.0001,),), ("N",), (True,), load=3.0)
-    >>> found = ft.trend([law(f) for f in (1.0, 1.09, 1.21, 1.3, 1.41)], [20, 30, 40, 50, 60], "temperature")
-    >>> slope = found["coulomb.F_c"]
-    >>> round(float(slope.coefficients[1]), 4), slope.p < 0.01
-    (0.0103, True)
-    >>> round(slope.predict(45).value, 2)
-    1.25
-
-    """
-    priors = [one if isinstance(one, Prior) else one.to_prior() for one in laws]
-    if len(priors) != len(at):
-        raise FrictrackError(
-            f"expected one value of {condition} per law but got {len(at)} for {len(priors)}", usage=True
-        )
-    design = _design(at, condition)
-    load = priors[0].load if priors else None
-    converted = [one.at_load(load) for one in priors]
-    names = list(dict.fromkeys(name for one in converted for name in one.names))
-    left_out = {name: reason for name in names if (reason := _too_few(name, converted, design))}
-    kept = [name for name in names if name not in left_out]
-    if not kept:
-        raise FrictrackError(
-            f"expected a parameter that at least {len(design.terms) + MIN_DEGREES} studies determine, in every "
-            f"category, but got {len(priors)} studies of {condition}",
-            usage=True,
-        )
-    units = {name: unit for one in converted for name, unit in zip(one.names, one.units, strict=True)}
-    fitted = dict(_Regression(converted, design, kept).trends(units))
-    return CovariateTrends(condition, fitted, load, left_out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Design:
+class Design:
     """The condition: rows (n, q) per study, names of the columns, and the origin of a number."""
 
     rows: Array
@@ -290,11 +47,11 @@ class _Design:
     scale: float = 1.0
 
 
-def _design(at: Sequence[float | str], condition: str) -> _Design:
+def design_of(at: Sequence[float | str], condition: str) -> Design:
     """Return one row per study: 1 and the centred number, or one column per category."""
     if all(isinstance(one, str) for one in at) and len(set(at)) > 1:
         terms = tuple(dict.fromkeys(map(str, at)))
-        return _Design(np.array([[float(one == term) for term in terms] for one in at]), terms, None)
+        return Design(np.array([[float(one == term) for term in terms] for one in at]), terms, None)
     numbers = [one for one in at if isinstance(one, int | float | np.number) and np.isfinite(one)]
     if len(numbers) != len(at) or len(set(numbers)) < 2:
         raise FrictrackError(
@@ -305,22 +62,13 @@ def _design(at: Sequence[float | str], condition: str) -> _Design:
     values = np.array(numbers, dtype=np.float64)
     origin, scale = float(np.mean(values)), float(np.std(values))
     rows = np.column_stack([np.ones(len(values)), (values - origin) / scale])
-    return _Design(rows, ("at 0", "slope"), origin, scale)
+    return Design(rows, ("at 0", "slope"), origin, scale)
 
 
-def _too_few(name: str, priors: Sequence[Prior], design: _Design) -> str:
-    """Return why a parameter has no trend; "" if it has one."""
-    rows = np.array([row for one, row in zip(priors, design.rows, strict=True) if name in one.names])
-    q = len(design.terms)
-    if len(rows) < q + MIN_DEGREES:
-        return f"only {len(rows)} studies determine it; {q + MIN_DEGREES} are needed"
-    return "" if np.linalg.matrix_rank(rows) == q else "the studies that determine it do not have all conditions"
-
-
-class _Regression:
+class Regression:
     """Multivariate random-effects regression of the parameters `names` of several studies."""
 
-    def __init__(self, priors: Sequence[Prior], design: _Design, names: Sequence[str]) -> None:
+    def __init__(self, priors: Sequence[Prior], design: Design, names: Sequence[str]) -> None:
         self.design, self.names = design, list(names)
         q, k = len(design.terms), len(names)
         self.unit = np.array([self._spread(priors, name) for name in names])  # values are fitted in these units
@@ -447,12 +195,6 @@ def _mixture(y: Array, x: Array, s: Array, back: Array, unit: float) -> Iterator
     weights = np.exp(-(deviance - deviance.min()) / 2)
     for tau, weight, (beta, covariance) in zip(taus, weights / weights.sum(), fits, strict=True):
         yield ScatterFit(float(tau * unit), float(weight), beta, covariance)
-
-
-def _quantile_of_mixture(weight: Array, mean: Array, std: Array, share: float) -> float:
-    """Quantile of a mixture of normal distributions."""
-    ends = (float(np.min(mean - 40 * std)), float(np.max(mean + 40 * std)))
-    return float(brentq(lambda z: float(weight @ ndtr((z - mean) / std)) - share, *ends))
 
 
 def _scatter_std(x: Array, s: Array, tau: float) -> float | None:
