@@ -6,9 +6,10 @@ Study j of n has estimates y_j (K,) with covariance S_j (K, K), from its own fit
 
 X_j holds 1 and c_j for a number, one column per category for a category; tau_k is the scatter of parameter k between
 studies. The tau are estimated by restricted maximum likelihood (REML) with all covariances, beta by generalised least
-squares. Standard deviations of beta are scaled by the weighted sum of squares of each parameter, and intervals use
-Student's t with n less the number of coefficients (Knapp & Hartung), which keeps their coverage in small campaigns. The
-interval of a new study averages over the restricted likelihood of tau, because REML often gives zero for a small tau.
+squares. Standard deviations of beta are scaled by the weighted sum of squares of the parameter, or of all parameters if
+that is larger, and intervals use Student's t with n less the number of coefficients (Knapp & Hartung), which keeps
+their coverage in small campaigns. The interval of a new study averages over the restricted likelihood of tau, because
+REML often gives zero for a small tau.
 
 References
 ----------
@@ -132,6 +133,11 @@ class Regression:
             np.array([s[i, i] for _, _, s, i in own]),
         )
 
+    def _pooled_squares(self) -> float:
+        """Weighted sum of squares of all parameters per degree of freedom."""
+        total = sum(float(np.sum((y - x @ self.beta) ** 2)) for y, x, _ in self._weighted(self.tau))
+        return total / (sum(len(y) for y, *_ in self.blocks) - len(self.beta))
+
     def trends(self, units: Mapping[str, str]) -> Iterator[tuple[str, CovariateTrend]]:
         """Yield the trend of every parameter, in its unit."""
         q = len(self.design.terms)
@@ -140,7 +146,8 @@ class Regression:
             y, x, s = self._marginal(k)
             left = y - x @ self.beta[own]
             degrees = len(y) - q
-            factor = float(np.sum(left**2 / (s + self.tau[k] ** 2))) / degrees  # Knapp & Hartung
+            own_squares = float(np.sum(left**2 / (s + self.tau[k] ** 2))) / degrees  # Knapp & Hartung
+            factor = max(own_squares, self._pooled_squares())
             beta, covariance = self.beta[own], factor * self.covariance[own, own]
             p = _p_of_no_dependence(beta, covariance, degrees, is_number=self.design.origin is not None)
             back = self._back() * self.unit[k]
