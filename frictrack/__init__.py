@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from frictrack.budget import budget
     from frictrack.calibration import calibrate, plane_map
     from frictrack.compare import Comparison, compare, history
+    from frictrack.covariates import CovariateTrends, trend
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
     from frictrack.errors import FrictrackError
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
     from frictrack.friction import free_section, friction
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
+    from frictrack.priors import Prior
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
     from frictrack.repairing import repair, suspect_spans
@@ -71,6 +73,9 @@ _MODULE_OF = {
     "Fit": "fit",
     "GroupFits": "fit",
     "Motion": "records",
+    "Prior": "priors",
+    "trend": "covariates",
+    "CovariateTrends": "covariates",
     "Track": "records",
     "effect": "effects",
     "Run": "records",
@@ -82,6 +87,7 @@ _MODULES = ("models", "effects", "samples", "search", "simulate")
 
 __all__ = [
     "Comparison",
+    "CovariateTrends",
     "Diagnosis",
     "Displacement",
     "Fit",
@@ -89,6 +95,7 @@ __all__ = [
     "GroupFits",
     "KnownAcceleration",
     "Motion",
+    "Prior",
     "Run",
     "Track",
     "__version__",
@@ -121,6 +128,7 @@ __all__ = [
     "simulate",
     "suspect_spans",
     "track",
+    "trend",
 ]
 
 

@@ -384,7 +384,10 @@ def _inline(value: Mapping[str, Any]) -> Any:
     import tomlkit  # noqa: PLC0415
 
     table = tomlkit.inline_table()
-    table.update({k: list(map(float, v)) if isinstance(v, tuple) else v for k, v in value.items()})
+    for key, one in value.items():
+        table[key] = (
+            _inline(one) if isinstance(one, Mapping) else list(map(float, one)) if isinstance(one, tuple) else one
+        )
     return table
 
 
@@ -392,6 +395,7 @@ _SETTING_TEXTS = {
     "fix": lambda p, v: f"{p.name} free" if v is False else f"{p.name} = {v:g} {p.unit}",
     "bounds": lambda p, v: f"{p.name} in [{v[0]:g}, {v[1]:g}] {p.unit}",
     "prior": lambda p, v: f"{p.name} known as {v[0]:g} \N{PLUS-MINUS SIGN} {v[1]:g} {p.unit}",
+    "prior_correlation": lambda p, v: f"{p.name} correlated with {', '.join(v)} before the fit",
     "tie": lambda p, v: f"{p.name} = {v}",
     "per_run": lambda p, v: f"{p.name} {'per run' if v else 'shared'}",
 }

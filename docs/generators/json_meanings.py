@@ -24,6 +24,8 @@ PARAMETER = {
     "std_misfit": "standard deviation that includes the effect of the missing force",
     "mu.value": "coefficient of friction: the value over the normal load",
     "mu.std": "its standard deviation",
+    "from_prior": "share of its precision that comes from priors, 0 to 1, where there are any",
+    "scales_with": 'what it is proportional to in another study, in a prior: "load" or "nothing"',
 }
 LIMIT = {
     "value": "smallest size that would be found; null where it cannot be",
@@ -194,6 +196,11 @@ MEANINGS = {
     "unexplained.axes": "number of axes that were compared",
     "formulas[].formula": "a simple formula of that force",
     "formulas[].axis": "axis on which it depends",
+    "left_out.<name>": "why a parameter does not carry over",
+    "left_out": "why parameters do not carry over, by address",
+    "load": "normal load to which the values belong, N",
+    "study": "name of the study",
+    "file": "the file that was written",
     "unknowns": "number of its parameters",
     "beside": "effects that it stands beside",
     "toml": "the formula as a table for the study file",

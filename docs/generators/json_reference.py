@@ -33,6 +33,7 @@ COMMANDS = {
     "history": (TABLES,),
     "report": (TABLES,),
     "export": (TABLES,),
+    "export --to prior": (TABLES,),
     "verify": (TABLES,),
     "plan": (TABLES,),
     "effects": (),
@@ -45,6 +46,7 @@ BY_NAME = {
     "at",
     "lost",
     "verdicts",
+    "left_out",
 }  # objects whose keys are names of the study
 TYPES = {"str": "text", "float": "number", "int": "whole number", "bool": "true or false", "NoneType": "null"}
 
@@ -113,7 +115,7 @@ def _printed(command: str, arguments: tuple[str, ...]) -> Any:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), open(os.devnull, "w") as nothing, contextlib.redirect_stderr(nothing):
         try:
-            main([command, *arguments, "--json"])
+            main([*command.split(), *arguments, "--json"])
         except SystemExit as end:
             if end.code:
                 raise

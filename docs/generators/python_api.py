@@ -51,15 +51,17 @@ GROUPS = (
     ),
     Group(
         "Fitting",
-        "Choose a model and fit it; intervals by profile likelihood and bootstrap; global searches.",
+        "Choose a model and fit it; intervals by profile likelihood and bootstrap; global searches; priors from other "
+        "set-ups.",
         "frictrack",
-        ("models", "fit", "profile", "bootstrap", "search"),
+        ("models", "fit", "profile", "bootstrap", "search", "Prior"),
     ),
     Group(
         "Diagnosing",
-        "Compare models, find where one fails and what it lacks; effects of the library and your own.",
+        "Compare models, find where one fails and what it lacks; effects of the library and your own; how a law "
+        "depends on temperature, load or material.",
         "frictrack",
-        ("compare", "history", "diagnose", "effects", "effect"),
+        ("compare", "history", "diagnose", "effects", "effect", "trend"),
     ),
     Group(
         "Simulating",
@@ -74,7 +76,7 @@ GROUPS = (
         (
             *("Track", "Displacement", "Motion", "frictrack.records.Friction", "frictrack.records.Curve"),
             *("frictrack.records.ModelledMotion", "frictrack.records.CutoffTradeOff"),
-            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison"),
+            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison", "CovariateTrends"),
             *("Diagnosis", "frictrack.diagnose.Candidate", "FrictrackError"),
         ),
     ),

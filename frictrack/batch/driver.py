@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from frictrack.batch.conditions import condition_trends
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
 from frictrack.batch.scheduler import BatchState, Scheduler
@@ -115,6 +116,7 @@ class _BatchOutput:
                 "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
                 "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
                 "trends": [trend.summary() for trend in found],
+                "conditions": condition_trends([one for _, one in kept]),
                 "tables": [str(path) for path in files],
             }
         )

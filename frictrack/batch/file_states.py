@@ -24,7 +24,8 @@ def file_states(study: Study) -> FileStates:
     pipelines = [run_pipeline(study, run) for run in study.runs]
     inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
     results = [pipeline.path for pipeline in pipelines] + [study.output / name for name in ("study.h5", "report.html")]
-    return {str(path): _state(path) for path in (study.path, *inputs, *results)}
+    known = [] if study.prior_file is None else [study.prior_file]
+    return {str(path): _state(path) for path in (study.path, *known, *inputs, *results)}
 
 
 def are_unchanged(files: FileStates) -> bool:

@@ -35,6 +35,10 @@ class StudyOutcome:
         Units of the parameters.
     files
         States of the study's files; empty if something failed, so that the next batch tries again.
+    conditions
+        Conditions that the study file states, by name.
+    law
+        The law as a prior file; "" where there is none, or where it rests on the prior of another study.
     seed, seconds
         Seed of the diagnosis, and computing time, s.
 
@@ -45,6 +49,8 @@ class StudyOutcome:
     rows: list[dict[str, Any]]
     units: dict[str, str] = field(default_factory=dict)  # of the parameters
     files: FileStates = field(default_factory=dict)
+    conditions: dict[str, float | str] = field(default_factory=dict)
+    law: str = ""
     seed: int = 0
     seconds: float = 0.0
 
@@ -141,8 +147,11 @@ def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
             return failed_study(path, failed, "none of its runs could be measured")
         kept = without_runs(study, failed)
         notes = tuple(f'run "{name}" is left out: {reason}' for name, reason in failed.items())
-        result = Session(kept, notes=notes).run(seed)
-        done = _outcome(path, result, failed)
+        session = Session(kept, notes=notes)
+        done = _outcome(path, session.run(seed), failed)
+        done.conditions, done.law = dict(study.conditions), session.law_text() if study.conditions else ""
+        for row in done.rows:
+            row |= {f"condition {name}": str(value) for name, value in study.conditions.items()}
         done.files = {} if failed else file_states(study)  # what failed is tried again
     except Exception as e:  # noqa: BLE001
         return failed_study(path, failed, describe_failure(e))

@@ -46,6 +46,8 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
     if "equation" in result:
         out.print(escape(result["equation"]))
     out.print(parameters(result["parameters"]))
+    if result.get("prior"):
+        _prior(out, result["prior"])
     if result.get("misfit"):
         out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
     for line in result.get("remarks", []):
@@ -59,6 +61,14 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
     if motion:
         own_motion(out, result)
     out.print(errors([("", result["errors"])]))
+
+
+def _prior(out: Console, prior: dict[str, Any]) -> None:
+    """Print how well the data agree with the prior; of several groups, group by group."""
+    for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
+        said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
+        text = f"disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}"
+        out.print(f"{escape(group)}: {text}" if group else text)
 
 
 def own_motion(out: Console, result: dict[str, Any]) -> None:
@@ -97,11 +107,18 @@ def parameters(values: dict[str, Any]) -> Table:
     """
     has_intervals = any("interval" in p for p in values.values())
     rejected = any("std_misfit" in p for p in values.values())
-    heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if has_intervals else [])]
+    with_prior = any("from_prior" in p for p in values.values())
+    heads = [
+        *(["† ± with misfit"] if rejected else []),
+        "unit",
+        *(["95 % interval"] if has_intervals else []),
+        *(["from the prior"] if with_prior else []),
+    ]
     table = _table("parameter", "value", *heads, "")
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
         cells = [interval(p)] if has_intervals else []
+        cells += [f"{100 * p['from_prior']:.0f} %" if "from_prior" in p else ""] if with_prior else []
         wider = [format_plain(p.get("std_misfit"), 2)] if rejected else []
         table.add_row(escape(name), format_plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
     return table

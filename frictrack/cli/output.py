@@ -47,6 +47,26 @@ def init(out: Console, result: dict[str, Any]) -> None:
     out.print(f"next: open {path}, {needed} `frictrack run {path}`", markup=False)
 
 
+def prior(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters of a prior file, and what was left out.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack export --to prior`.
+
+    """
+    table = _table("parameter", "value", "unit", "scales with")
+    for name, one in result["parameters"].items():
+        scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
+        table.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
+    out.print(table)
+    for name, reason in result["left_out"].items():
+        out.print(f"left out: {escape(name)}, {escape(reason)}")
+
+
 def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
     fit(out, result["fit"], motion=False)
@@ -142,6 +162,8 @@ def batch(out: Console, result: dict[str, Any]) -> None:
         change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
         out.print(f"over the series, {trend['name']} changes by {change}{unit}", markup=False)
+    for line in (line for one in result.get("conditions", ()) for line in one["words"]):
+        out.print(line, markup=False)
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:

@@ -314,13 +314,22 @@ def report(
 @command()
 def export(
     study: Study,
-    to: Annotated[Literal["csv", "xlsx"], typer.Option(help="file format")] = "csv",
+    to: Annotated[Literal["csv", "xlsx", "prior"], typer.Option(help="file format")] = "csv",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="path of the prior file (default: in the folder of results)")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Export curves, parameters and errors as plain tables.
+    """Export curves, parameters and errors as plain tables, or the law as a prior for another study.
 
-    Reads all results; missing ones are computed first. Writes CSV files, or one Excel workbook.
+    Reads all results; missing ones are computed first. Writes CSV files, one Excel workbook, or a prior file with the
+    values and covariance of the parameters that carry over to another set-up.
     """
+    if to == "prior":
+        _export_prior(study, output, as_json)
+        return
+    if output is not None:
+        raise FrictrackError("expected -o only with --to prior; tables go into the folder of the results", usage=True)
     from frictrack.export import write  # noqa: PLC0415
 
     with open_session(study) as session:
@@ -328,6 +337,13 @@ def export(
     where = files[0].parent if len(files) > 1 else files[0]
     result = {"files": [str(f) for f in files], "output": str(session.study.output)}
     print_result(result, as_json, "", where, look_at("export"))
+
+
+def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:
+    """Write the current model of a study as a prior file."""
+    with open_session(study) as session:
+        result = session.export_prior(output)
+    print_result(result, as_json, "prior", result["file"], look_at("prior"))
 
 
 @command()

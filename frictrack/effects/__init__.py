@@ -19,6 +19,7 @@ from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, order
 from frictrack.effects.scans import Span, Within, frequencies, spatial_periods
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
+from frictrack.effects.transfer import carries_over, scales_with_load
 from frictrack.effects.user import effect
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "Tie",
     "Within",
     "atm2",
+    "carries_over",
     "catalogue",
     "check_ties",
     "definitions",
@@ -57,5 +59,6 @@ __all__ = [
     "known",
     "order",
     "read_settings",
+    "scales_with_load",
     "spatial_periods",
 ]

@@ -47,6 +47,8 @@ class Parameter:
         Whether it is a place or a moment, which may lie on either side of zero; others are sizes above zero.
     prior : tuple of float, optional
         Mean and standard deviation, known from elsewhere than the runs.
+    prior_correlation : tuple of (str, float)
+        Correlations of that prior with the priors of other parameters, by address.
     passive : bool
         Whether a negative value would drive the motion.
     tie : str, optional
@@ -66,6 +68,7 @@ class Parameter:
     loaded: bool = False
     signed: bool = False
     prior: tuple[float, float] | None = None
+    prior_correlation: tuple[tuple[str, float], ...] = ()
     passive: bool = False
     tie: str | None = None
 

@@ -39,6 +39,7 @@ class EffectSettings:
     formula: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     acts_on: Literal["force", "measurement"] = "force"
+    prior_correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # with other priors, by address
 
     def defined(self) -> Effect | None:
         """The effect that the table's formula defines, None without a formula."""
@@ -61,6 +62,9 @@ class EffectSettings:
         for name, own in self.per_run.items():
             self._check_name(effect, name)
             changes.setdefault(name, {})["per_run"] = own
+        for name, others in self.prior_correlation.items():
+            self._check_name(effect, name)
+            changes.setdefault(name, {})["prior_correlation"] = tuple(others.items())
         for name, change in changes.items():
             self._check(effect, effect.parameter(name), change)
         return effect.adjusted(**changes)
@@ -202,6 +206,10 @@ _SHAPES: dict[str, tuple[Any, str]] = {
     "fix": (lambda v: v is False or _number(v), "{parameter = value}"),
     "bounds": (_pair, "{parameter = [low, high]}"),
     "prior": (_pair, "{parameter = [mean, std]}"),
+    "prior_correlation": (
+        lambda v: isinstance(v, Mapping) and all(_number(r) and abs(r) < 1 for r in v.values()),
+        '{parameter = {"effect.parameter" = number between -1 and 1}}',
+    ),
     "tie": (lambda v: isinstance(v, str), '{parameter = "effect.parameter"}'),
     "per_run": (lambda v: isinstance(v, bool), "[parameter] or {parameter = true or false}"),
     "units": (lambda v: isinstance(v, str), '{parameter = "unit"}'),
@@ -272,6 +280,7 @@ def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:
             ("fix", p.fixed, was.fixed),
             ("bounds", p.bounds, was.bounds),
             ("prior", p.prior, was.prior),
+            ("prior_correlation", dict(p.prior_correlation), dict(was.prior_correlation)),
             ("tie", p.tie, was.tie),
             ("per_run", p.per_run, was.per_run),
         ):

@@ -35,6 +35,7 @@ from frictrack.fit.parameters import (
     without_mass,
 )
 from frictrack.fit.prediction import predict_run
+from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.segments import (
@@ -51,12 +52,14 @@ from frictrack.fit.segments import (
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
+from frictrack.priors import Prior
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array, Run
 from frictrack.threads import one_thread
 
 __all__ = [
     "MAX_SEARCH_GENERATIONS",
+    "PRIOR_NEEDS_NOISE",
     "Bootstrap",
     "Fit",
     "GroupFits",
@@ -81,6 +84,7 @@ class FitSettings(TypedDict, total=False):
     search: str
     rng: RNG
     reference_mass: float | None
+    prior: Prior | None
     over: str
     callback: Callback | None
 
@@ -107,6 +111,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     search: str = "varpro",
     rng: RNG = 0,
     reference_mass: float | None = None,
+    prior: Prior | None = None,
     per: str | None = None,
     over: str = "all",
     callback: Callback | None = None,
@@ -128,6 +133,8 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         Random numbers of a global search: a generator, a seed, or None for other numbers in every call.
     reference_mass : float, optional
         Mass at which forces are reported, kg; default that of the first run.
+    prior : Prior, optional
+        What is known of the law from another set-up, such as ``other_fit.to_prior()``.
     per : {"group"}, optional
         Fit every group of runs separately.
     over : {"all", "nonlinear"}
@@ -165,10 +172,11 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     if uses_measured_friction(runs, domain):
-        return _by_cell(law, runs, Route("force", search, rng), per)
+        return _by_cell(law, runs, Route("force", search, rng), per, prior)
     domain = domain or "displacement"
     if per == "group":
         how: dict[str, Any] = {"domain": domain, "search": search, "rng": rng, "over": over, "callback": callback}
+        how["prior"] = prior
         mass = reference_mass or runs[0].mass
         groups = by_group(runs)
         return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
@@ -178,6 +186,8 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
     mass_unknown = is_mass_unknown(fitted)
+    if prior is not None:
+        law = apply_prior(law, prior, None if mass_unknown else reference.load, domain)
     sections = sections_of(fitted, reference, through_reversals=law.turns)
     if mass_unknown:
         law, mass = with_mass(law), guess_mass([p for own in sections for p in own])
@@ -194,10 +204,11 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
 
 
-def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None) -> Any:
+def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None, prior: Prior | None) -> Any:
     """The fit of runs whose friction a load cell measured, in newtons at the first run's load."""
     check_effects(law)
     reference = Reference(1.0, reference_load(runs))
+    law = law if prior is None else apply_prior(law, prior, reference.load)
     if per == "group":
         return GroupFits({g: _of_series(law, mine, route, reference) for g, mine in by_group(runs).items()})
     return _of_series(law, runs, route, reference)

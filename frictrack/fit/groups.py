@@ -97,18 +97,24 @@ class GroupFits(StorableFit):
         """Return the JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
         group_fits = {name: f.summary() for name, f in self.fits.items()}
         first = next(iter(group_fits.values()))
-        return {key: first[key] for key in ("model", "domain", "search")} | {
-            "per": "group",
-            "parameters": {f"{k}[{g}]": v for g, s in group_fits.items() for k, v in s["parameters"].items()},
-            "friction_scatter": {g: s["friction_scatter"] for g, s in group_fits.items()},
-            "correlations": [
-                [f"{a}[{g}]", f"{b}[{g}]", r] for g, s in group_fits.items() for a, b, r in s["correlations"]
-            ],
-            "remarks": [f"{g}: {line}" for g, s in group_fits.items() for line in s["remarks"]],
-            "errors": self.errors,
-            "per_run": [row | {"group": g} for g, s in group_fits.items() for row in s["per_run"]],
-            "collisions": [collision | {"group": g} for g, s in group_fits.items() for collision in s["collisions"]],
-        }
+        return (
+            {key: first[key] for key in ("model", "domain", "search")}
+            | {
+                "per": "group",
+                "parameters": {f"{k}[{g}]": v for g, s in group_fits.items() for k, v in s["parameters"].items()},
+                "friction_scatter": {g: s["friction_scatter"] for g, s in group_fits.items()},
+                "correlations": [
+                    [f"{a}[{g}]", f"{b}[{g}]", r] for g, s in group_fits.items() for a, b, r in s["correlations"]
+                ],
+                "remarks": [f"{g}: {line}" for g, s in group_fits.items() for line in s["remarks"]],
+                "errors": self.errors,
+                "per_run": [row | {"group": g} for g, s in group_fits.items() for row in s["per_run"]],
+                "collisions": [
+                    collision | {"group": g} for g, s in group_fits.items() for collision in s["collisions"]
+                ],
+            }
+            | ({"prior": {g: s["prior"] for g, s in group_fits.items()}} if "prior" in first else {})
+        )
 
 
 def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:

@@ -14,11 +14,22 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.objectives import FittedRuns, Objective, objective_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
-from frictrack.fit.uncertainty import Estimate, Estimates, Misfit, UncertaintyAnalysis, level_remarks, with_misfit
+from frictrack.fit.prior_transfer import prior_of
+from frictrack.fit.uncertainty import (
+    Estimate,
+    Estimates,
+    Misfit,
+    PriorAgreement,
+    UncertaintyAnalysis,
+    level_remarks,
+    prior_agreement,
+    with_misfit,
+)
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.notebook_view import NotebookView
+from frictrack.priors import Prior
 from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion
 from frictrack.results import ModelResults
@@ -152,6 +163,23 @@ class Fit(FittedRuns, StorableFit):
         """The force that the model misses, and its effect on the parameters; None where noise explains the residual."""
         return self.objective.misfit(self)
 
+    @cached_property
+    def prior_agreement(self) -> PriorAgreement | None:
+        """How far data and priors disagree, and what comes from the priors; None for a fit without priors."""
+        missing = 0.0 if self.misfit is None else self.misfit.covariance
+        return prior_agreement(self.compared, self.covariance + missing)
+
+    def to_prior(self, study: str = "") -> Prior:
+        """Return the law as a prior for another set-up: the parameters that carry over, with their covariance.
+
+        Parameters
+        ----------
+        study
+            Name of the study, for readers of the prior file.
+
+        """
+        return prior_of(self, self.estimates, self.misfit, from_motion=not self.measured, study=study)
+
     @property
     def covariance(self) -> Array:
         """Covariance (P, P) of the unknowns."""
@@ -217,6 +245,7 @@ class Fit(FittedRuns, StorableFit):
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack fit`."""
+        agreement = self.prior_agreement
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return (
             {
@@ -224,7 +253,7 @@ class Fit(FittedRuns, StorableFit):
                 "equation": self.equation,
                 "domain": self.domain,
                 "search": self.search,
-                "parameters": {k: e.json() | self._mu(k, e) for k, e in self.parameters.items()},
+                "parameters": {k: e.json() | self._mu(k, e) | self._share(k) for k, e in self.parameters.items()},
                 "friction_scatter": None
                 if scatter is None
                 else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
@@ -233,14 +262,21 @@ class Fit(FittedRuns, StorableFit):
                 "remarks": [
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
+                    *(() if agreement is None else agreement.remarks()),
                 ],
                 "errors": self.errors,
                 "per_run": self.objective.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,
             }
             | ({"optima": self._optima()} if len(self.found.optima) else {})
+            | ({} if agreement is None else {"prior": agreement.summary()})
             | self.uncertainty.summary()
         )
+
+    def _share(self, address: str) -> dict[str, float]:
+        """Share of a parameter that comes from the priors, where there are any."""
+        shares = {} if self.prior_agreement is None else self.prior_agreement.shares
+        return {"from_prior": shares[address]} if address in shares else {}
 
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
         """The coefficient of friction to a force that scales with the load, where the load is known."""

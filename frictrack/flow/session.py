@@ -590,6 +590,43 @@ class Session:
         self._load(self.study)
 
     @exclusive
+    def law_text(self) -> str:
+        """Return the current model as the text of a prior file; "" if it rests on a prior, or nothing carries over."""
+        fitted = self.models.fit(self.models.current()[0])
+        if self.study.prior is not None or not hasattr(fitted, "to_prior"):
+            return ""
+        try:
+            return str(fitted.to_prior(self.study.name).to_toml())
+        except FrictrackError:
+            return ""
+
+    @exclusive
+    def export_prior(self, path: Path | None = None) -> dict[str, Any]:
+        """Write the current model as a prior file for another study: JSON of `frictrack export --to prior`.
+
+        Parameters
+        ----------
+        path
+            The file; default in the folder of the results.
+
+        Raises
+        ------
+        FrictrackError
+            If no parameter carries over, or the runs were fitted group by group.
+
+        """
+        fitted = self.models.fit(self.models.current()[0])
+        if not hasattr(fitted, "to_prior"):
+            raise FrictrackError(
+                "expected one law for all runs but the current model was fitted per group; `frictrack fit STUDY "
+                "--model ...` without --per fits one law",
+                usage=True,
+            )
+        prior = fitted.to_prior(self.study.name)
+        file = prior.save(self.study.output / f"{self.study.path.stem}.prior.toml" if path is None else path)
+        return {"file": str(file), **prior.summary(), "output": str(self.study.output)}
+
+    @exclusive
     def results(self, seed: int | None = None) -> Results:
         """Bring everything up to date and return all results, for the report and the export.
 

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from frictrack import store
+from frictrack.errors import FrictrackError
 from frictrack.flow.attempts import attempt_path, make_attempts_folder, stored_attempt
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
+from frictrack.priors import Prior
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
 from frictrack.store import GroupContent, Provenance
@@ -138,6 +140,7 @@ class TriedModels:
             Name of the group, and the request.
 
         """
+        self._check_prior(request)
         fitted = self._attempted(request) or self._fit(request)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
@@ -151,6 +154,13 @@ class TriedModels:
             change.after = {"current": group}
         self._fits[group] = fitted
         return group, request
+
+    def _check_prior(self, request: FitRequest) -> None:
+        """Raise FrictrackError (usage) for a fit in which the prior of the study has no weight."""
+        if self.study.prior is not None and self._prior(request) is None:
+            from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
+
+            raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
 
     def _run_links(self) -> dict[str, str]:
         """Return the links from ``study.h5`` to the files of the runs."""
@@ -202,7 +212,14 @@ class TriedModels:
 
     def fit_key(self, request: FitRequest) -> str:
         """Return the hash of all that the fit of a model depends on."""
-        return digest(["toml", request.to_json(), [e.model_dump() for e in self.study.effects], self.input_hash])
+        prior = self._prior(request)
+        known = [] if prior is None else [prior.to_toml()]
+        effects = [e.model_dump() for e in self.study.effects]
+        return digest(["toml", request.to_json(), effects, self.input_hash, *known])
+
+    def _prior(self, request: FitRequest) -> Prior | None:
+        """Return the prior that a fit uses; the papers' route, whose residuals have no noise model, uses none."""
+        return None if request.domain == "force" and self.domain() == "displacement" else self.study.prior
 
     @property
     def inputs(self) -> list[tuple[str, str]]:
@@ -246,7 +263,8 @@ class TriedModels:
         if self.study.mass is not None:
             how["reference_mass"] = self.study.mass[0]
         callback = self._search_callback(request.search)
-        fitted = fit(request.model(self.study.effects), self.runs, callback=callback, **how)
+        prior = self._prior(request)
+        fitted = fit(request.model(self.study.effects), self.runs, callback=callback, prior=prior, **how)
         self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, request.search)
         return fitted
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from pydantic import ValidationError
 
 from frictrack.errors import FrictrackError
 from frictrack.files import MAX_NAME_LENGTH, is_file_name
+from frictrack.priors import Prior
 from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, needs_film, suggest
 
 TABLES: dict[str, type[Keys]] = {
@@ -47,6 +49,10 @@ class Study:
         Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
     fps, scale
         Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
+    prior, prior_file
+        The law of another set-up, as a prior, and its file; None without one.
+    conditions
+        Conditions in which the studies of a campaign differ, by name.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -61,6 +67,9 @@ class Study:
     mass: Value | None = None
     fps: float | None = None
     scale: Any = None
+    prior: Prior | None = None
+    prior_file: Path | None = None
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -238,6 +247,7 @@ class _Reader:
         self.lacks += [f"{_and_more(where)}: {lack}" for lack, where in self.lacks_of_runs.items()]
         self.faults += [f"{_and_more(where)}: {fault}" for fault, where in self.faults_of_runs.items()]
         self._check_names(merged)
+        self._check_prior(head, merged)
         return Study(
             path=path,
             name=head.name or path.resolve().parent.name,
@@ -248,6 +258,9 @@ class _Reader:
             mass=None if head.mass == "fit" else head.mass,
             fps=camera.fps,
             scale=camera.scale,
+            prior=_prior(head),
+            prior_file=head.prior,
+            conditions=head.conditions,
             incomplete=tuple(self.lacks),
         )
 
@@ -313,6 +326,16 @@ class _Reader:
                 line = self._line("run", i, "name")
                 self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
 
+    def _check_prior(self, head: StudyTable, runs: tuple[RunTable, ...]) -> None:
+        where = f"[study], {self._line('study', 0, 'prior')}"
+        if head.prior is not None and any(run.mass == "fit" for run in runs):
+            self.faults.append(
+                f'{where}: expected a known mass with a prior but got mass = "fit": the values of the prior scale with '
+                "the load; weigh the slider, or leave the prior out"
+            )
+        if head.prior is None and (head.prior_scale, head.prior_scatter) != (1.0, 0.0):
+            self.faults.append(f"{where}: expected prior = a file beside prior_scale and prior_scatter but got none")
+
     def _line(self, table: str, index: int, key: str) -> str:
         """Return the line of a key, as ``line 12``; that of the table's header if the key is not found."""
         header = re.compile(r"\s*\[+\s*(\w+)")
@@ -325,6 +348,11 @@ class _Reader:
             if inside and key and re.match(rf'\s*["\']?{re.escape(key)}["\']?\s*[.=]', line):
                 return f"line {number}"
         return f"line {at or 1}"
+
+
+def _prior(head: StudyTable) -> Prior | None:
+    """Return the prior of a study, its standard deviations widened as the study file says."""
+    return None if head.prior is None else Prior.read(head.prior).inflated(head.prior_scale, head.prior_scatter)
 
 
 def _is_allowed(output: Path, folder: Path) -> bool:

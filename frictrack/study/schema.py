@@ -14,7 +14,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
+from frictrack.errors import FrictrackError
 from frictrack.polygons import Polygon, polygon, polygons
+from frictrack.priors import Prior
 from frictrack.remote import RemoteFile, is_remote
 from frictrack.repairs import Repair, read_repairs
 from frictrack.units import parse_quantity
@@ -161,6 +163,42 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
         hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
         raise ValueError(f'expected a file "{raw}" but there is none{hint}')
     return path
+
+
+def _prior(raw: Any, info: ValidationInfo) -> Path:
+    """Return the path of a prior file whose content is sound."""
+    path = _path(raw, info)
+    try:
+        Prior.read(path)
+    except FrictrackError as e:
+        raise ValueError(str(e)) from e
+    return path
+
+
+def _conditions(raw: Any) -> Any:
+    """Read the conditions of a study: numbers, numbers with a unit, or names of categories."""
+    if not isinstance(raw, dict):
+        raise ValueError(f'expected conditions as {{temperature = "20 degC"}} but got {raw!r}')
+    for name, value in raw.items():
+        if not NAME.fullmatch(name):
+            raise ValueError(f'expected names of conditions of letters, digits, - and _ but got "{name}"')
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        text = isinstance(value, str) and 0 < len(value.strip()) <= MAX_CONDITION_LENGTH
+        if not (number or text):
+            raise ValueError(f'expected {name} in conditions as a number or a text such as "20 degC" but got {value!r}')
+    return raw
+
+
+def _share(raw: Any, info: ValidationInfo) -> float:
+    """Read a relative number of at least 0: 0.1 or "10 %"."""
+    percent = re.fullmatch(r"\s*(\S+)\s*%\s*", raw) if isinstance(raw, str) else None
+    try:
+        value = float(percent[1]) / 100 if percent else to_si(raw, "1", str(info.field_name))[0]
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise ValueError(f'expected {info.field_name} as a number of at least 0, or "10 %", but got {raw!r}')
+    return value
 
 
 def _exists(path: Path) -> bool:
@@ -353,6 +391,7 @@ TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a 
 RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
+MAX_CONDITION_LENGTH = 60  # characters
 MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
@@ -363,6 +402,10 @@ Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
+PriorFile = Annotated[Path, BeforeValidator(_prior)]
+Factor = Annotated[float, _number("1", above=0.0)]
+Conditions = Annotated[dict[str, float | str], BeforeValidator(_conditions)]
+Share = Annotated[float, BeforeValidator(_share)]
 Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
 Sensor = Annotated[Any, BeforeValidator(_sensor)]
@@ -396,6 +439,16 @@ class StudyTable(Keys):
         First model: a name such as "tustin" or "atm1:2", or a list of effects.
     output
         Folder of the results; default the name of the study file with `_results`.
+    prior
+        Prior file of another set-up, written by `frictrack export STUDY --to prior`: its law is what is known before
+        the fit. Values that scale with the load are converted to the load of this study.
+    prior_scale
+        Factor on the standard deviations of the prior; above 1, the prior counts less.
+    prior_scatter
+        Relative standard deviation by which the parameters of two set-ups differ, added to that of the prior.
+    conditions
+        Conditions in which studies of a campaign differ, by name: numbers, numbers with a unit, or categories.
+        `frictrack batch` fits how the law depends on them.
     plausible
         You have checked all numbers, although they look implausible.
 
@@ -405,6 +458,10 @@ class StudyTable(Keys):
     mass: Mass | None = None
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
     output: str = ""
+    prior: PriorFile | None = None
+    prior_scale: Factor = 1.0
+    prior_scatter: Share = 0.0
+    conditions: Conditions = {}
     plausible: Literal["checked"] | None = None
 
 

@@ -20,9 +20,6 @@ from frictrack.fit.parameters.level_scatter import (
     jacobian_basis,
     penalty_jacobian,
     penalty_residual,
-    prior_jacobian,
-    prior_misfit,
-    prior_residual,
 )
 from frictrack.fit.parameters.mass import (
     MASS_EFFECT,
@@ -32,6 +29,13 @@ from frictrack.fit.parameters.mass import (
     with_fitted_mass,
     with_mass,
     without_mass,
+)
+from frictrack.fit.parameters.prior_penalties import (
+    direct_prior_equations,
+    prior_departure,
+    prior_jacobian,
+    prior_misfit,
+    prior_residual,
 )
 
 __all__ = [
@@ -44,6 +48,7 @@ __all__ = [
     "Slot",
     "apply_constraints",
     "canonical_form",
+    "direct_prior_equations",
     "is_mass_unknown",
     "jacobian_basis",
     "known_value",
@@ -51,6 +56,7 @@ __all__ = [
     "normalise_levels",
     "penalty_jacobian",
     "penalty_residual",
+    "prior_departure",
     "prior_jacobian",
     "prior_misfit",
     "prior_residual",

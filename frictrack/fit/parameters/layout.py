@@ -10,6 +10,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span, Tie
 from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
+from frictrack.fit.parameters.prior_covariance import ReportedPrior, covariance_of_priors, whitening
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -32,20 +33,6 @@ class Slot:
         """Return the address of the unknown: `vibration.frequency`, `vibration.phase[v3]`."""
         where = "" if self.run is None else f"[{runs[self.run]}]"
         return f"{self.effect}.{self.parameter}{where}"
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Prior knowledge of a parameter: mean and standard deviation of its reported value.
-
-    `slot` is its position in the parameter vector, None if the reported value differs from the internal one.
-    """
-
-    address: str
-    mean: float
-    std: float
-    slot: int | None
-    phase: bool
 
 
 @dataclass(frozen=True)
@@ -243,7 +230,7 @@ class ParameterLayout:
         return out
 
     @cached_property
-    def priors(self) -> tuple[Prior, ...]:
+    def priors(self) -> tuple[ReportedPrior, ...]:
         """Priors of the unknowns, in order; one per run where the parameter has a value per run."""
         effects = {e.name: e for e in self.model.effects}
         mass_known = MASS not in effects
@@ -254,9 +241,19 @@ class ParameterLayout:
                 effect = effects[slot.effect]
                 is_direct = slot.parameter not in effect.quoted and (mass_known or not slot.linear)
                 found_priors.append(
-                    Prior(self.names[i], *prior, i if is_direct else None, _role(effect, slot) == "phase")
+                    ReportedPrior(self.names[i], *prior, i if is_direct else None, _role(effect, slot) == "phase")
                 )
         return tuple(found_priors)
+
+    @cached_property
+    def prior_covariance(self) -> Array:
+        """Covariance (m, m) of the priors."""
+        return covariance_of_priors(self.model, self.priors)
+
+    @cached_property
+    def prior_whitening(self) -> Array:
+        """Matrix (m, m) that turns deviations from the means of the priors into independent standard deviations."""
+        return whitening(self.prior_covariance)
 
     def has_run_values(self, effect: Effect, p: Parameter) -> bool:
         """Return whether a parameter has a value per run. A tied parameter has, if the one that it follows has."""

@@ -13,13 +13,12 @@ Searle, S. R., Casella, G. & McCulloch, C. E. (1992). Variance Components, ch. 6
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from frictrack.fit.parameters.constraints import MASS
 from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.parameters.prior_penalties import prior_jacobian, prior_residual
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-4, 0.5)  # range of the relative standard deviation of the levels
@@ -196,56 +195,3 @@ def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:
     count = len(layout.priors)
     levels = penalty_jacobian(layout, tau, p) @ (p - levels_at_one)
     return np.concatenate([levels[: len(levels) - count], prior_residual(layout, p)])
-
-
-def prior_residual(layout: ParameterLayout, p: Array) -> Array:
-    """Compute the deviation of every parameter with a prior from its mean, in standard deviations, (m,)."""
-    if not layout.priors:
-        return np.empty(0)
-    reported = layout.reported_values(p)
-    return np.array([(_wrapped(reported[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
-
-
-def prior_jacobian(layout: ParameterLayout, p: Array | None = None) -> Array:
-    """Compute the derivative of `prior_residual` with respect to the unknowns, (m, P)."""
-    rows = np.zeros((len(layout.priors), len(layout.slots)))
-    needs_differences = [q for q in layout.priors if q.slot is None]
-    for row, q in zip(rows, layout.priors, strict=True):
-        if q.slot is not None:
-            row[q.slot] = 1 / q.std
-    if needs_differences:
-        which = [i for i, q in enumerate(layout.priors) if q.slot is None]
-        rows[which] = _differences(layout, _regular_point(layout) if p is None else p)[which]
-    return rows
-
-
-def _regular_point(layout: ParameterLayout) -> Array:
-    """Unknowns (P,) at which no reported value is singular."""
-    return np.array([0.0 if s.effect == MASS else 1.0 for s in layout.slots])
-
-
-def _differences(layout: ParameterLayout, p: Array) -> Array:
-    base = prior_residual(layout, p)
-    out = np.zeros((len(base), len(p)))
-    for i in range(len(p)):
-        step = np.zeros(len(p))
-        step[i] = 1e-6 * max(abs(p[i]), 1e-3)
-        out[:, i] = (prior_residual(layout, p + step) - base) / step[i]
-    return out
-
-
-def prior_misfit(layout: ParameterLayout, points: Array) -> Array:
-    """Compute the sum of squared prior residuals for a population of unknowns (n, P), shape (n,)."""
-    total = np.zeros(len(points))
-    for q in layout.priors:
-        if q.slot is not None:
-            total += (_wrapped(points[:, q.slot] - q.mean, q.phase) / q.std) ** 2
-    if any(q.slot is None for q in layout.priors):
-        needs_differences = np.array([q.slot is None for q in layout.priors])
-        total += np.array([np.sum(prior_residual(layout, p)[needs_differences] ** 2) for p in points])
-    return total
-
-
-def _wrapped(departure: Any, phase: bool) -> Any:
-    """A deviation; that of a phase wrapped to (-pi, pi]."""
-    return (departure + np.pi) % (2 * np.pi) - np.pi if phase else departure

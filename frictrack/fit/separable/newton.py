@@ -22,7 +22,7 @@ from itertools import count
 import numpy as np
 
 from frictrack.evaluation_budget import EvaluationBudget
-from frictrack.fit.parameters import LEVEL, penalty_jacobian
+from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, bounded_step, solve_positive
 from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator
 from frictrack.fit.separable.groups import NO_INDICES, Indices
@@ -131,11 +131,8 @@ class ProjectedProblem:
         levels[self.levels] = 1.0
         rows = penalty_jacobian(self.layout, tau)
         rows = rows[: len(rows) - len(self.layout.priors)]
-        priors = [q for q in self.layout.priors if q.slot in self.separable.free]
-        prior_rows = np.zeros((len(priors), len(levels)))
-        for row, q in zip(prior_rows, priors, strict=True):
-            row[q.slot] = 1 / q.std
-        return np.vstack([rows, prior_rows]), np.concatenate([rows @ levels, [q.mean / q.std for q in priors]])
+        prior_rows, prior_targets = direct_prior_equations(self.layout, self.separable.free)
+        return np.vstack([rows, prior_rows]), np.concatenate([rows @ levels, prior_targets])
 
     def empty_solution(self, nonlinear_values: Array) -> SeparableSolution:
         """Return a solution without any effect: all rows zero."""

@@ -1,5 +1,6 @@
 """Compute the uncertainty of fitted parameters: estimates, model misfit, profile likelihood, bootstrap."""
 
+from frictrack.fit.uncertainty.agreement import PriorAgreement, prior_agreement
 from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
 from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimate_parameters, with_misfit
 from frictrack.fit.uncertainty.level_outliers import level_remarks
@@ -7,13 +8,18 @@ from frictrack.fit.uncertainty.linear import linear_estimates
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
-from frictrack.fit.uncertainty.reported_values import reported_by_address
+from frictrack.fit.uncertainty.reported_values import (
+    reported_by_address,
+    reported_slots,
+    reported_values_and_jacobian,
+)
 
 __all__ = [
     "Bootstrap",
     "Estimate",
     "Estimates",
     "Misfit",
+    "PriorAgreement",
     "Profile",
     "UncertaintyAnalysis",
     "analyse_uncertainty",
@@ -24,7 +30,10 @@ __all__ = [
     "linear_estimates",
     "merge_uncertainty",
     "misfit_of",
+    "prior_agreement",
     "profile",
     "reported_by_address",
+    "reported_slots",
+    "reported_values_and_jacobian",
     "with_misfit",
 ]
