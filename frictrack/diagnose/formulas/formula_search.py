@@ -18,9 +18,9 @@ from scipy.optimize import least_squares
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.formulas.formula_text import describe_formula
+from frictrack.diagnose.formulas.probability import equivalent_formulas, family_probabilities
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape
 from frictrack.diagnose.formulas.terms import (
-    AXIS_SYMBOLS,
     EFFECT_NAME,
     FittedFormula,
     Term,
@@ -29,8 +29,9 @@ from frictrack.diagnose.formulas.terms import (
     parameter_bounds,
     parameter_names,
 )
+from frictrack.diagnose.formulas.variables import formula_axes, is_excluded
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.diagnose.smooth_forces import ResidualForces, SmoothForce, smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
@@ -43,13 +44,12 @@ MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
 RELATIVE_STEP = 1e-5  # of finite differences
 MAX_EVALUATIONS = 25  # per refinement of a term
 MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain that a shape must reach on the grid
-N_REFINED = 12  # forms refined beside the linearised model
-N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 2, 5, 2  # first terms, rivals and second terms fitted in full
+N_REFINED = 20  # forms refined beside the linearised model
+N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 3, 8, 2  # first terms, rivals and second terms fitted in full
 N_SHOWN = 6  # formulas reported
 MAX_DELTA_BIC_EQUAL = 6.0  # within which formulas explain equally (Kass & Raftery 1995)
 MAX_DELTA_BIC_FITTED = 15.0  # from the best formula, within which another is fitted in full
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
-MIN_AXIS_GAIN_RATIO = 0.5  # of the best smooth force's gain that an axis must reach
 
 
 def search_formulas(forces: ResidualForces, extended: Solution | None = None) -> list[dict[str, Any]]:
@@ -69,21 +69,31 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
 
     """
     solution = forces.solution
-    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution))
+    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution), [], [])
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found):
         found += _find_formulas(ResidualForces(extended), fitter, None)
-    return [describe_formula(f, solution) for f in _rank(found)[:N_SHOWN]]
+    ranked = _rank(found)
+    if not ranked:
+        return []
+    probabilities = family_probabilities(ranked, fitter.scanned, fitter.unfitted, forces.smooth[0].gain)
+    shown = ranked[:N_SHOWN]
+    entries = [describe_formula(f, solution) for f in shown]
+    alike = equivalent_formulas(shown)
+    for i, entry in enumerate(entries):
+        others = [entries[k]["formula"] for k in alike if k != i] if i in alike else []
+        entry |= {"probability": probabilities[i], "equivalents": others}
+    return entries
 
 
 def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | None) -> list[FittedFormula]:
     """Formulas of one term, and of two if misfit remains; effects of `law` may be refitted beside them."""
-    first = _best_terms(forces.compressed, forces.smooth, N_FIRST_FITTED)
+    first = _best_terms(forces.compressed, fitter)[:N_FIRST_FITTED]
     single = _competing_formulas(fitter, fitter.add_terms(forces.solution, (), first), law)
     if not single or _is_noise(single[0].solution):
         return single
     left = ResidualForces(single[0].solution)
-    second = _best_terms(left.compressed, left.smooth, N_SECOND_FITTED)
+    second = _best_terms(left.compressed, fitter)[:N_SECOND_FITTED]
     return single + fitter.add_terms(single[0].solution, single[0].terms, second)
 
 
@@ -101,12 +111,11 @@ def _competing_formulas(
     if law is not None and not _is_noise(best.solution):
         best = fitter.refit_model_effects(best, law)
     compressed = compress_residual(best.solution, EFFECT_NAME)
-    terms = _best_terms(compressed, smooth_forces(compressed), N_RIVALS_FITTED, (best.terms[0].variable.name,))
-    near = [
-        t
-        for t in terms
-        if _penalised_gain(terms[0], compressed) - _penalised_gain(t, compressed) < MAX_DELTA_BIC_FITTED
-    ]
+    terms = _best_terms(compressed, fitter)
+    behind = [_penalised_gain(terms[0], compressed) - _penalised_gain(t, compressed) for t in terms]
+    n_near = min(sum(b < MAX_DELTA_BIC_FITTED for b in behind), N_RIVALS_FITTED)
+    near = terms[:n_near]
+    fitter.unfitted.extend((t, best.delta_bic - b) for t, b in zip(terms[n_near:], behind[n_near:], strict=True))
     found = [best, *(f for t in near if (f := fitter.exchange_term(best, t)) is not None)]
     order = sorted(found, key=lambda f: -f.delta_bic)
     return list({_key(f.terms[0]): f for f in reversed(order)}.values())[::-1]
@@ -122,6 +131,8 @@ class _FormulaFitter:
 
     bare_bic: float
     excess: float
+    scanned: list[Term]  # all forms of the first scan
+    unfitted: list[tuple[Term, float]]  # rivals that were not fitted in full, with their expected fall of BIC
 
     def evaluate(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """Return a fitted formula with its gain."""
@@ -182,11 +193,10 @@ def _rank(found: Sequence[FittedFormula]) -> list[FittedFormula]:
     return sorted(equal, key=lambda f: f.complexity) + order[len(equal) :]
 
 
-def _best_terms(
-    compressed: CompressedResidual, smooth: Sequence[SmoothForce], max_terms: int, names: Sequence[str] = ()
-) -> list[Term]:
-    """The best forms beside a model, refined, one per shape and axis, best first."""
-    scanned = list(_scan_shapes(compressed, smooth, names))
+def _best_terms(compressed: CompressedResidual, fitter: _FormulaFitter) -> list[Term]:
+    """The best forms beside a model, refined, one per shape and variable, best first."""
+    scanned = list(_scan_shapes(compressed))
+    fitter.scanned.extend(scanned if not fitter.scanned else ())
     if not scanned:
         return []
     best = max(t.gain for t in scanned)
@@ -195,7 +205,7 @@ def _best_terms(
     )[:N_REFINED]
     refined = sorted((_refine_term(compressed, t) for t in order), key=lambda t: -_penalised_gain(t, compressed))
     unique = {(t.shape.name, t.variable): t for t in reversed(refined)}
-    return sorted(unique.values(), key=lambda t: -_penalised_gain(t, compressed))[:max_terms]
+    return sorted(unique.values(), key=lambda t: -_penalised_gain(t, compressed))
 
 
 def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
@@ -203,19 +213,18 @@ def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
     return term.gain - term.unknowns * float(np.log(compressed.n_frames))
 
 
-def _scan_shapes(
-    compressed: CompressedResidual, smooth: Sequence[SmoothForce], names: Sequence[str] = ()
-) -> Iterator[Term]:
-    """The best setting of every shape over every axis on which a smooth force explains something."""
-    smooth = [s for s in smooth if s.axis.name in (names or AXIS_SYMBOLS)]
-    for axis in (s.axis for s in smooth if s.gain > MIN_AXIS_GAIN_RATIO * smooth[0].gain):
+def _scan_shapes(compressed: CompressedResidual) -> Iterator[Term]:
+    """The best setting of every shape over every variable; the same form is tried once."""
+    plain = {axis.name: axis for axis in formula_axes(compressed)[::-1]}  # one of every name
+    ends = {name: (float(u.min()), float(u.max())) for name, u in ((n, compressed.concatenate(a.of)) for n, a in plain.items())}
+    for axis in formula_axes(compressed):
         u, factor = compressed.concatenate(axis.of), compressed.concatenate(axis.times)
-        for shape in SHAPES:
-            points = shape.grid(float(u.min()), float(u.max())) if axis.name in shape.axes else []
+        for rank, shape in enumerate(SHAPES):
+            points = shape.grid(*ends[axis.name]) if axis.name in shape.axes and not is_excluded(shape, axis) else []
             if points:
                 gains = _grid_gains(compressed, shape, points, (u, factor))
                 best = int(np.argmax(gains))
-                yield Term(shape, axis, points[best], (float(u.min()), float(u.max())), float(gains[best]))
+                yield Term(shape, axis, points[best], ends[axis.name], float(gains[best]), rank=rank)
 
 
 def _grid_gains(

@@ -1,4 +1,4 @@
-"""Define the shapes of formulas: columns of one variable with few parameters.
+"""Generate the shapes of formulas: powers, functions of a dimensionless argument, and waves of one variable.
 
 A shape is written with `u` for the variable and letters for its parameters. The same text is evaluated here, printed
 and written to a study file, so that the three agree.
@@ -7,6 +7,7 @@ and written to a study file, so that the three agree.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,12 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, KIND_POWERS, Dimension, dimension_of, scaled
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
 from frictrack.records import Array
 
 WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps
 MAX_PERIODS = 45.0  # on an axis
 PERIOD_STEP = 0.25  # difference of periods over the axis between two waves of the grid
+RINGING_RATIOS = (0.1, 0.25, 1.0)  # of the axis, decay lengths of a wave
 Grid = Callable[[float, float], list[tuple[float, ...]]]  # ends of the axis -> numbers to try
 
 
@@ -78,6 +81,12 @@ class Shape:
         with np.errstate(all="ignore"):
             made = [_compile(text)(names) for text in self.columns]
         return [np.broadcast_to(column, np.shape(u)) for column in made]
+
+    def dimension(self, column: str, axis: str) -> Dimension:
+        """Powers of m, s and kg of one of the columns over an axis."""
+        unit = AXIS_DIMENSIONS[axis]
+        names = {q: scaled(unit, KIND_POWERS[k]) for q, k in zip(self.parameters, self.kinds, strict=True)}
+        return dimension_of(column, {"u": unit, **names})
 
     def on_grid(self, u: Array, points: Sequence[tuple[float, ...]]) -> list[Array]:
         """Columns along u (n,) at G settings, each (n, G)."""
@@ -149,21 +158,72 @@ def _chirp_grid(low: float, high: float) -> list[tuple[float, ...]]:
     ]
 
 
+def _ringing_grid(low: float, high: float) -> list[tuple[float, ...]]:
+    """Waves that decay over a tenth, a quarter and once the axis."""
+    span = high - low
+    waves = [f for (f,) in _wave_grid(low, high) if f * span > 1]
+    return [(share * span, f) for share in RINGING_RATIOS for f in waves]
+
+
+# Functions of a dimensionless z: those of a scale w, z = u/w, and those of a place c and a width w, z = (u - c)/w.
+OF_SCALE = {
+    "logarithm": ("log(1 + z)", "tv"),
+    "decay": ("exp(-z)", "xtv"),
+    "fraction": ("1/(1 + z)", "tv"),
+    "saturation": ("tanh(z)", "tv"),
+    "hump": ("z*exp(-z)", "tv"),
+    "brake": ("z/(1 + (z)^2)", "v"),
+    "fall": ("1/(1 + (z)^2)", "tv"),
+}
+OF_PLACE = {
+    "bump": "exp(-z^2/2)",
+    "step": "tanh(z)",
+    "peak": "1/(1 + z^2)",
+    "pair": "z/(1 + z^2)^2",
+}
+POWERS = {"linear": ("u", "xtv"), "constant": ("1", "xtv"), "square": ("u^2", "xtv"), "root": ("sqrt(u)", "tv"),
+          "cube": ("u^3", "xtv")}  # fmt: skip
+WAVES = ("sin(2*pi*f*u)", "cos(2*pi*f*u)")
+
+
+def scaled_shape(name: str, text: str, axes: str = "xtv") -> Shape:
+    """Make the shape of a function of z = u/w.
+
+    Parameters
+    ----------
+    name
+        Name of the shape.
+    text
+        The function, with `z` for its argument.
+    axes
+        Axes on which it makes sense.
+
+    Examples
+    --------
+    >>> scaled_shape("hump", "z*exp(-z)", "v").columns
+    ('u/w*exp(-u/w)',)
+
+    """
+    signed = text == OF_SCALE["decay"][0]  # it may grow too
+    grid = _signed_scale_grid if signed else _scale_grid
+    return Shape(name, (_substitute(text, "u/w"),), ("w",), ("scale" if signed else "width",), grid, axes)
+
+
+def placed_shape(name: str, text: str, axes: str = "xtv") -> Shape:
+    """Make the shape of a function of z = (u - c)/w; see `scaled_shape`."""
+    return Shape(name, (_substitute(text, "((u - c)/w)"),), ("c", "w"), ("place", "width"), _place_grid, axes)
+
+
+def _substitute(text: str, argument: str) -> str:
+    return re.sub(r"\bz\b", argument, text)
+
+
 # Simplest first: of two formulas that explain the same, the earlier one stands first.
 SHAPES = (
-    Shape("linear", ("u",), (), (), _no_parameters),
-    Shape("constant", ("1",), (), (), _no_parameters),
-    Shape("square", ("u^2",), (), (), _no_parameters),
-    Shape("root", ("sqrt(u)",), (), (), _no_parameters, "tv"),
-    Shape("cube", ("u^3",), (), (), _no_parameters),
-    Shape("logarithm", ("log(1 + u/w)",), ("w",), ("width",), _scale_grid, "tv"),
-    Shape("decay", ("exp(-u/w)",), ("w",), ("scale",), _signed_scale_grid),
-    Shape("fraction", ("1/(1 + u/w)",), ("w",), ("width",), _scale_grid, "tv"),
-    Shape("wave", ("sin(2*pi*f*u)", "cos(2*pi*f*u)"), ("f",), ("rate",), _wave_grid),
-    Shape("bump", ("exp(-((u - c)/w)^2/2)",), ("c", "w"), ("place", "width"), _place_grid),
-    Shape("step", ("tanh((u - c)/w)",), ("c", "w"), ("place", "width"), _place_grid),
-    Shape("peak", ("1/(1 + ((u - c)/w)^2)",), ("c", "w"), ("place", "width"), _place_grid),
-    Shape("pair", ("(u - c)/w/(1 + ((u - c)/w)^2)^2",), ("c", "w"), ("place", "width"), _place_grid),
+    *(Shape(name, (text,), (), (), _no_parameters, axes) for name, (text, axes) in POWERS.items()),
+    *(scaled_shape(name, *of) for name, of in OF_SCALE.items()),
+    Shape("wave", WAVES, ("f",), ("rate",), _wave_grid),
+    *(placed_shape(name, text) for name, text in OF_PLACE.items()),
     Shape(
         "teeth",
         ("atan(r*sin(2*pi*(u - c)/p)/(1 - r*cos(2*pi*(u - c)/p)))",),
@@ -173,12 +233,8 @@ SHAPES = (
         "xt",
     ),
     Shape(
-        "swelling wave",
-        ("sin(2*pi*f*u)", "cos(2*pi*f*u)", "u*sin(2*pi*f*u)", "u*cos(2*pi*f*u)"),
-        ("f",),
-        ("rate",),
-        _wave_grid,
-        "xt",
+        "ringing", tuple(f"exp(-u/w)*{wave}" for wave in WAVES), ("w", "f"), ("width", "rate"), _ringing_grid, "t"
     ),
+    Shape("swelling wave", (*WAVES, *(f"u*{wave}" for wave in WAVES)), ("f",), ("rate",), _wave_grid, "xt"),
     Shape("chirp", ("sin(2*pi*(f + k*u)*u)", "cos(2*pi*(f + k*u)*u)"), ("f", "k"), ("rate", "sweep"), _chirp_grid, "t"),
-)  # fmt: skip
+)
