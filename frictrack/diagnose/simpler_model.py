@@ -72,14 +72,15 @@ def _is_worth_searching(
 
 
 def _search_penalty(axes: int) -> float:
-    """Penalty for the best of many forms and axes (Bonferroni)."""
-    return 2 * float(np.log(len(SHAPES) * max(axes, 1)))
+    """Penalty for the best of many forms, axes and multipliers (Bonferroni)."""
+    return 2 * float(np.log(len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)))
 
 
 def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
     much, than = ("more", "than") if decisive else ("as much", "as")
     count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
+    variables = " and ".join(AXES[name].name for name in first["variables"])
     return (
-        f"a force that depends only on {AXES[first['axis']].name} explains {much} with {count}, common to all runs, "
+        f"a force that depends only on {variables} explains {much} with {count}, common to all runs, "
         f"{than} the effects found with {added}: {first['formula']}"
     )

@@ -31,7 +31,8 @@ def unexplained_force(
     -------
     dict
         `axis`; `factor` that multiplies the curve along a run, as in a study file; `curve` [[axis, N], ...]; `band`, N;
-        `share` of the excess chi-squared; `delta_bic`; `axes` compared; `formulas`.
+        `share` of the excess chi-squared; `delta_bic`; `axes` compared; `formulas`; `probability_none` that none of
+        them has the right form.
 
     """
     law = keep_compared_frames(solution)
@@ -39,6 +40,8 @@ def unexplained_force(
     forces = forces if forces is not None and forces.solution is law else ResidualForces(law)
     smooth = (forces if extended is law else ResidualForces(extended)).smooth
     best = smooth[0]
+    formulas = search_formulas(forces, extended)
+    stated = sum(f["probability"] for f in formulas)
     return {
         "axis": best.axis.name,
         "factor": best.axis.factor,
@@ -47,5 +50,6 @@ def unexplained_force(
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": search_formulas(forces, extended),
+        "probability_none": max(1.0 - stated, 0.0) if formulas else None,
+        "formulas": formulas,
     }

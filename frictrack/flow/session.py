@@ -18,6 +18,7 @@ from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
+from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.stages import run_pipelines
@@ -448,17 +449,31 @@ class Session:
         Parameters
         ----------
         effect
-            Name of the effect.
+            Name of the effect; or "formula:1" for the first formula of the last diagnosis, which is written into the
+            study file as an effect.
         seed
             Seed of the random numbers; None for that of the current model.
 
         Raises
         ------
         FrictrackError
-            If the effect is unknown.
+            If the effect is unknown, or the last diagnosis has no such formula.
 
         """
-        return self._change_model("+", effect, seed)
+        return self._change_model("+", self._defined(effect), seed)
+
+    def _defined(self, effect: str) -> str:
+        """Return the name of an effect; that of a formula is written into the study file first."""
+        number = formula_number(effect)
+        if number is None:
+            return effect
+        group, request = self.models.current()
+        inside = f"models/{group}/diagnosis"
+        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        taken = [table.effect for table in self.study.effects]
+        keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
+        self._edit_study("define", effect=keys)
+        return str(keys["effect"])
 
     @exclusive
     def remove(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.formulas.formula_text import describe_formula
-from frictrack.diagnose.formulas.probability import equivalent_formulas, family_probabilities
+from frictrack.diagnose.formulas.probability import LOG_PRIOR_PER_UNKNOWN, family_probabilities
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape
 from frictrack.diagnose.formulas.terms import (
     EFFECT_NAME,
@@ -30,7 +30,7 @@ from frictrack.diagnose.formulas.terms import (
     parameter_names,
 )
 from frictrack.diagnose.formulas.variables import formula_axes, is_excluded
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
@@ -44,11 +44,13 @@ MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
 RELATIVE_STEP = 1e-5  # of finite differences
 MAX_EVALUATIONS = 25  # per refinement of a term
 MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain that a shape must reach on the grid
-N_REFINED = 20  # forms refined beside the linearised model
-N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 3, 8, 2  # first terms, rivals and second terms fitted in full
+N_REFINED = 40  # forms refined beside the linearised model
+N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 3, 10, 2  # first terms, rivals and second terms fitted in full
 N_SHOWN = 6  # formulas reported
 MAX_DELTA_BIC_EQUAL = 6.0  # within which formulas explain equally (Kass & Raftery 1995)
 MAX_DELTA_BIC_FITTED = 15.0  # from the best formula, within which another is fitted in full
+MAX_CHI2_SCREENED = 60.0  # expected difference at the settings of the grid, above which a form is not refined
+MAX_EQUIVALENTS_TRIED = 60
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 
 
@@ -79,11 +81,34 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
     probabilities = family_probabilities(ranked, fitter.scanned, fitter.unfitted, forces.smooth[0].gain)
     shown = ranked[:N_SHOWN]
     entries = [describe_formula(f, solution) for f in shown]
-    alike = equivalent_formulas(shown)
-    for i, entry in enumerate(entries):
-        others = [entries[k]["formula"] for k in alike if k != i] if i in alike else []
-        entry |= {"probability": probabilities[i], "equivalents": others}
+    alike = _equivalent_forms(shown[0])
+    for probability, found_one, entry in zip(probabilities, shown, entries, strict=False):
+        own = found_one.form
+        entry |= {
+            "probability": probability,
+            "equivalents": alike if found_one is shown[0] else [shown[0].form] * (own in alike),
+        }
     return entries
+
+
+def _equivalent_forms(best: FittedFormula) -> list[str]:
+    """Forms of the first term that these data cannot tell from it, best first.
+
+    If the formula is true, the fit of such a form is expected to be worse by less than `MIN_CHI2_SEPARATED`.
+    """
+    compressed = compress_residual(best.solution, EFFECT_NAME)
+    term, values = best.terms[0], best.solution.problem.layout.values(best.solution.p, 0)[0][EFFECT_NAME]
+    own = replace(term, parameters=tuple(values[q] for q in parameter_names(term)))
+    force = np.concatenate([own.force(path, own.parameters) for path in compressed.paths])
+    trace = compressed.traces_of(compressed.split_by_piece(force)) @ [values[c] for c in coefficient_names(term)]
+    ideal = replace(compressed, residual=trace)
+    power = float(trace @ trace)
+    unit = max(best.solution.chi2 / best.solution.problem.n_frames, 1.0)
+    near = [t for t in _scan_shapes(ideal) if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit]
+    near = sorted(near, key=lambda t: (t.size, -t.gain))[:MAX_EQUIVALENTS_TRIED]
+    refined = [_refine_term(ideal, t) for t in near]
+    alike = [t for t in refined if power - t.gain < MIN_CHI2_SEPARATED * unit]
+    return [t.form for t in sorted(alike, key=lambda t: (t.size, -t.gain))]
 
 
 def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | None) -> list[FittedFormula]:
@@ -209,16 +234,17 @@ def _best_terms(compressed: CompressedResidual, fitter: _FormulaFitter) -> list[
 
 
 def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
-    """Gain minus the BIC penalty of the term's parameters."""
-    return term.gain - term.unknowns * float(np.log(compressed.n_frames))
+    """Gain minus the BIC penalty of the term's parameters, and that of the prior for its size."""
+    return term.gain - term.unknowns * float(np.log(compressed.n_frames)) + 2 * LOG_PRIOR_PER_UNKNOWN * term.size
 
 
 def _scan_shapes(compressed: CompressedResidual) -> Iterator[Term]:
     """The best setting of every shape over every variable; the same form is tried once."""
-    plain = {axis.name: axis for axis in formula_axes(compressed)[::-1]}  # one of every name
-    ends = {name: (float(u.min()), float(u.max())) for name, u in ((n, compressed.concatenate(a.of)) for n, a in plain.items())}
-    for axis in formula_axes(compressed):
-        u, factor = compressed.concatenate(axis.of), compressed.concatenate(axis.times)
+    axes = formula_axes(compressed)
+    values = {axis.name: compressed.concatenate(axis.of) for axis in axes if not axis.factor or axis.factor == "L * s"}
+    ends = {name: (float(u.min()), float(u.max())) for name, u in values.items()}
+    for axis in axes:
+        u, factor = values[axis.name], compressed.concatenate(axis.times)
         for rank, shape in enumerate(SHAPES):
             points = shape.grid(*ends[axis.name]) if axis.name in shape.axes and not is_excluded(shape, axis) else []
             if points:

@@ -77,6 +77,7 @@ def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]
         if n not in solution.problem.model and not n.startswith(EFFECT_NAME)
     ]
     return {
+        "form": found.form,
         "formula": _formula_text(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
         "axis": found.terms[0].axis,
         "variables": list(dict.fromkeys(name for term in found.terms for name in term.variables)),

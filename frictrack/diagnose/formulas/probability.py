@@ -1,23 +1,21 @@
-"""Estimate the probability that a formula has the right form, and find the formulas that predict the same data.
+"""Estimate the probability that a formula has the right form.
 
-Posterior weights of forms follow from BIC (Schwarz 1978; Kass & Raftery 1995) and a prior that halves with every unknown
-and is shared by all forms of the same size. "None of these" competes with them: its weight rises with what a smooth force
-still explains beside the best formula, or explains better in its place, and with misfit that is left.
+Posterior weights of forms follow from BIC (Schwarz 1978; Kass & Raftery 1995) and a prior that halves with every
+unknown and is shared by all forms of the same size. "None of these" competes with them: its weight rises with what a
+smooth force still explains beside the best formula, or explains better in its place, and with misfit that is left.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.special import logsumexp
 
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formulas.terms import FittedFormula, Term
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, MIN_CHI2_SEPARATED, expected_separation
 from frictrack.diagnose.smooth_forces import LENGTH_RATIOS, smooth_forces
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 
 PRIOR_NONE = 0.1  # prior odds of a cause outside of the grammar
@@ -69,28 +67,3 @@ def remaining_evidence(solution: Solution) -> float:
     n = solution.problem.n_frames
     ratio = max(solution.chi2 / max(n - 2 * len(solution.responses) - len(solution.p), 1), 1.0)
     return max(force, n * (ratio - 1 - float(np.log(ratio))) - float(np.log(n)))
-
-
-def equivalent_formulas(formulas: Sequence[FittedFormula]) -> list[int]:
-    """Positions of the formulas that these data cannot tell from the first one, which is among them.
-
-    Their predictions are expected to differ by less than `MIN_CHI2_SEPARATED` in chi-squared.
-    """
-    if not formulas:
-        return []
-    first = formulas[0]
-    return [0, *(i for i, other in enumerate(formulas[1:], 1) if _is_equivalent(first.solution, other.solution))]
-
-
-def _is_equivalent(first: Solution, other: Solution) -> bool:
-    unit = max(first.chi2 / max(first.problem.n_frames - len(first.p), 1), 1.0)
-    if abs(other.objective - first.objective) > MAX_CHI2_NEAR * unit:
-        return False
-    return _separation(lambda: expected_separation(first, other)) < MIN_CHI2_SEPARATED
-
-
-def _separation(compute: Callable[[], float]) -> float:
-    try:
-        return compute()
-    except FrictrackError:  # a motion that cannot be integrated
-        return float("inf")

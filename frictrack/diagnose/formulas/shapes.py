@@ -232,9 +232,7 @@ SHAPES = (
         _sawtooth_grid,
         "xt",
     ),
-    Shape(
-        "ringing", tuple(f"exp(-u/w)*{wave}" for wave in WAVES), ("w", "f"), ("width", "rate"), _ringing_grid, "t"
-    ),
+    Shape("ringing", tuple(f"exp(-u/w)*{wave}" for wave in WAVES), ("w", "f"), ("width", "rate"), _ringing_grid, "t"),
     Shape("swelling wave", (*WAVES, *(f"u*{wave}" for wave in WAVES)), ("f",), ("rate",), _wave_grid, "xt"),
     Shape("chirp", ("sin(2*pi*(f + k*u)*u)", "cos(2*pi*(f + k*u)*u)"), ("f", "k"), ("rate", "sweep"), _chirp_grid, "t"),
 )

@@ -86,6 +86,11 @@ class Term:
         return self.unknowns + sum(1 if one in FACTOR_VARIABLES else 2 for one in self.multipliers)
 
     @property
+    def form(self) -> str:
+        """The form without values, as in a study file."""
+        return study_file_text(self, "")
+
+    @property
     def variables(self) -> tuple[str, ...]:
         """Names of the axes on which it depends, its own first; none of its own for a constant shape."""
         own = () if self.shape.columns == ("1",) and self.multipliers else (self.axis,)
@@ -105,6 +110,12 @@ class FittedFormula:
     solution: Solution
     delta_bic: float
     share: float
+
+    @property
+    def form(self) -> str:
+        """The form without values, as in a study file."""
+        suffixes = [""] if len(self.terms) == 1 else ["_a", "_b"]
+        return " + ".join(study_file_text(*pair) for pair in zip(self.terms, suffixes, strict=True))
 
     @property
     def complexity(self) -> tuple[int, int, int]:

@@ -64,6 +64,8 @@ def is_excluded(shape: Shape, axis: Axis) -> bool:
     symbols = [symbol for symbol, _ in AXIS_SYMBOLS.values()]
     if shape.columns == ("1",):
         return multiplier in symbols or axis.name != "x"
-    return shape.columns == ("u",) and multiplier in symbols and symbols.index(multiplier) < list(AXIS_SYMBOLS).index(
-        axis.name
+    return (
+        shape.columns == ("u",)
+        and multiplier in symbols
+        and symbols.index(multiplier) < list(AXIS_SYMBOLS).index(axis.name)
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import tomllib
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -52,15 +53,19 @@ def hidden_study(seed: int, *, full: bool) -> dict[str, Any]:
 
 
 def _is_right(sealed: Sealed, formula: dict[str, Any]) -> bool:
-    text = tomllib.loads(formula["toml"])["effect"][0]["formula"]
-    return normalised(text) == normalised(CAUSES[sealed.name].text)
+    return _is_form(sealed, formula["form"])
 
 
-def _judged(sealed: Sealed, formulas: Sequence[dict[str, Any]]) -> dict[str, bool]:
+def _is_form(sealed: Sealed, form: str) -> bool:
+    return normalised(form) == normalised(CAUSES[sealed.name].text)
+
+
+def _judged(sealed: Sealed, formulas: Sequence[dict[str, Any]]) -> dict[str, Any]:
     right = [f["formula"] for f in formulas if _is_right(sealed, f)]
     first = bool(formulas) and formulas[0]["formula"] in right
-    group = first or (bool(formulas) and any(one in right for one in formulas[0].get("equivalents", ())))
-    return {"first": first, "group": group, "listed": bool(right)}
+    group = first or (bool(formulas) and any(_is_form(sealed, one) for one in formulas[0]["equivalents"]))
+    size = 1 + len(formulas[0]["equivalents"]) if formulas else 0
+    return {"first": first, "group": group, "listed": bool(right), "group_size": size}
 
 
 def _values(sealed: Sealed, fit: Any, formula: dict[str, Any]) -> dict[str, Any]:
@@ -74,8 +79,9 @@ def _values(sealed: Sealed, fit: Any, formula: dict[str, Any]) -> dict[str, Any]
     scale = {"F": 1.0}
     if "mass" in CAUSES[sealed.name].text:
         scale["F"] = float(fit.runs[0].mass)  # load^2 = L mass over the mass of the reference
+    own = {q: e for q, e in own.items() if e.value is not None and e.std}  # what the runs determine
     away = {q: (e.value * scale.get(q, 1.0) - sealed.values[q]) / (e.std * scale.get(q, 1.0)) for q, e in own.items()}
-    worst = max(abs(z) for z in away.values())
+    worst = max((abs(z) for z in away.values()), default=float("inf"))
     return {"deviations": away, "within": bool(worst < MAX_DEVIATIONS)}
 
 
@@ -103,6 +109,7 @@ def score(hidden: list[dict[str, Any]], empty: list[dict[str, Any]]) -> dict[str
         "first": sum(one["first"] for one in hidden) / n,
         "first_or_group": sum(one["group"] for one in hidden) / n,
         "listed": sum(one["listed"] for one in hidden) / n,
+        "group_size_median": float(np.median([one["group_size"] for one in hidden])) if hidden else None,
         "without_formula": sum(not one["formulas"] for one in hidden) / n,
         "values_within_3": f"{sum(one['within'] for one in valued)} of {len(valued)}",
         "cpu_s_median": float(np.median([one["cpu_s"] for one in hidden])) if hidden else None,
@@ -118,7 +125,7 @@ def calibration(hidden: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Of all formulas stated with a probability, the share that is right, by probability."""
     stated = [(f["probability"], f["right"]) for one in hidden for f in one["formulas"] if f["probability"] is not None]
     out = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         inside = [(p, right) for p, right in stated if low <= p < high or (p == high == 1)]
         if inside:
             mean, share = np.mean(inside, axis=0)
@@ -144,11 +151,15 @@ def all_studies(n: int, n_empty: int, seed: int, tell: Callable[[str], None], *,
         hidden.append(one := hidden_study(k, full=full))
         mark = "first" if one["first"] else "group" if one["group"] else "listed" if one["listed"] else "no"
         first = one["formulas"][0] if one["formulas"] else {"formula": "-", "probability": None}
+        mark = f"{mark} of {one['group_size']}"
         tell(
             f"{k} {one['cause']}: {mark}; {one['verdict']} {'+'.join(one['missing'])}; {first['formula']}"
             f" p={first['probability']}; {one['cpu_s']:.1f} s; within {one.get('within')}"
         )
     for k in range(seed, seed + n_empty):
         empty.append(one := empty_study(k))
-        tell(f"{k} nothing: {one['verdict']}, {one['formulas']} formulas, {one['effects']} effects, {one['cpu_s']:.1f} s")
+        mark = f"{mark} of {one['group_size']}"
+        tell(
+            f"{k} nothing: {one['verdict']}, {one['formulas']} formulas, {one['effects']} effects, {one['cpu_s']:.1f} s"
+        )
     return {"score": score(hidden, empty), "hidden": hidden, "empty": empty}

@@ -14,7 +14,14 @@ from frictrack.blind.ideal_detector import noncentrality_limit
 from frictrack.records import Array, Displacement, Run
 
 FPS, NOISE, SCATTER, PITCH = 4000.0, 1e-5, 0.02, 5e-4
-PLAN = ((0.6, 1.0), (0.75, 1.0), (1.0, 1.0), (0.8, 2.0), (-0.7, 1.0), (-0.95, 1.0))  # share of the top speed, mass ratio
+PLAN = (
+    (0.6, 1.0),
+    (0.75, 1.0),
+    (1.0, 1.0),
+    (0.8, 2.0),
+    (-0.7, 1.0),
+    (-0.95, 1.0),
+)  # share of top speed, mass ratio
 MAX_DURATION_S, COURSE = 0.12, 0.6
 TIMES_LIMIT = 3.0  # size of a cause over the ideal detection limit
 FORMS = 60  # independent forms of a scan, for the ideal limit
