@@ -41,7 +41,7 @@ FACTORS: dict[str, Callable[[Path], Any]] = {  # what may multiply a force, as i
     "t": lambda p: p.t,
     "abs(v)": lambda p: p.speed,
     "mass": lambda p: p.mass,
-    "mass^(-1/2)": lambda p: 1 / np.sqrt(p.mass),
+    "mass^(-1/2)": lambda p: np.asarray(p.mass, dtype=float) ** -0.5,
 }
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.formulas import search_formulas
+from frictrack.diagnose.formulas import Shape, search_formulas
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 
 
 def unexplained_force(
-    solution: Solution, extended: Solution | None = None, forces: ResidualForces | None = None
+    solution: Solution,
+    extended: Solution | None = None,
+    forces: ResidualForces | None = None,
+    functions: Sequence[Shape] = (),
 ) -> dict[str, Any]:
     """Describe what a fitted model leaves unexplained.
 
@@ -26,6 +30,9 @@ def unexplained_force(
         possible.
     forces
         Smooth forces in the residual of `solution`, if they were computed before.
+
+    functions
+        Further shapes of formulas.
 
     Returns
     -------
@@ -40,7 +47,7 @@ def unexplained_force(
     forces = forces if forces is not None and forces.solution is law else ResidualForces(law)
     smooth = (forces if extended is law else ResidualForces(extended)).smooth
     best = smooth[0]
-    formulas = search_formulas(forces, extended)
+    formulas = search_formulas(forces, extended, functions)
     stated = sum(f["probability"] for f in formulas)
     return {
         "axis": best.axis.name,

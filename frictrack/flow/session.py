@@ -427,6 +427,7 @@ class Session:
         diagnosis = diagnose(
             self.models.fit(group),
             own=own,
+            functions=self.study.functions,
             auxiliary=signals,
             rng=seed,
             progress=self.progress,
@@ -440,7 +441,8 @@ class Session:
         names = ("sensors", "tracks")
         keys = [pipeline.key(name) for pipeline in self.runs for name in names if name in pipeline.stages]
         contradicted = [str(finding) for finding in self.findings.contradictions]
-        return [keys, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
+        functions = [list(self.study.functions)] if self.study.functions else []
+        return [keys, contradicted, *functions, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -47,6 +47,8 @@ class Study:
         Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
     fps, scale
         Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
+    functions
+        Functions of z in ``[study]``, for formulas.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -61,6 +63,7 @@ class Study:
     mass: Value | None = None
     fps: float | None = None
     scale: Any = None
+    functions: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -248,6 +251,7 @@ class _Reader:
             mass=None if head.mass == "fit" else head.mass,
             fps=camera.fps,
             scale=camera.scale,
+            functions=head.functions,
             incomplete=tuple(self.lacks),
         )
 

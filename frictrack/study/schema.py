@@ -398,6 +398,9 @@ class StudyTable(Keys):
         Folder of the results; default the name of the study file with `_results`.
     plausible
         You have checked all numbers, although they look implausible.
+    functions
+        Functions of z, such as "z^2*exp(-z)", for formulas of a force that no effect explains. They are tried with
+        z = u/w and z = (u - c)/w, where u is place, time or speed.
 
     """
 
@@ -406,6 +409,7 @@ class StudyTable(Keys):
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
     output: str = ""
     plausible: Literal["checked"] | None = None
+    functions: tuple[str, ...] = ()
 
 
 class CameraTable(Keys):

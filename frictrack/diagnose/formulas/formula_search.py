@@ -54,7 +54,9 @@ MAX_EQUIVALENTS_TRIED = 60
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 
 
-def search_formulas(forces: ResidualForces, extended: Solution | None = None) -> list[dict[str, Any]]:
+def search_formulas(
+    forces: ResidualForces, extended: Solution | None = None, functions: Sequence[Shape] = ()
+) -> list[dict[str, Any]]:
     """Search formulas that fit what a model leaves.
 
     Parameters
@@ -63,6 +65,8 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
         Smooth forces in the residual of the fitted model.
     extended
         The model with the effects found so far; used if a formula beside the model leaves significant misfit.
+    functions
+        Further shapes, of the user's own functions.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
 
     """
     solution = forces.solution
-    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution), [], [])
+    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution), (*SHAPES, *functions), [], [])
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found):
         found += _find_formulas(ResidualForces(extended), fitter, None)
@@ -81,7 +85,7 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
     probabilities = family_probabilities(ranked, fitter.scanned, fitter.unfitted, forces.smooth[0].gain)
     shown = ranked[:N_SHOWN]
     entries = [describe_formula(f, solution) for f in shown]
-    alike = _equivalent_forms(shown[0])
+    alike = _equivalent_forms(shown[0], fitter.shapes)
     for probability, found_one, entry in zip(probabilities, shown, entries, strict=False):
         own = found_one.form
         entry |= {
@@ -91,7 +95,7 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
     return entries
 
 
-def _equivalent_forms(best: FittedFormula) -> list[str]:
+def _equivalent_forms(best: FittedFormula, shapes: Sequence[Shape]) -> list[str]:
     """Forms of the first term that these data cannot tell from it, best first.
 
     If the formula is true, the fit of such a form is expected to be worse by less than `MIN_CHI2_SEPARATED`.
@@ -104,7 +108,9 @@ def _equivalent_forms(best: FittedFormula) -> list[str]:
     ideal = replace(compressed, residual=trace)
     power = float(trace @ trace)
     unit = max(best.solution.chi2 / best.solution.problem.n_frames, 1.0)
-    near = [t for t in _scan_shapes(ideal) if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit]
+    near = [
+        t for t in _scan_shapes(ideal, shapes) if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit
+    ]
     near = sorted(near, key=lambda t: (t.size, -t.gain))[:MAX_EQUIVALENTS_TRIED]
     refined = [_refine_term(ideal, t) for t in near]
     alike = [t for t in refined if power - t.gain < MIN_CHI2_SEPARATED * unit]
@@ -156,6 +162,7 @@ class _FormulaFitter:
 
     bare_bic: float
     excess: float
+    shapes: tuple[Shape, ...]
     scanned: list[Term]  # all forms of the first scan
     unfitted: list[tuple[Term, float]]  # rivals that were not fitted in full, with their expected fall of BIC
 
@@ -220,7 +227,7 @@ def _rank(found: Sequence[FittedFormula]) -> list[FittedFormula]:
 
 def _best_terms(compressed: CompressedResidual, fitter: _FormulaFitter) -> list[Term]:
     """The best forms beside a model, refined, one per shape and variable, best first."""
-    scanned = list(_scan_shapes(compressed))
+    scanned = list(_scan_shapes(compressed, fitter.shapes))
     fitter.scanned.extend(scanned if not fitter.scanned else ())
     if not scanned:
         return []
@@ -238,14 +245,14 @@ def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
     return term.gain - term.unknowns * float(np.log(compressed.n_frames)) + 2 * LOG_PRIOR_PER_UNKNOWN * term.size
 
 
-def _scan_shapes(compressed: CompressedResidual) -> Iterator[Term]:
+def _scan_shapes(compressed: CompressedResidual, shapes: Sequence[Shape]) -> Iterator[Term]:
     """The best setting of every shape over every variable; the same form is tried once."""
     axes = formula_axes(compressed)
     values = {axis.name: compressed.concatenate(axis.of) for axis in axes if not axis.factor or axis.factor == "L * s"}
     ends = {name: (float(u.min()), float(u.max())) for name, u in values.items()}
     for axis in axes:
         u, factor = values[axis.name], compressed.concatenate(axis.times)
-        for rank, shape in enumerate(SHAPES):
+        for rank, shape in enumerate(shapes):
             points = shape.grid(*ends[axis.name]) if axis.name in shape.axes and not is_excluded(shape, axis) else []
             if points:
                 gains = _grid_gains(compressed, shape, points, (u, factor))

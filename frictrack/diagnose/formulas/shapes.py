@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, KIND_POWERS, Dimension, dimension_of, scaled
-from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
+from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS, formula
+from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps
@@ -108,8 +109,8 @@ def _build_function(node: ast.expr) -> Callable[[Mapping[str, Any]], Any]:
         change, one = OPERATORS[type(node.op)], _build_function(node.operand)
         return lambda names: change(one(names))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        of, inner = FUNCTIONS[node.func.id], _build_function(node.args[0])
-        return lambda names: of(inner(names))
+        of, inner = FUNCTIONS[node.func.id], [_build_function(one) for one in node.args]
+        return lambda names: of(*(one(names) for one in inner))
     if isinstance(node, ast.Name):
         name = node.id
         return lambda names: names[name]
@@ -216,6 +217,37 @@ def placed_shape(name: str, text: str, axes: str = "xtv") -> Shape:
 
 def _substitute(text: str, argument: str) -> str:
     return re.sub(r"\bz\b", argument, text)
+
+
+def shapes_of_functions(functions: Sequence[str]) -> tuple[Shape, ...]:
+    """Make the shapes of a user's functions of a dimensionless z: with z = u/w, and with z = (u - c)/w.
+
+    Parameters
+    ----------
+    functions
+        Texts such as "z^2*exp(-z)".
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a text is no formula, or has another name than z.
+
+    Examples
+    --------
+    >>> [shape.columns for shape in shapes_of_functions(["exp(-sqrt(z))"])]
+    [('exp(-sqrt((u/w)))',), ('exp(-sqrt(((u - c)/w)))',)]
+
+    """
+    out = []
+    for text in functions:
+        if unknown := sorted(set(re.findall(r"[A-Za-z_]\w*", text)) - {"z", "pi", *FUNCTIONS}):
+            raise FrictrackError(f'functions: expected functions of z but got "{unknown[0]}" in "{text}"', usage=True)
+        if not re.search(r"\bz\b", text):
+            raise FrictrackError(f'functions: expected a function of z but got "{text}"', usage=True)
+        formula("functions", f"F * ({_substitute(text, ' x ')})")  # the text is read as that of an effect
+        for argument, make in (("u/w", scaled_shape), ("(u - c)/w", placed_shape)):
+            out.append(make(f"{text}, z = {argument}", _substitute(text, "(z)")))
+    return tuple(out)
 
 
 # Simplest first: of two formulas that explain the same, the earlier one stands first.

@@ -158,7 +158,6 @@ def all_studies(n: int, n_empty: int, seed: int, tell: Callable[[str], None], *,
         )
     for k in range(seed, seed + n_empty):
         empty.append(one := empty_study(k))
-        mark = f"{mark} of {one['group_size']}"
         tell(
             f"{k} nothing: {one['verdict']}, {one['formulas']} formulas, {one['effects']} effects, {one['cpu_s']:.1f} s"
         )
