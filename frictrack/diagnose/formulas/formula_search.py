@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -75,7 +75,9 @@ def search_formulas(
 
     """
     solution = forces.solution
-    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution), (*SHAPES, *functions), [], [])
+    fitter = _FormulaFitter(
+        information_criterion(solution), _excess_chi2(solution), solution.tau or 0.0, (*SHAPES, *functions)
+    )
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found):
         found += _find_formulas(ResidualForces(extended), fitter, None)
@@ -85,7 +87,7 @@ def search_formulas(
     probabilities = family_probabilities(ranked, fitter.scanned, fitter.unfitted, forces.smooth[0].gain)
     shown = ranked[:N_SHOWN]
     entries = [describe_formula(f, solution) for f in shown]
-    alike = _equivalent_forms(shown[0], fitter.shapes)
+    alike = _equivalent_forms(shown[0], fitter)
     for probability, found_one, entry in zip(probabilities, shown, entries, strict=False):
         own = found_one.form
         entry |= {
@@ -95,12 +97,12 @@ def search_formulas(
     return entries
 
 
-def _equivalent_forms(best: FittedFormula, shapes: Sequence[Shape]) -> list[str]:
+def _equivalent_forms(best: FittedFormula, fitter: _FormulaFitter) -> list[str]:
     """Forms of the first term that these data cannot tell from it, best first.
 
     If the formula is true, the fit of such a form is expected to be worse by less than `MIN_CHI2_SEPARATED`.
     """
-    compressed = compress_residual(best.solution, EFFECT_NAME)
+    compressed = fitter.compress_without(best.solution)
     term, values = best.terms[0], best.solution.problem.layout.values(best.solution.p, 0)[0][EFFECT_NAME]
     own = replace(term, parameters=tuple(values[q] for q in parameter_names(term)))
     force = np.concatenate([own.force(path, own.parameters) for path in compressed.paths])
@@ -109,7 +111,9 @@ def _equivalent_forms(best: FittedFormula, shapes: Sequence[Shape]) -> list[str]
     power = float(trace @ trace)
     unit = max(best.solution.chi2 / best.solution.problem.n_frames, 1.0)
     near = [
-        t for t in _scan_shapes(ideal, shapes) if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit
+        t
+        for t in _scan_shapes(ideal, fitter.shapes)
+        if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit
     ]
     near = sorted(near, key=lambda t: (t.size, -t.gain))[:MAX_EQUIVALENTS_TRIED]
     refined = [_refine_term(ideal, t) for t in near]
@@ -141,7 +145,7 @@ def _competing_formulas(
     best = max(tried, key=lambda f: f.delta_bic)
     if law is not None and not _is_noise(best.solution):
         best = fitter.refit_model_effects(best, law)
-    compressed = compress_residual(best.solution, EFFECT_NAME)
+    compressed = fitter.compress_without(best.solution)
     terms = _best_terms(compressed, fitter)
     behind = [_penalised_gain(terms[0], compressed) - _penalised_gain(t, compressed) for t in terms]
     n_near = min(sum(b < MAX_DELTA_BIC_FITTED for b in behind), N_RIVALS_FITTED)
@@ -162,15 +166,23 @@ class _FormulaFitter:
 
     bare_bic: float
     excess: float
+    scatter: float  # of the friction levels, of the bare model
     shapes: tuple[Shape, ...]
-    scanned: list[Term]  # all forms of the first scan
-    unfitted: list[tuple[Term, float]]  # rivals that were not fitted in full, with their expected fall of BIC
+    scanned: list[Term] = field(default_factory=list)  # all forms of the first scan
+    unfitted: list[tuple[Term, float]] = field(default_factory=list)  # rivals not fitted in full, expected fall of BIC
 
     def evaluate(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """Return a fitted formula with its gain."""
         explained = self.excess - _excess_chi2(solution)
         share = float(np.clip(explained / max(self.excess, 1e-300), 0.0, 1.0))
         return FittedFormula(terms, solution, self.bare_bic - information_criterion(solution), share)
+
+    def compress_without(self, solution: Solution) -> CompressedResidual:
+        """Compress the residual with the force of the formula in it.
+
+        The formula may take up the scatter of few friction levels by chance; that of the bare model is kept.
+        """
+        return compress_residual(replace(solution, tau=max(solution.tau or 0.0, self.scatter)), EFFECT_NAME)
 
     def add_terms(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[FittedFormula]:
         """Add each term to a model and fit it in full; skip those that cannot be integrated."""
