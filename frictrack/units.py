@@ -221,7 +221,8 @@ def _example(unit: str) -> str:
 COHERENT_UNITS = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
 
 
-UNIT_PATTERN = re.compile(r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)(?:[ */](?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)){0,6}")
+_UNIT_POWER = r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d(?:\.5)?)?)"  # whole and half powers
+UNIT_PATTERN = re.compile(rf"{_UNIT_POWER}(?:[ */]{_UNIT_POWER}){{0,6}}")
 
 
 def is_coherent(unit: str) -> bool:
@@ -234,8 +235,8 @@ def is_coherent(unit: str) -> bool:
 
     Examples
     --------
-    >>> is_coherent("N s/m"), is_coherent("mm")
-    (True, False)
+    >>> is_coherent("N s/m"), is_coherent("N s^0.5/m^0.5"), is_coherent("mm")
+    (True, True, False)
 
     """
     if unit in COHERENT_UNITS:

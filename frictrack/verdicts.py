@@ -13,6 +13,9 @@ VERDICTS = {
     "unexplained": "something is missing that no effect of the library explains",
 }
 
+MIN_PROBABILITY_STATED = 0.01
+MAX_EQUIVALENTS_NAMED = 4
+
 VERDICT_ONLY = (
     "Only the verdict is known so far, and it is final; `frictrack diagnose` computes where the model fails and the "
     "next experiments."
@@ -110,6 +113,44 @@ def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
     others = f" (and {more} more)" if more else ""
     advice = f"; to settle it: {first['settled_by']}" if first["settled_by"] else ""
     return f"{first['what']}: {first['why']}{others}{advice}"
+
+
+def describe_formula(formula: Mapping[str, Any]) -> list[str]:
+    """Describe how certain the form of a formula is: its probability, and the formulas that predict the same data.
+
+    Parameters
+    ----------
+    formula : mapping
+        An entry of `formulas` of the JSON of a diagnosis.
+
+    Returns
+    -------
+    list of str
+        Phrases; none for a diagnosis that was stored before probabilities were computed.
+
+    Examples
+    --------
+    >>> describe_formula({"formula": "2 N exp(-x/3 m)", "probability": 0.873, "equivalents": []})
+    ['probability of this form 87 %']
+
+    """
+    probability = formula.get("probability")
+    said = [] if probability is None else [f"probability of this form {_percent(probability)}"]
+    equal = formula.get("equivalents") or []
+    if not equal:
+        return said
+    more = f" or {len(equal) - MAX_EQUIVALENTS_NAMED} others" if len(equal) > MAX_EQUIVALENTS_NAMED else ""
+    return [*said, f"these runs cannot distinguish it from {', '.join(equal[:MAX_EQUIVALENTS_NAMED])}{more}"]
+
+
+def describe_unnamed(unexplained: Mapping[str, Any]) -> str:
+    """Describe the probability that none of the formulas listed has the right form; "" if it is not known."""
+    probability = unexplained.get("probability_none")
+    return "" if probability is None else f"Probability that none of these forms is right: {_percent(probability)}."
+
+
+def _percent(probability: float) -> str:
+    return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
 
 
 def describe_tests(history: Mapping[str, Any]) -> list[str]:

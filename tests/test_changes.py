@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from conftest import slide
 
+from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
 from frictrack.flow.command_history import CommandHistory
+from frictrack.store import GroupContent
 
 TEXT = """# our course
 [study]
@@ -247,3 +249,21 @@ def test_the_folder_of_results_shows_only_what_a_user_opens(study_file: Path) ->
     assert [change.command for change in old.commands.changes] == ["fit", "fit"]
     assert inside.exists()
     assert not any((output / name).exists() for name in ("log.jsonl", ".lock", ".work"))
+
+
+def test_a_formula_of_the_last_diagnosis_is_written_and_added(study_file: Path) -> None:
+    table = '[[effect]]\neffect = "unexplained"\nformula = "F * x"\nunits = {F = "N/m"}\n'
+    session = at_work(study_file)
+    with pytest.raises(FrictrackError, match="has none"):
+        session.add("formula:1")
+    session.fit()
+    group, _ = session.models.current()
+    summary = {"unexplained": {"formulas": [{"toml": table, "beside": []}]}}
+    provenance = session.models.provenance("key", "{}")
+    content = GroupContent({"summary": json.dumps(summary)}, provenance)
+    store.write(session.path, {f"models/{group}/diagnosis": content})
+    assert session.add("formula:1")["effect"] == "unexplained"
+    assert session.study.effects[0].formula == "F * x"
+    session.apply("undo")
+    session.apply("undo")
+    assert study_file.read_text(encoding="utf-8") == TEXT

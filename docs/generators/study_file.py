@@ -64,6 +64,7 @@ KEYS = {
     "model": ("text or list of texts", "", '["coulomb", "viscous"]'),
     "columns": ("table of headers by short name", "", '{t = "Time (ms)", x = "x (mm)"}'),
     "effect": ("text", "", '"vibration"'),
+    "functions": ("list of texts", "", '["z^2*exp(-z)"]'),
     "fix": ("table of numbers or false", "SI", "{frequency = 60}"),
     "bounds": ("table of pairs", "SI", "{amplitude = [0, 2]}"),
     "prior": ("table of pairs", "SI", "{frequency = [60, 0.5]}"),

@@ -33,6 +33,10 @@ FilmWorkers = Annotated[
     int, typer.Option("--workers", metavar="N", min=1, help="processes that share a long uncompressed film")
 ]
 Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")]
+EffectOrFormula = Annotated[
+    str,
+    typer.Argument(metavar="EFFECT", help="name of an effect; or formula:1, the first formula of the last diagnosis"),
+]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 

@@ -15,7 +15,7 @@ from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus
-from frictrack.verdicts import VERDICT_ONLY, describe_verdict
+from frictrack.verdicts import VERDICT_ONLY, describe_formula, describe_unnamed, describe_verdict
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
@@ -167,9 +167,13 @@ def unexplained(out: Console, left: dict[str, Any] | None) -> None:
         return
     default = f"the misfit that no effect explains depends on {AXES[left['axis']].name}"
     out.print(escape(left.get("words") or default))
-    for f in left["formulas"]:
+    for k, f in enumerate(left["formulas"], 1):
         others = f" with {', '.join(f['beside'])}" if f.get("beside") else ""
-        out.print(f"  {escape(f['formula'])}{others}  ({100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g})")
+        share = f"{100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g}"
+        evidence = "; ".join([share, *describe_formula(f)[: 1 if k > 1 else None]])
+        out.print(escape(f"  {k}. {f['formula']}{others}  ({evidence})"))
+    if unnamed := describe_unnamed(left):
+        out.print(unnamed)
     if left["formulas"] and left["formulas"][0].get("toml"):
-        out.print("to use the first formula, paste this into the study file and add the effect `unexplained`:")
+        out.print("to use the first formula, add it with `frictrack add STUDY formula:1`, which writes this table:")
         out.print(escape(left["formulas"][0]["toml"]), highlight=False, soft_wrap=True)

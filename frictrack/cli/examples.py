@@ -21,7 +21,7 @@ EXAMPLES = {
     ),
     "compare": ("frictrack compare study.toml", "frictrack compare study.toml --json > errors.json"),
     "diagnose": ("frictrack diagnose study.toml", "frictrack diagnose study.toml --quick"),
-    "add": ("frictrack add study.toml texture", "frictrack add study.toml vibration:2"),
+    "add": ("frictrack add study.toml texture", "frictrack add study.toml formula:1"),
     "remove": ("frictrack remove study.toml texture", "frictrack remove study.toml viscous"),
     "history": ("frictrack history study.toml", "frictrack history study.toml --json > history.json"),
     "plan": ("frictrack plan study.toml", "frictrack plan study.toml --json > plan.json"),

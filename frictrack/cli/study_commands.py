@@ -12,6 +12,7 @@ import typer
 
 from frictrack.cli.common import (
     Effect,
+    EffectOrFormula,
     FilmWorkers,
     Json,
     Search,
@@ -246,10 +247,11 @@ def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: boo
 
 
 @command()
-def add(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
+def add(study: Study, effect: EffectOrFormula, seed: Seed = 0, as_json: Json = False) -> None:
     """Add one effect to the current model and fit again.
 
-    Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
+    Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5. A
+    formula of the last diagnosis is written into the study file first.
     """
     _edit(lambda session: session.add(effect, seed), study, as_json)
 

@@ -17,6 +17,7 @@ from frictrack.compare import failing_spans
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repaired_frames import rests_on_repairs
@@ -70,12 +71,15 @@ class Conclusion:
         The search.
     remarks
         Sentences on how the search was made.
+    functions
+        Further shapes of formulas.
 
     """
 
     fit: Fit
     search: FinishedSearch
     remarks: tuple[str, ...] = ()
+    functions: tuple[Shape, ...] = ()
 
     @cached_property
     def verdict(self) -> Diagnosis:
@@ -184,7 +188,9 @@ class Conclusion:
     def _compare_with_formulas(self, found: Diagnosis) -> Diagnosis:
         """Return the verdict after comparing the effects found with a force of one variable that they may imitate."""
         search = self.search
-        simpler = find_simpler_model(self._pattern.forces, search.last.solution, lambda: self._pattern.repeats)
+        simpler = find_simpler_model(
+            self._pattern.forces, search.last.solution, lambda: self._pattern.repeats, self.functions
+        )
         if simpler is None or (found.verdict == "unexplained" and not simpler["decisive"]):
             return found
         if not simpler["decisive"]:
@@ -219,7 +225,9 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
-            unexplained = unexplained_force(self.search.first.solution, self.search.last.solution, self._pattern.forces)
+            unexplained = unexplained_force(
+                self.search.first.solution, self.search.last.solution, self._pattern.forces, self.functions
+            )
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 

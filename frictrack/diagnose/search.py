@@ -14,6 +14,7 @@ import numpy as np
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
+from frictrack.diagnose.formulas import Shape, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
@@ -44,6 +45,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     fit: Fit,
     *,
     own: Sequence[Effect] = (),
+    functions: Sequence[str] = (),
     auxiliary: AuxiliarySignals | None = None,
     rng: RNG = 0,
     alpha: float = ALPHA,
@@ -62,6 +64,9 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
         One fit of all runs.
     own
         Further effects to try: the user's own, or library effects with bounds, priors or fixed values.
+    functions
+        Further functions of a dimensionless z for formulas of a force that no effect explains, such as "z^2*exp(-z)":
+        tried with z = u/w and z = (u - c)/w over place, time and speed.
     auxiliary
         Other measurements, by run and name, one value per frame (n,): displacements of further targets in m, and
         "accelerometer" in m/s^2. Those that move with the residual are reported as evidence.
@@ -100,7 +105,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
-    conclusion = _conclude(fit, (own, auxiliary), (rng, alpha / 2), notify)
+    conclusion = _conclude(fit, (own, auxiliary), (rng, alpha / 2), notify, shapes_of_functions(functions))
     if on_verdict is not None:
         on_verdict(conclusion.verdict)
     if quick:
@@ -115,17 +120,18 @@ def _conclude(
     signals: tuple[Sequence[Effect], AuxiliarySignals | None],
     chance: tuple[RNG, float],
     notify: Progress,
+    shapes: tuple[Shape, ...],
 ) -> Conclusion:
     """Search and conclude; a fit in segments is searched in one piece first, if that explains everything.
 
-    `chance` is (rng, significance level of each test).
+    `chance` is (rng, significance level of each test); `shapes` are the user's own, for formulas.
     """
     rng, level = chance
     joined = join_segments(fit)
     if joined is not None:
         joined, remark = subsample_frames(joined)
         found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify))
-        conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])))
+        conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])), shapes)
         if not found.last.leaves_misfit:
             notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
             if conclusion.verdict.verdict != "unexplained":
@@ -135,7 +141,7 @@ def _conclude(
     start, remarks = residual_kind(start.problem).prepare(start)
     found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify))
     notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
-    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
+    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])), shapes)
 
 
 def _search(

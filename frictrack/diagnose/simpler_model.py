@@ -7,13 +7,13 @@ go to the library: a formula must be decisively better, with a penalty for its s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES
+from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES, Shape
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
@@ -22,7 +22,10 @@ from frictrack.fit.least_squares import Solution
 
 
 def find_simpler_model(
-    forces: ResidualForces, found: Solution, repeats: Callable[[], Repeatability]
+    forces: ResidualForces,
+    found: Solution,
+    repeats: Callable[[], Repeatability],
+    functions: Sequence[Shape] = (),
 ) -> dict[str, Any] | None:
     """Find a force of one variable that explains as much as the effects found.
 
@@ -34,6 +37,8 @@ def find_simpler_model(
         The model with the effects found.
     repeats
         Computes whether the misfit repeats, and over which axis; called only where that matters.
+    functions
+        Further shapes of formulas.
 
     Returns
     -------
@@ -45,7 +50,7 @@ def find_simpler_model(
     evidence = information_criterion(start) - information_criterion(found)
     if not _is_worth_searching(forces, found, repeats, evidence):
         return None
-    unexplained = unexplained_force(start, forces=forces)
+    unexplained = unexplained_force(start, forces=forces, functions=functions)
     if not unexplained["formulas"]:
         return None
     first = unexplained["formulas"][0]
@@ -72,14 +77,15 @@ def _is_worth_searching(
 
 
 def _search_penalty(axes: int) -> float:
-    """Penalty for the best of many forms and axes (Bonferroni)."""
-    return 2 * float(np.log(len(SHAPES) * max(axes, 1)))
+    """Penalty for the best of many forms, axes and multipliers (Bonferroni)."""
+    return 2 * float(np.log(len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)))
 
 
 def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
     much, than = ("more", "than") if decisive else ("as much", "as")
     count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
+    variables = " and ".join(AXES[name].name for name in first["variables"])
     return (
-        f"a force that depends only on {AXES[first['axis']].name} explains {much} with {count}, common to all runs, "
+        f"a force that depends only on {variables} explains {much} with {count}, common to all runs, "
         f"{than} the effects found with {added}: {first['formula']}"
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -33,6 +34,17 @@ MIN_LOAD_RATIO = 1.2  # above which runs differ in load
 MIN_REVERSALS = 2  # of a motion with a phase
 
 
+FACTORS: dict[str, Callable[[Path], Any]] = {  # what may multiply a force, as in a study file
+    "L": lambda p: p.load,
+    "s": lambda p: p.s,
+    "x": lambda p: p.x,
+    "t": lambda p: p.t,
+    "abs(v)": lambda p: p.speed,
+    "mass": lambda p: p.mass,
+    "mass^(-1/2)": lambda p: np.asarray(p.mass, dtype=float) ** -0.5,
+}
+
+
 @dataclass(frozen=True)
 class Axis:
     """A variable over which a force may repeat.
@@ -44,17 +56,20 @@ class Axis:
     of
         Function from a path to the variable, (n,).
     factor
-        Factor on the force along the path, as in a study file: "L * s", "s" or "".
+        Factor on the force along the path, as in a study file: a product of `FACTORS`, such as "L * s", or "".
 
     """
 
     name: str
     of: Callable[[Path], Array]
-    factor: str  # "L * s", "s" or ""
+    factor: str
 
     def times(self, path: Path) -> Array:
         """Factor on the force along a path, (n,)."""
-        return np.ones_like(path.t) if not self.factor else path.s * (path.load if "L" in self.factor else 1.0)
+        out = np.ones_like(path.t)
+        for one in self.factor.split(" * ") if self.factor else ():
+            out = out * FACTORS[one](path)
+        return out
 
 
 @dataclass(frozen=True)

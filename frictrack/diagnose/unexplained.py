@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.formulas import search_formulas
+from frictrack.diagnose.formulas import Shape, search_formulas
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 
 
 def unexplained_force(
-    solution: Solution, extended: Solution | None = None, forces: ResidualForces | None = None
+    solution: Solution,
+    extended: Solution | None = None,
+    forces: ResidualForces | None = None,
+    functions: Sequence[Shape] = (),
 ) -> dict[str, Any]:
     """Describe what a fitted model leaves unexplained.
 
@@ -27,11 +31,15 @@ def unexplained_force(
     forces
         Smooth forces in the residual of `solution`, if they were computed before.
 
+    functions
+        Further shapes of formulas.
+
     Returns
     -------
     dict
         `axis`; `factor` that multiplies the curve along a run, as in a study file; `curve` [[axis, N], ...]; `band`, N;
-        `share` of the excess chi-squared; `delta_bic`; `axes` compared; `formulas`.
+        `share` of the excess chi-squared; `delta_bic`; `axes` compared; `formulas`; `probability_none` that none of
+        them has the right form.
 
     """
     law = keep_compared_frames(solution)
@@ -39,6 +47,8 @@ def unexplained_force(
     forces = forces if forces is not None and forces.solution is law else ResidualForces(law)
     smooth = (forces if extended is law else ResidualForces(extended)).smooth
     best = smooth[0]
+    formulas = search_formulas(forces, extended, functions)
+    stated = sum(f["probability"] for f in formulas)
     return {
         "axis": best.axis.name,
         "factor": best.axis.factor,
@@ -47,5 +57,6 @@ def unexplained_force(
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": search_formulas(forces, extended),
+        "probability_none": max(1.0 - stated, 0.0) if formulas else None,
+        "formulas": formulas,
     }

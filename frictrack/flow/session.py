@@ -18,6 +18,7 @@ from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
+from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
@@ -441,6 +442,7 @@ class Session:
         diagnosis = diagnose(
             self.models.fit(group),
             own=own,
+            functions=self.study.functions,
             auxiliary=signals,
             rng=seed,
             alpha=alpha,
@@ -455,7 +457,8 @@ class Session:
         names = ("sensors", "tracks")
         keys = [pipeline.key(name) for pipeline in self.runs for name in names if name in pipeline.stages]
         contradicted = [str(finding) for finding in self.findings.contradictions]
-        return [keys, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
+        functions = [list(self.study.functions)] if self.study.functions else []
+        return [keys, contradicted, *functions, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:
@@ -464,17 +467,31 @@ class Session:
         Parameters
         ----------
         effect
-            Name of the effect.
+            Name of the effect; or "formula:1" for the first formula of the last diagnosis, which is written into the
+            study file as an effect.
         seed
             Seed of the random numbers; None for that of the current model.
 
         Raises
         ------
         FrictrackError
-            If the effect is unknown.
+            If the effect is unknown, or the last diagnosis has no such formula.
 
         """
-        return self._change_model("+", effect, seed)
+        return self._change_model("+", self._defined(effect), seed)
+
+    def _defined(self, effect: str) -> str:
+        """Return the name of an effect; that of a formula is written into the study file first."""
+        number = formula_number(effect)
+        if number is None:
+            return effect
+        group, request = self.models.current()
+        inside = f"models/{group}/diagnosis"
+        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        taken = [table.effect for table in self.study.effects]
+        keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
+        self._edit_study("define", effect=keys)
+        return str(keys["effect"])
 
     @exclusive
     def remove(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -80,8 +80,9 @@ def _unexplained(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
     left = diagnosis.get("unexplained") or {}
     if left.get("formulas"):
         yield Markup(
-            'Paste the formula under <a href="#missing">What is missing</a> into the study file, then type {}.'
-        ).format(_command("add", study, "unexplained"))
+            'To try the first formula under <a href="#missing">What is missing</a>, type {}: it is written into the '
+            "study file and fitted."
+        ).format(_command("add", study, "formula:1"))
     elif diagnosis["missing"]:
         yield Markup("{} explains part of the misfit.").format(_command("add", study, diagnosis["missing"][0]))
     yield from _experiment(diagnosis)

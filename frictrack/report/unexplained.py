@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.number_format import format_number
 from frictrack.records import Array
+from frictrack.verdicts import describe_formula, describe_unnamed
 
 Embed = Callable[[Figure], Markup]
 
@@ -49,8 +50,8 @@ def unexplained_force(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, An
     Returns
     -------
     dict or None
-        `picture`, `title`, `words`, `formulas` (rows of a table) and `toml` of the first formula. None if nothing is
-        unexplained.
+        `picture`, `title`, `words`, `formulas` (rows of a table), `toml` of the first formula, and `none`: how likely
+        another form is. None if nothing is unexplained.
 
     """
     left = diagnosis.get("unexplained")
@@ -59,6 +60,7 @@ def unexplained_force(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, An
     rows = [
         {
             "formula": f["formula"],
+            "certainty": ". ".join(one[:1].upper() + one[1:] for one in describe_formula(f)),
             "beside": f.get("beside", []),
             "share": f"{100 * f['share']:.1f} %",
             "delta_bic": format_number(f["delta_bic"], 4),
@@ -74,4 +76,5 @@ def unexplained_force(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, An
         "toml": toml,
         "title": "A force of one variable" if words else "Unexplained force",
         "words": words[:1].upper() + words[1:],
+        "none": describe_unnamed(left),
     }

@@ -53,6 +53,8 @@ class Study:
         The law of another set-up, as a prior, and its file; None without one.
     conditions
         Conditions in which the studies of a campaign differ, by name.
+    functions
+        Functions of z in ``[study]``, for formulas.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -70,6 +72,7 @@ class Study:
     prior: Prior | None = None
     prior_file: Path | None = None
     conditions: Mapping[str, float | str] = field(default_factory=dict)
+    functions: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -261,6 +264,7 @@ class _Reader:
             prior=_prior(head),
             prior_file=head.prior,
             conditions=head.conditions,
+            functions=head.functions,
             incomplete=tuple(self.lacks),
         )
 

@@ -451,6 +451,9 @@ class StudyTable(Keys):
         `frictrack batch` fits how the law depends on them.
     plausible
         You have checked all numbers, although they look implausible.
+    functions
+        Functions of z, such as "z^2*exp(-z)", for formulas of a force that no effect explains. They are tried with
+        z = u/w and z = (u - c)/w, where u is place, time or speed.
 
     """
 
@@ -463,6 +466,7 @@ class StudyTable(Keys):
     prior_scatter: Share = 0.0
     conditions: Conditions = {}
     plausible: Literal["checked"] | None = None
+    functions: tuple[str, ...] = ()
 
 
 class CameraTable(Keys):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,9 @@ from scipy.optimize import least_squares
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.formulas.formula_text import describe_formula
+from frictrack.diagnose.formulas.probability import LOG_PRIOR_PER_UNKNOWN, family_probabilities
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape
 from frictrack.diagnose.formulas.terms import (
-    AXIS_SYMBOLS,
     EFFECT_NAME,
     FittedFormula,
     Term,
@@ -29,8 +29,9 @@ from frictrack.diagnose.formulas.terms import (
     parameter_bounds,
     parameter_names,
 )
-from frictrack.diagnose.model_selection import information_criterion
-from frictrack.diagnose.smooth_forces import ResidualForces, SmoothForce, smooth_forces
+from frictrack.diagnose.formulas.variables import formula_axes, is_excluded
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
@@ -43,16 +44,19 @@ MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
 RELATIVE_STEP = 1e-5  # of finite differences
 MAX_EVALUATIONS = 25  # per refinement of a term
 MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain that a shape must reach on the grid
-N_REFINED = 12  # forms refined beside the linearised model
-N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 2, 5, 2  # first terms, rivals and second terms fitted in full
+N_REFINED = 40  # forms refined beside the linearised model
+N_FIRST_FITTED, N_RIVALS_FITTED, N_SECOND_FITTED = 3, 10, 2  # first terms, rivals and second terms fitted in full
 N_SHOWN = 6  # formulas reported
 MAX_DELTA_BIC_EQUAL = 6.0  # within which formulas explain equally (Kass & Raftery 1995)
 MAX_DELTA_BIC_FITTED = 15.0  # from the best formula, within which another is fitted in full
+MAX_CHI2_SCREENED = 60.0  # expected difference at the settings of the grid, above which a form is not refined
+MAX_EQUIVALENTS_TRIED = 60
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
-MIN_AXIS_GAIN_RATIO = 0.5  # of the best smooth force's gain that an axis must reach
 
 
-def search_formulas(forces: ResidualForces, extended: Solution | None = None) -> list[dict[str, Any]]:
+def search_formulas(
+    forces: ResidualForces, extended: Solution | None = None, functions: Sequence[Shape] = ()
+) -> list[dict[str, Any]]:
     """Search formulas that fit what a model leaves.
 
     Parameters
@@ -61,6 +65,8 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
         Smooth forces in the residual of the fitted model.
     extended
         The model with the effects found so far; used if a formula beside the model leaves significant misfit.
+    functions
+        Further shapes, of the user's own functions.
 
     Returns
     -------
@@ -69,21 +75,60 @@ def search_formulas(forces: ResidualForces, extended: Solution | None = None) ->
 
     """
     solution = forces.solution
-    fitter = _FormulaFitter(information_criterion(solution), _excess_chi2(solution))
+    fitter = _FormulaFitter(
+        information_criterion(solution), _excess_chi2(solution), solution.tau or 0.0, (*SHAPES, *functions)
+    )
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found):
         found += _find_formulas(ResidualForces(extended), fitter, None)
-    return [describe_formula(f, solution) for f in _rank(found)[:N_SHOWN]]
+    ranked = _rank(found)
+    if not ranked:
+        return []
+    probabilities = family_probabilities(ranked, fitter.scanned, fitter.unfitted, forces.smooth[0].gain)
+    shown = ranked[:N_SHOWN]
+    entries = [describe_formula(f, solution) for f in shown]
+    alike = _equivalent_forms(shown[0], fitter)
+    for probability, found_one, entry in zip(probabilities, shown, entries, strict=False):
+        own = found_one.form
+        entry |= {
+            "probability": probability,
+            "equivalents": alike if found_one is shown[0] else [shown[0].form] * (own in alike),
+        }
+    return entries
+
+
+def _equivalent_forms(best: FittedFormula, fitter: _FormulaFitter) -> list[str]:
+    """Forms of the first term that these data cannot tell from it, best first.
+
+    If the formula is true, the fit of such a form is expected to be worse by less than `MIN_CHI2_SEPARATED`.
+    """
+    compressed = fitter.compress_without(best.solution)
+    term, values = best.terms[0], best.solution.problem.layout.values(best.solution.p, 0)[0][EFFECT_NAME]
+    own = replace(term, parameters=tuple(values[q] for q in parameter_names(term)))
+    force = np.concatenate([own.force(path, own.parameters) for path in compressed.paths])
+    trace = compressed.traces_of(compressed.split_by_piece(force)) @ [values[c] for c in coefficient_names(term)]
+    ideal = replace(compressed, residual=trace)
+    power = float(trace @ trace)
+    unit = max(best.solution.chi2 / best.solution.problem.n_frames, 1.0)
+    near = [
+        t
+        for t in _scan_shapes(ideal, fitter.shapes)
+        if _key(t) != _key(term) and power - t.gain < MAX_CHI2_SCREENED * unit
+    ]
+    near = sorted(near, key=lambda t: (t.size, -t.gain))[:MAX_EQUIVALENTS_TRIED]
+    refined = [_refine_term(ideal, t) for t in near]
+    alike = [t for t in refined if power - t.gain < MIN_CHI2_SEPARATED * unit]
+    return [t.form for t in sorted(alike, key=lambda t: (t.size, -t.gain))]
 
 
 def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | None) -> list[FittedFormula]:
     """Formulas of one term, and of two if misfit remains; effects of `law` may be refitted beside them."""
-    first = _best_terms(forces.compressed, forces.smooth, N_FIRST_FITTED)
+    first = _best_terms(forces.compressed, fitter)[:N_FIRST_FITTED]
     single = _competing_formulas(fitter, fitter.add_terms(forces.solution, (), first), law)
     if not single or _is_noise(single[0].solution):
         return single
     left = ResidualForces(single[0].solution)
-    second = _best_terms(left.compressed, left.smooth, N_SECOND_FITTED)
+    second = _best_terms(left.compressed, fitter)[:N_SECOND_FITTED]
     return single + fitter.add_terms(single[0].solution, single[0].terms, second)
 
 
@@ -100,13 +145,12 @@ def _competing_formulas(
     best = max(tried, key=lambda f: f.delta_bic)
     if law is not None and not _is_noise(best.solution):
         best = fitter.refit_model_effects(best, law)
-    compressed = compress_residual(best.solution, EFFECT_NAME)
-    terms = _best_terms(compressed, smooth_forces(compressed), N_RIVALS_FITTED, (best.terms[0].variable.name,))
-    near = [
-        t
-        for t in terms
-        if _penalised_gain(terms[0], compressed) - _penalised_gain(t, compressed) < MAX_DELTA_BIC_FITTED
-    ]
+    compressed = fitter.compress_without(best.solution)
+    terms = _best_terms(compressed, fitter)
+    behind = [_penalised_gain(terms[0], compressed) - _penalised_gain(t, compressed) for t in terms]
+    n_near = min(sum(b < MAX_DELTA_BIC_FITTED for b in behind), N_RIVALS_FITTED)
+    near = terms[:n_near]
+    fitter.unfitted.extend((t, best.delta_bic - b) for t, b in zip(terms[n_near:], behind[n_near:], strict=True))
     found = [best, *(f for t in near if (f := fitter.exchange_term(best, t)) is not None)]
     order = sorted(found, key=lambda f: -f.delta_bic)
     return list({_key(f.terms[0]): f for f in reversed(order)}.values())[::-1]
@@ -122,12 +166,23 @@ class _FormulaFitter:
 
     bare_bic: float
     excess: float
+    scatter: float  # of the friction levels, of the bare model
+    shapes: tuple[Shape, ...]
+    scanned: list[Term] = field(default_factory=list)  # all forms of the first scan
+    unfitted: list[tuple[Term, float]] = field(default_factory=list)  # rivals not fitted in full, expected fall of BIC
 
     def evaluate(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """Return a fitted formula with its gain."""
         explained = self.excess - _excess_chi2(solution)
         share = float(np.clip(explained / max(self.excess, 1e-300), 0.0, 1.0))
         return FittedFormula(terms, solution, self.bare_bic - information_criterion(solution), share)
+
+    def compress_without(self, solution: Solution) -> CompressedResidual:
+        """Compress the residual with the force of the formula in it.
+
+        The formula may take up the scatter of few friction levels by chance; that of the bare model is kept.
+        """
+        return compress_residual(replace(solution, tau=max(solution.tau or 0.0, self.scatter)), EFFECT_NAME)
 
     def add_terms(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[FittedFormula]:
         """Add each term to a model and fit it in full; skip those that cannot be integrated."""
@@ -182,11 +237,10 @@ def _rank(found: Sequence[FittedFormula]) -> list[FittedFormula]:
     return sorted(equal, key=lambda f: f.complexity) + order[len(equal) :]
 
 
-def _best_terms(
-    compressed: CompressedResidual, smooth: Sequence[SmoothForce], max_terms: int, names: Sequence[str] = ()
-) -> list[Term]:
-    """The best forms beside a model, refined, one per shape and axis, best first."""
-    scanned = list(_scan_shapes(compressed, smooth, names))
+def _best_terms(compressed: CompressedResidual, fitter: _FormulaFitter) -> list[Term]:
+    """The best forms beside a model, refined, one per shape and variable, best first."""
+    scanned = list(_scan_shapes(compressed, fitter.shapes))
+    fitter.scanned.extend(scanned if not fitter.scanned else ())
     if not scanned:
         return []
     best = max(t.gain for t in scanned)
@@ -195,27 +249,27 @@ def _best_terms(
     )[:N_REFINED]
     refined = sorted((_refine_term(compressed, t) for t in order), key=lambda t: -_penalised_gain(t, compressed))
     unique = {(t.shape.name, t.variable): t for t in reversed(refined)}
-    return sorted(unique.values(), key=lambda t: -_penalised_gain(t, compressed))[:max_terms]
+    return sorted(unique.values(), key=lambda t: -_penalised_gain(t, compressed))
 
 
 def _penalised_gain(term: Term, compressed: CompressedResidual) -> float:
-    """Gain minus the BIC penalty of the term's parameters."""
-    return term.gain - term.unknowns * float(np.log(compressed.n_frames))
+    """Gain minus the BIC penalty of the term's parameters, and that of the prior for its size."""
+    return term.gain - term.unknowns * float(np.log(compressed.n_frames)) + 2 * LOG_PRIOR_PER_UNKNOWN * term.size
 
 
-def _scan_shapes(
-    compressed: CompressedResidual, smooth: Sequence[SmoothForce], names: Sequence[str] = ()
-) -> Iterator[Term]:
-    """The best setting of every shape over every axis on which a smooth force explains something."""
-    smooth = [s for s in smooth if s.axis.name in (names or AXIS_SYMBOLS)]
-    for axis in (s.axis for s in smooth if s.gain > MIN_AXIS_GAIN_RATIO * smooth[0].gain):
-        u, factor = compressed.concatenate(axis.of), compressed.concatenate(axis.times)
-        for shape in SHAPES:
-            points = shape.grid(float(u.min()), float(u.max())) if axis.name in shape.axes else []
+def _scan_shapes(compressed: CompressedResidual, shapes: Sequence[Shape]) -> Iterator[Term]:
+    """The best setting of every shape over every variable; the same form is tried once."""
+    axes = formula_axes(compressed)
+    values = {axis.name: compressed.concatenate(axis.of) for axis in axes if not axis.factor or axis.factor == "L * s"}
+    ends = {name: (float(u.min()), float(u.max())) for name, u in values.items()}
+    for axis in axes:
+        u, factor = values[axis.name], compressed.concatenate(axis.times)
+        for rank, shape in enumerate(shapes):
+            points = shape.grid(*ends[axis.name]) if axis.name in shape.axes and not is_excluded(shape, axis) else []
             if points:
                 gains = _grid_gains(compressed, shape, points, (u, factor))
                 best = int(np.argmax(gains))
-                yield Term(shape, axis, points[best], (float(u.min()), float(u.max())), float(gains[best]))
+                yield Term(shape, axis, points[best], ends[axis.name], float(gains[best]), rank=rank)
 
 
 def _grid_gains(

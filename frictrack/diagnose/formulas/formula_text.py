@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 
 from frictrack.axes import AXES
+from frictrack.diagnose.formulas.dimensions import coefficient_unit, product
 from frictrack.diagnose.formulas.terms import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
     FittedFormula,
     Term,
     coefficient_names,
+    factor_dimension,
     parameter_bounds,
     parameter_names,
     study_file_text,
@@ -23,9 +25,8 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
 
-FACTOR_TEXTS = {"L * s": "L s ", "s": "s ", "": ""}  # by the factor in a study file
+FACTOR_TEXTS = {"L": "L", "s": "s", "x": "x", "t": "t", "abs(v)": "|v|", "mass": "m", "mass^(-1/2)": "m^(-1/2)"}
 INVERSE_UNITS = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
-POWERS = {"u": 1, "u^2": 2, "u^3": 3, "sqrt(u)": 0.5}
 
 
 def _unit(kind: str, axis: str) -> str:
@@ -33,13 +34,15 @@ def _unit(kind: str, axis: str) -> str:
     return {"rate": INVERSE_UNITS[unit][0], "sweep": INVERSE_UNITS[unit][1], "share": "1"}.get(kind, unit)
 
 
-def _coefficient_unit(column: str, axis: str) -> str:
-    """Unit of the coefficient of a column: N per power of the axis."""
-    power = POWERS.get(column, 1 if column.startswith("u*") else 0)
-    unit = AXES[axis].unit
-    if axis == "v":
-        return {0: "N", 1: "N s/m", 2: "N s^2/m^2", 3: "N s^3/m^3", 0.5: "N s^0.5/m^0.5"}[power]
-    return "N" if power == 0 else f"N/{unit}" if power == 1 else f"N/{unit}^{power:g}"
+def _coefficient_unit(column: str, term: Term) -> str:
+    """Unit of the coefficient of a column, derived from its text."""
+    return coefficient_unit(product(factor_dimension(term.factor), term.shape.dimension(column, term.axis)))
+
+
+def _factor_text(factor: str, *, with_load: bool) -> str:
+    """A factor to read; the load is left out if all runs have the same."""
+    parts = factor.split(" * ") if factor else []
+    return "".join(f"{FACTOR_TEXTS[one]} " for one in parts if with_load or one != "L")
 
 
 def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]:
@@ -74,8 +77,10 @@ def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]
         if n not in solution.problem.model and not n.startswith(EFFECT_NAME)
     ]
     return {
+        "form": found.form,
         "formula": _formula_text(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
         "axis": found.terms[0].axis,
+        "variables": list(dict.fromkeys(name for term in found.terms for name in term.variables)),
         "share": found.share,
         "delta_bic": float(found.delta_bic),
         "unknowns": sum(t.unknowns for t in found.terms),
@@ -89,24 +94,24 @@ def _formula_text(terms: Sequence[tuple[Term, list[float]]], *, with_load: bool)
     """The formula with its values, to read."""
     out = ""
     for term, coefficients in terms:
-        factor = FACTOR_TEXTS[term.factor] if with_load else FACTOR_TEXTS[term.factor].replace("L ", "")
-        for column, value in _merge_sine_pairs(term.shape.columns, coefficients):
-            size = f"{abs(value):.3g} {_coefficient_unit(column, term.axis)}"
+        factor = _factor_text(term.factor, with_load=with_load)
+        for one, column, value in _merge_sine_pairs(term.shape.columns, coefficients):
+            size = f"{abs(value):.3g} {_coefficient_unit(one, term)}"
             sign = ("-" if value < 0 else "") if not out else (" - " if value < 0 else " + ")
             out += sign + f"{size} {factor}{_column_text(column, term)}".strip()
     return out
 
 
-def _merge_sine_pairs(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tuple[str, float]]:
-    """Columns with their coefficients; sine and cosine merged to one with a phase."""
+def _merge_sine_pairs(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tuple[str, str, float]]:
+    """Columns with their text and coefficients; sine and cosine merged to one with a phase."""
     pairs = list(zip(columns, coefficients, strict=True))
     while pairs:
         column, value = pairs.pop(0)
         if "sin(" in column and pairs and pairs[0][0] == column.replace("sin(", "cos("):
             other = pairs.pop(0)[1]
-            yield f"{column[:-1]} + {np.arctan2(other, value):.3g} rad)", float(np.hypot(value, other))
+            yield column, f"{column[:-1]} + {np.arctan2(other, value):.3g} rad)", float(np.hypot(value, other))
         else:
-            yield column, value
+            yield column, column, value
 
 
 def _column_text(column: str, term: Term) -> str:
@@ -126,7 +131,7 @@ def _toml(terms: Sequence[Term]) -> str:
     bounds: dict[str, tuple[float, float]] = {}
     for term, suffix in pairs:
         columns = zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
-        units |= {c: _coefficient_unit(column, term.axis) for c, column in columns}
+        units |= {c: _coefficient_unit(column, term) for c, column in columns}
         units |= {
             q: _unit(kind, term.axis) for q, kind in zip(parameter_names(term, suffix), term.shape.kinds, strict=True)
         }

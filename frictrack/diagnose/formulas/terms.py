@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.diagnose.formulas.shapes import SHAPES, Shape
+from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, NONE, Dimension, product
+from frictrack.diagnose.formulas.shapes import Shape
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
@@ -19,6 +20,12 @@ from frictrack.records import Array
 
 AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # in a study file, and to read
 EFFECT_NAME = "unexplained"  # in the study file
+FACTOR_VARIABLES = {"x": "x", "t": "t", "abs(v)": "v"}  # factors that are variables of the motion
+FACTOR_DIMENSIONS = {  # of factors with a unit
+    **{factor: AXIS_DIMENSIONS[axis] for factor, axis in FACTOR_VARIABLES.items()},
+    "mass": (0.0, 0.0, 1.0),
+    "mass^(-1/2)": (0.0, 0.0, -0.5),
+}
 MAX_WIDTH_RATIO = 3.0  # times the axis; a wider shape is flat
 
 
@@ -40,6 +47,8 @@ class Term:
         Fall of chi-squared.
     coefficients
         Coefficient of each column, N.
+    rank
+        Position of the shape in the grammar, simplest first.
 
     """
 
@@ -49,6 +58,7 @@ class Term:
     ends: tuple[float, float]  # of the axis
     gain: float = 0.0
     coefficients: tuple[float, ...] = ()
+    rank: int = 0
 
     @property
     def unknowns(self) -> int:
@@ -64,6 +74,27 @@ class Term:
     def factor(self) -> str:
         """Factor on the shape, as in a study file."""
         return self.variable.factor
+
+    @property
+    def multipliers(self) -> tuple[str, ...]:
+        """Factors with a unit: variables of the motion, and powers of the mass."""
+        return tuple(one for one in self.factor.split(" * ") if one in FACTOR_DIMENSIONS)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns and of multipliers; another power of the load than one counts twice."""
+        return self.unknowns + sum(1 if one in FACTOR_VARIABLES else 2 for one in self.multipliers)
+
+    @property
+    def form(self) -> str:
+        """The form without values, as in a study file."""
+        return study_file_text(self, "")
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the axes on which it depends, its own first; none of its own for a constant shape."""
+        own = () if self.shape.columns == ("1",) and self.multipliers else (self.axis,)
+        return (*own, *(FACTOR_VARIABLES[one] for one in self.multipliers if one in FACTOR_VARIABLES))
 
     def force(self, path: Path, parameters: Sequence[float]) -> Array:
         """Columns along a path, N per unit of each coefficient, (n, k)."""
@@ -81,9 +112,24 @@ class FittedFormula:
     share: float
 
     @property
-    def complexity(self) -> tuple[int, int]:
-        """Number of unknowns, then position of the shapes in `SHAPES`."""
-        return sum(t.unknowns for t in self.terms), sum(SHAPES.index(t.shape) for t in self.terms)
+    def form(self) -> str:
+        """The form without values, as in a study file."""
+        suffixes = [""] if len(self.terms) == 1 else ["_a", "_b"]
+        return " + ".join(study_file_text(*pair) for pair in zip(self.terms, suffixes, strict=True))
+
+    @property
+    def complexity(self) -> tuple[int, int, int]:
+        """Size, number of multipliers, then position of the shapes in the grammar."""
+        multipliers = sum(len(t.multipliers) for t in self.terms)
+        return sum(t.size for t in self.terms), multipliers, sum(t.rank for t in self.terms)
+
+
+def factor_dimension(factor: str) -> Dimension:
+    """Powers of m, s and kg of a factor."""
+    out = NONE
+    for one in factor.split(" * "):
+        out = product(out, FACTOR_DIMENSIONS.get(one, NONE))
+    return out
 
 
 def build_effect(name: str, term: Term) -> Effect:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from typing import Any, TypedDict
 
 from frictrack import plots
 from frictrack.axes import AXES
+from frictrack.flow.formula_effects import effect_of_formula
 from frictrack.number_format import format_change, format_interval, format_number, format_share
 from frictrack.report import held_out_change, mark_code, study_verdict
 from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import Study
-from frictrack.verdicts import describe_verdict
+from frictrack.verdicts import describe_formula, describe_verdict
 from frictrack.workbench.plot_data import RESIDUAL_TITLES
 from frictrack.workbench.summaries.candidates import error_change
 from frictrack.workbench.summaries.repairs import rests_on_repairs
@@ -182,18 +182,10 @@ def _unexplained(left: Mapping[str, Any]) -> str | None:
 
 def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     """Describe a formula that can be added to the model as an effect of the study."""
-    effect = tomllib.loads(found["toml"])["effect"][0] if found.get("toml") else {}
-    if effect:
-        effect["effect"] = _free_name(effect["effect"], study)
+    effect = effect_of_formula(found, [table.effect for table in study.effects])
     share = f"{100 * found['share']:.1f} % of the misfit, evidence {format_change(found['delta_bic'])}"
-    return {"formula": found["formula"], "words": share, "effect": effect, "needs": list(found.get("beside", []))}
-
-
-def _free_name(name: str, study: Study) -> str:
-    """Return the name of an effect, with a number if the study has one of that name."""
-    taken = {table.effect for table in study.effects}
-    names = (f"{name}{mark}" for mark in ("", *(f"_{k}" for k in range(2, len(taken) + 3))))
-    return next(one for one in names if one not in taken)
+    words = "; ".join([share, *describe_formula(found)])
+    return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}
 
 
 # --- next experiments, and where the model fails

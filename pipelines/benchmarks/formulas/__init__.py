@@ -1,0 +1,1 @@
+"""Measure how often an unknown cause is named by its formula, on studies that an independent integrator made."""
