@@ -15,9 +15,9 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
 
     An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. Neither is one that
-    contains the best one as a special case: it predicts the same data whatever these are, with more parameters. A rival need not be
-    significant by itself: the true cause may be less significant than its imitation. An effect that was promising but
-    not refined, because the budget was spent, counts as a rival: how much it explains is not known.
+    contains the best one as a special case: it predicts the same data whatever these are, with more parameters. A rival
+    need not be significant by itself: the true cause may be less significant than its imitation. An effect that was
+    promising but not refined, because the budget was spent, counts as a rival: how much it explains is not known.
 
     Parameters
     ----------

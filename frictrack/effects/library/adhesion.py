@@ -30,7 +30,7 @@ adhesion = Effect(
     varies_with="",
     what="Surfaces attract each other, or a seal or magnet presses them together: mu (N + N_a), F = mu N_a.",
     looks_like="a friction coefficient that falls as the mass rises; nothing at all with one mass",
-    mistaken_for="friction levels that scatter from run to run, a wrong mass, friction that grows with a power of the load",
+    mistaken_for="levels that scatter from run to run, a wrong mass, friction as a power of the load",
     confirm="Film three masses, each several times: the friction force is a straight line against the load.",
     invariant="the force of adhesion stays when the load changes",
     settled_by="film three masses, each several times",
