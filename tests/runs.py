@@ -56,8 +56,6 @@ TOLD = {
     "flash_weakening": {"dF": 4.0, "v_w": 3.0},
     "log_velocity": {"a": 0.4, "v_0": 1e-6},
     "power_law_viscosity": {"c": 1.5, "n": 0.6},
-    "eddy_brake": {"c": 1.5, "v_0": 2.0},
-    "hydrodynamic_hump": {"F": 4.0, "v_s": 2.0},
     "adhesion": {"F": 2.0},
     "rolling_shutter": {"tau": 2e-4},
     "out_of_plane": {"k": 0.02},
@@ -142,10 +140,6 @@ LAWS = {
     "flash_weakening": lambda q, x, v, t, s, slider: -slider.load * s * q["dF"] * abs(v) / (q["v_w"] + abs(v)),
     "log_velocity": lambda q, x, v, t, s, slider: slider.load * s * q["a"] * np.log(1 + abs(v) / q["v_0"]),
     "power_law_viscosity": lambda q, x, v, t, s, slider: s * q["c"] * abs(v) ** q["n"],
-    "eddy_brake": lambda q, x, v, t, s, slider: q["c"] * v * q["v_0"] ** 2 / (q["v_0"] ** 2 + v**2),
-    "hydrodynamic_hump": lambda q, x, v, t, s, slider: (
-        slider.load * s * q["F"] * abs(v) / q["v_s"] * exp(-abs(v) / q["v_s"])
-    ),
     "adhesion": lambda q, x, v, t, s, slider: s * q["F"] + 0 * v,
     "atm2:1": _atm2_1,
 }

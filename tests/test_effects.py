@@ -62,8 +62,8 @@ SCALING = {
     **{"spring": "--", "collision": "-", "asymmetry": "L-", "slope": "M", "lens": "-", "peak_locking": "-"},
     **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-", "decaying_vibration": "-", "thermal": "L", "drift": "L"},
     **{"drive_error": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
-    **{"flash_weakening": "L", "log_velocity": "L", "hydrodynamic_hump": "L", "power_law_viscosity": "-"},
-    **{"eddy_brake": "-", "adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-"},
+    **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-"},
+    **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-"},
 }
 
 

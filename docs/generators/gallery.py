@@ -33,10 +33,10 @@ PICTURE_DPI, THUMBNAIL_DPI = 130, 110
 GROUPS = {
     "Forces that belong to friction": (
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
-        *("flash_weakening", "log_velocity", "power_law_viscosity", "hydrodynamic_hump", "adhesion"),
+        *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
     ),
-    "Forces of the course": ("texture", "patch", "spring", "slope", "eddy_brake", "collision"),
+    "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
     "Vibrations": (
         *("vibration", "decaying_vibration", "beam_vibration"),
         *("load_modulation", "measured_load", "viscous_modulation"),
