@@ -16,8 +16,11 @@ from frictrack.effects import LIBRARY
 from frictrack.fit import fit
 
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
-SPEEDS = (Spec(2.5, 1, 0.06), Spec(4.0), Spec(8.0), Spec(4.5, 2), Spec(3.0, 2, 0.06), Spec(-4.5), Spec(5.0, 0.5, 0.08))
-SIGMA = 1e-6  # m
+SPEEDS = (  # m/s, mass over the reference, s: none stops
+    *(Spec(3.5, 1, 0.06), Spec(5.0, 1, 0.08), Spec(8.0, 1, 0.1), Spec(-5.0, 1, 0.08)),
+    *(Spec(5.0, 2, 0.08), Spec(3.5, 2, 0.06), Spec(6.0, 0.5, 0.05)),
+)
+SIGMA = 1e-5  # m
 SPAN = SimpleNamespace(x_min=0.0, x_max=0.5, v_min=1.0, v_max=8.0, fps=1000.0)
 
 
@@ -64,7 +67,7 @@ def test_a_special_case_is_fitted_again_from_the_effect_that_contains_it():
 
 
 def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
-    single = runs_with("adhesion", specs=(Spec(2.5, 1, 0.06), Spec(4.0), Spec(-4.5)))
+    single = runs_with("adhesion", specs=SPEEDS[:4])
     found = fit(list(LAW), single)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)
     assert found.parameters["coulomb.F_c"].value == pytest.approx(
