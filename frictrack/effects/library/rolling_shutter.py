@@ -11,6 +11,8 @@ from frictrack.effects.scans import Span
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
+MAX_FPS = 1000.0  # Hz: faster cameras expose all lines at once
+
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """V x, shape (n, 1): m per s/m of tau; a place is seen tau x later than the place 0."""
@@ -18,7 +20,9 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 
 def plausible(values: Nonlinear, span: Span) -> str:
-    """Return an objection to a readout of the course that takes longer than a frame."""
+    """Return an objection to a camera with a global shutter, and to a readout that takes longer than a frame."""
+    if span.fps > MAX_FPS:
+        return f"cameras of more than {MAX_FPS:g} frames per second expose all lines at once"
     frames = abs(values["tau"]) * (span.x_max - span.x_min) * span.fps
     if frames <= 1.0:
         return ""
