@@ -53,6 +53,12 @@ TOLD = {
     "dropped_frame": {"frames": 1.0, "time": 0.0400 + 0.5 / FPS},
     "timebase": {"k": 0.02},
     "target_rotation": {"along": 0.03, "across": 0.02},
+    "flash_weakening": {"dF": 4.0, "v_w": 3.0},
+    "log_velocity": {"a": -0.2, "v_0": 1e-6},
+    "power_law_viscosity": {"c": 1.0, "n": 0.6},
+    "adhesion": {"F": 2.0},
+    "rolling_shutter": {"tau": 2e-4},
+    "out_of_plane": {"k": 0.02},
 }
 TIMED = ("clock_rate",)  # held against scaled times elsewhere
 REMEMBERED = ("presliding", "friction_lag", "lugre", "bouc_wen")  # held against integrators of their own elsewhere
@@ -131,6 +137,10 @@ LAWS = {
     "thermal": lambda q, x, v, t, s, slider: -slider.load * s * q["dF"] * (1 - exp(-slider.slid / q["length"])),
     "drift": lambda q, x, v, t, s, slider: slider.load * s * q["k"] * t,
     "drive_error": lambda q, x, v, t, s, slider: -q["e"] * drive(t - q["tau"]),
+    "flash_weakening": lambda q, x, v, t, s, slider: -slider.load * s * q["dF"] * abs(v) / (q["v_w"] + abs(v)),
+    "log_velocity": lambda q, x, v, t, s, slider: slider.load * s * q["a"] * np.log(1 + abs(v) / q["v_0"]),
+    "power_law_viscosity": lambda q, x, v, t, s, slider: s * q["c"] * abs(v) ** q["n"],
+    "adhesion": lambda q, x, v, t, s, slider: s * q["F"] + 0 * v,
     "atm2:1": _atm2_1,
 }
 # What multiplies the effects that a modifier reshapes, all of them dry friction but in one case.
@@ -144,12 +154,14 @@ SHIFTS = {
     "lens": lambda q, x, t, slider: q["k"] * (x - q["x_c"]) ** 3,
     "peak_locking": lambda q, x, t, slider: q["amplitude"] * slider.pitch * sin(2 * pi * x / slider.pitch + q["phase"]),
     "camera_shake": lambda q, x, t, slider: q["amplitude"] * cos(2 * pi * q["frequency"] * t + q["phase"] - pi / 2),
+    "out_of_plane": lambda q, x, t, slider: q["k"] * x * x,
 }
 # The same of a mass that moves at v.
 MOVED = {
-    "dropped_frame": lambda q, v, t: np.where(t > q["time"], q["frames"] * v / FPS, 0.0),
-    "timebase": lambda q, v, t: v * q["k"] * t**2 / 2,
-    "target_rotation": lambda q, v, t: (complex(q["along"], q["across"]) * (exp(1j * angle(t)) - 1)).real,
+    "dropped_frame": lambda q, x, v, t: np.where(t > q["time"], q["frames"] * v / FPS, 0.0),
+    "timebase": lambda q, x, v, t: v * q["k"] * t**2 / 2,
+    "rolling_shutter": lambda q, x, v, t: q["tau"] * x * v,
+    "target_rotation": lambda q, x, v, t: (complex(q["along"], q["across"]) * (exp(1j * angle(t)) - 1)).real,
 }
 DRY = ("coulomb", "stribeck")  # what a modulation of the load reshapes
 
@@ -171,7 +183,7 @@ def force(values, x, v, t, s, slider=Slider()):
 def picture(values, x, t, slider=Slider(), v=None):
     """Measurement shift in m of a mass at x at time t."""
     still = sum(SHIFTS[name](q, x, t, slider) for name, q in values.items() if name in SHIFTS)
-    return still + sum(MOVED[name](q, v, t) for name, q in values.items() if name in MOVED)
+    return still + sum(MOVED[name](q, x, v, t) for name, q in values.items() if name in MOVED)
 
 
 def tone(values, x, slider):

@@ -62,6 +62,8 @@ SCALING = {
     **{"spring": "--", "collision": "-", "asymmetry": "L-", "slope": "M", "lens": "-", "peak_locking": "-"},
     **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-", "decaying_vibration": "-", "thermal": "L", "drift": "L"},
     **{"drive_error": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
+    **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-"},
+    **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-"},
 }
 
 
@@ -211,6 +213,20 @@ def test_amplitude_and_phase_are_a_sine_and_a_cosine(effect):
     mixed = a * (at(0.0) - still) + b * (at(np.pi / 2) - still)
     one = np.hypot(a, b) * (at(np.arctan2(b, a)) - still)
     np.testing.assert_allclose(one, mixed, atol=1e-12 * np.max(np.abs(mixed)))
+
+
+CONTAINING = [(e, name) for e in ALL for name in e.special_cases]
+
+
+@pytest.mark.parametrize(("effect", "name"), CONTAINING, ids=lambda q: q if isinstance(q, str) else q.name)
+def test_an_effect_equals_each_of_its_special_cases(effect, name):
+    simple = LIBRARY[name]
+    assert len(simple.nonlinear) < len(effect.nonlinear)
+    assert (simple.acts_on, simple.scales_with) == (effect.acts_on, effect.scales_with)
+    for s in (1.0, -1.0):
+        path = path_of(s=s, load=1.3, mass_ratio=2.0)
+        made = effect.columns(path, effect.special_cases[name])
+        np.testing.assert_allclose(made, simple.columns(path, {}), rtol=1e-14, atol=1e-15)
 
 
 def test_dry_friction_keeps_its_side_where_the_velocity_passes_zero():

@@ -33,6 +33,7 @@ PICTURE_DPI, THUMBNAIL_DPI = 130, 110
 GROUPS = {
     "Forces that belong to friction": (
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
+        *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
     ),
     "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
@@ -42,7 +43,7 @@ GROUPS = {
     ),
     "Errors of the measurement": (
         *("drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame"),
-        *("timebase", "clock_rate", "target_rotation"),
+        *("timebase", "clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
     ),
 }
 SCALES = {

@@ -254,6 +254,12 @@ EXAMPLES: dict[str, Example] = {
     "timebase": _with("timebase", {"k": 0.02}),
     "clock_rate": _with("clock_rate", {"rate": 0.0}, per_run={"slow": {"rate": 0.2}}),
     "target_rotation": _with("target_rotation", {"along": 0.003, "across": 0.004}, conditions={"angle": angle}),
+    "flash_weakening": _with("flash_weakening", {"dF": 0.6, "v_w": 0.8}, axis="v"),
+    "log_velocity": _with("log_velocity", {"a": 0.1, "v_0": 1e-6}, axis="v"),
+    "power_law_viscosity": _with("power_law_viscosity", {"c": 0.2, "n": 0.5}, axis="v"),
+    "adhesion": _with("adhesion", {"F": 0.3}, axis="v"),
+    "rolling_shutter": _with("rolling_shutter", {"tau": 1e-3}, axis="v"),
+    "out_of_plane": _with("out_of_plane", {"k": 0.01}, axis="x"),
     "presliding": _with("presliding", {"stiffness": 3e-4, "exponent": 1.0}, design=SWINGS, axis="x"),
     "friction_lag": Example(
         TUSTIN | {"stribeck": {"F_s": 1.0, "v_s": 0.2, "delta": 1.0}, "friction_lag": {"tau": 0.008}},

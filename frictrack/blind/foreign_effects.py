@@ -15,16 +15,6 @@ RESONANCE_WIDTH = 0.15  # width of a resonance in speed, over that speed
 N_HARMONICS = 5  # one more than the harmonics of a sawtooth
 
 
-def _rate_and_state(path: Path, q: dict[str, float]) -> Array:
-    """Friction falls with the logarithm of the speed (steady state of Dieterich 1979, J. Geophys. Res. 84)."""
-    return -path.load * path.s * np.log((path.speed + 1e-3) / q["speed"])
-
-
-def _flash_weakening(path: Path, q: dict[str, float]) -> Array:
-    """Asperities weaken beyond a speed, and friction falls with its inverse (Rice 2006, J. Geophys. Res. 111)."""
-    return path.load * path.s * (1 + (path.speed / q["speed"]) ** 4) ** -0.25
-
-
 def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
     """The mounting resonates and takes energy at one sliding speed."""
     return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (RESONANCE_WIDTH * q["speed"])) ** 2) / 2)
@@ -74,8 +64,6 @@ def _heat(path: Path, q: dict[str, float]) -> Array:
 
 UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
 FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
-    "rate_and_state": (_rate_and_state, ("speed",)),
-    "flash_weakening": (_flash_weakening, ("speed",)),
     "speed_resonance": (_speed_resonance, ("speed",)),
     "joint": (_joint, ("place",)),
     "saw": (_saw, ("length",)),

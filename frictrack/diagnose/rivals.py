@@ -14,9 +14,10 @@ from frictrack.fit.uncertainty import dispersion
 def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> tuple[str, ...]:
     """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
 
-    An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. A rival need not be
-    significant by itself: the true cause may be less significant than its imitation. An effect that was promising but
-    not refined, because the budget was spent, counts as a rival: how much it explains is not known.
+    An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. Neither is one that
+    contains the best one as a special case: it predicts the same data whatever these are, with more parameters. A rival
+    need not be significant by itself: the true cause may be less significant than its imitation. An effect that was
+    promising but not refined, because the budget was spent, counts as a rival: how much it explains is not known.
 
     Parameters
     ----------
@@ -34,6 +35,7 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
+    near = [t for t in near if best.effect.kind not in t.effect.special_cases]
     margin = 2 * MIN_CHI2_SEPARATED * unit
     near = [t for t in near if t.is_unrefined or best.delta_bic - t.delta_bic < margin]
     return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))

@@ -26,7 +26,7 @@ from frictrack.diagnose.model_selection import (
 from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Solution
+from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import LinearisedModel
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.stepwise import (
@@ -308,7 +308,36 @@ def simulate_promising(
             out.append(_simulated(candidate, own, simulated.get(candidate.effect.name)))
         else:
             out.append(candidate)
-    return sorted(out, key=_best_first)
+    return sorted((_restart_special_case(t, out, own) for t in out), key=_best_first)
+
+
+def _restart_special_case(
+    candidate: RefinedCandidate, others: Sequence[RefinedCandidate], own: float
+) -> RefinedCandidate:
+    """The candidate, refined again from an effect that contains it and explains more; `own` is the BIC of the model.
+
+    The larger effect may have found a better minimum. Where that is one of the smaller effect too, this one wins.
+    """
+    for other in others:
+        if candidate.solution is None or other.solution is None or other.delta_bic <= candidate.delta_bic:
+            continue
+        if candidate.effect.kind in other.effect.special_cases:
+            found = _refined_from(candidate, other)
+            gain = own - information_criterion(found)
+            if gain > candidate.delta_bic:
+                candidate = replace(candidate, solution=found, delta_bic=gain)
+                candidate = replace(candidate, objection=objection(found, candidate.effect))
+    return candidate
+
+
+def _refined_from(candidate: RefinedCandidate, other: RefinedCandidate) -> Solution:
+    """Fit of a candidate that starts at the parameters of an effect that contains it."""
+    problem, law = candidate.law.problem, other.law
+    values = {(s.effect, s.parameter, s.run): x for s, x in zip(law.problem.layout.slots, law.p, strict=True)}
+    for mine, its in zip(candidate.effect.linear, other.effect.linear, strict=True):
+        values[candidate.effect.name, mine.name, None] = values[other.effect.name, its.name, None]
+    p = np.array([values[s.effect, s.parameter, s.run] for s in problem.layout.slots])
+    return fit_with_scatter(problem, p, law.starts, law.tau or 0.03)
 
 
 def _best_first(candidate: RefinedCandidate) -> tuple[bool, float]:

@@ -136,6 +136,9 @@ class Effect:
         Without it they are evaluated run by run.
     modifies, replaces : frozenset of str
         Effects whose columns it changes; effects that cannot stand beside it in a model.
+    special_cases : mapping, optional
+        Simpler effects that it equals at certain values of its non-linear parameters: values by name of the effect. It
+        is no rival of one of them, because it can only repeat with more parameters what that one explains.
     scales_with : {"nothing", "load", "mass", "drive"}
         What carries its size from one run to another.
     what, looks_like, mistaken_for, confirm, source : str
@@ -205,6 +208,7 @@ class Effect:
     varies_with: str | None = None
     modifies: frozenset[str] = frozenset()
     replaces: frozenset[str] = frozenset()
+    special_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict, compare=False)
     scales_with: str = "nothing"
     what: str = ""
     looks_like: str = ""

@@ -1,0 +1,93 @@
+"""Effects of speed, load and picture: each is named or in the stated group, and contained effects are no rivals."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from runs import BASE, TOLD, Spec, study
+
+from frictrack import models
+from frictrack.diagnose import diagnose
+from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.rounds import RefinedCandidate, _restart_special_case
+from frictrack.effects import LIBRARY
+from frictrack.fit import fit
+
+LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
+SPEEDS = (  # m/s, mass over the reference, s: none stops
+    *(Spec(3.5, 1, 0.06), Spec(5.0, 1, 0.08), Spec(8.0, 1, 0.1), Spec(-5.0, 1, 0.08)),
+    *(Spec(5.0, 2, 0.08), Spec(3.5, 2, 0.06), Spec(6.0, 0.5, 0.05)),
+)
+SIGMA = 1e-5  # m
+SPAN = SimpleNamespace(x_min=0.0, x_max=0.5, v_min=1.0, v_max=8.0, fps=1000.0)
+
+
+def runs_with(name, values=None, specs=SPEEDS):
+    law = LAW | {name: values or TOLD[name]}
+    return study(models.of(law), law, specs, sigma=SIGMA, rng=np.random.default_rng(4))[0]
+
+
+def group(found):
+    """The first effect named, and those that the diagnosis cannot distinguish from it."""
+    return {found.missing[0], *found.candidates[0].indistinguishable_from}
+
+
+@pytest.mark.parametrize("name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"])
+def test_a_hidden_effect_is_named(name):
+    found = diagnose(fit(list(LAW), runs_with(name)), quick=True)
+    assert found.verdict in ("missing", "ambiguous")
+    assert name in group(found)
+
+
+def test_an_inclined_course_is_named():
+    found = diagnose(fit(list(LAW), runs_with("out_of_plane", {"k": 2e-3})), quick=True)
+    assert "out_of_plane" in group(found)
+
+
+def test_drag_stays_drag_beside_an_effect_that_contains_it():
+    found = diagnose(fit(list(LAW), runs_with("drag", {"c": 0.05})), quick=True)
+    assert (found.verdict, found.missing) == ("missing", ["drag"])
+    assert "power_law_viscosity" in [c.effect for c in found.candidates]
+    assert found.candidates[0].indistinguishable_from == ()
+
+
+def test_a_special_case_is_fitted_again_from_the_effect_that_contains_it():
+    runs = runs_with("drag", {"c": 0.05})
+    start, drag, power = (fit([*LAW, *more], runs).solution for more in ([], ["drag"], ["power_law_viscosity"]))
+    own = information_criterion(start)
+    poor = RefinedCandidate(LIBRARY["drag"], drag, -5.0, 0.001)  # as if it had stopped in a poor minimum
+    better = RefinedCandidate(LIBRARY["power_law_viscosity"], power, own - information_criterion(power), 0.001)
+    found = _restart_special_case(poor, [poor, better], own)
+    assert found.delta_bic == pytest.approx(own - information_criterion(drag), abs=0.01)
+    assert found.delta_bic > better.delta_bic
+    assert _restart_special_case(better, [found, better], own) is better
+
+
+def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
+    single = runs_with("adhesion", specs=SPEEDS[:4])
+    found = fit(list(LAW), single)
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+    assert found.parameters["coulomb.F_c"].value == pytest.approx(
+        LAW["coulomb"]["F_c"] + TOLD["adhesion"]["F"], rel=1e-3
+    )
+
+
+def test_a_camera_does_not_read_for_longer_than_a_frame():
+    shutter = LIBRARY["rolling_shutter"]
+    assert shutter.plausible({"tau": 0.0019}, SPAN) == ""
+    assert "for 2 frames, expected at most one frame" in shutter.plausible({"tau": -0.004}, SPAN)
+    fast = SimpleNamespace(**vars(SPAN) | {"fps": 4000.0})
+    assert "expose all lines at once" in shutter.plausible({"tau": 1e-5}, fast)
+
+
+def test_an_inclined_course_bends_the_picture_by_an_eighth():
+    x = np.linspace(0.0, 0.5, 501)
+    left = 0.1 * x**2 - (
+        0.1 * 0.5 * x - 0.1 * 0.5**2 / 8
+    )  # the best line leaves equal errors at both ends and the middle
+    inclined = LIBRARY["out_of_plane"]
+    assert np.max(np.abs(left)) == pytest.approx(0.1 * 0.5**2 / 8)
+    assert inclined.plausible({"k": 0.4}, SPAN) == ""
+    assert "of the span, expected at most 3 %" in inclined.plausible({"k": 0.6}, SPAN)
