@@ -109,7 +109,7 @@ elasto_plastic = Effect(
     what="The contact is a spring up to a share of its level: a small load to and fro leaves it where it was.",
     looks_like="a loop against x after every reversal with straight flanks; no loop and no drift below the share",
     mistaken_for="presliding (share 0 is close to it), unless the load stays below the share for many cycles",
-    confirm="Hold it by a load that swings below the share: it does not drift, as it does with Dahl's or LuGre's state.",
+    confirm="Load it by a force that swings below the share: it does not drift, as Dahl's contact does.",
     invariant="a load below the share of the level moves nothing for good",
     source="Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "
     "the bristles",

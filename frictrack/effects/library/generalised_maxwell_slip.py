@@ -1,4 +1,8 @@
-"""Generalised Maxwell slip: elements in parallel, each elastic up to its own slip, so that loops lie within loops."""
+"""Generalised Maxwell slip: elements in parallel, each elastic up to its own slip, so that loops lie within loops.
+
+The force has a kink wherever an element slips. A fit to a measured friction force takes seconds; a fit to a film
+integrates the motion through every kink and takes minutes.
+"""
 
 from __future__ import annotations
 

@@ -12,14 +12,15 @@ from frictrack.effects.scans import breakaway_lengths
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
-REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the logarithms bend to a constant
+REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant
+MIN_AGE = 1e-300  # v_0 theta/D_c, whose logarithm is still finite
 MIN_STEP = 1e-9  # of a distance over D_c, below which a step is one of time alone
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Level, direct effect and contact age, shape (n, 3): N per N of F_0, A and B, in the direction of motion."""
     age = contact_age(path, nonlinear["D_c"], nonlinear["v_0"])
-    made = [np.ones_like(age), np.log1p(path.speed / nonlinear["v_0"]), np.log1p(age)]
+    made = [np.ones_like(age), np.log1p(path.speed / nonlinear["v_0"]), np.log(np.maximum(age, MIN_AGE))]
     return np.asarray((path.load * path.s)[:, None] * np.column_stack(made))
 
 
@@ -29,7 +30,7 @@ def state(path: Path, nonlinear: Nonlinear) -> Array:
 
 
 def contact_age(path: Path, length: float | Array, v_0: float | Array) -> Array:
-    """u = v_0 theta/D_c (n,) of the ageing law, du/dt = v_0/D_c - u |v|/D_c.
+    """U = v_0 theta/D_c (n,) of the ageing law, du/dt = v_0/D_c - u |v|/D_c.
 
     The speed of a step enters where the contacts that last to its end are made: with a constant speed a step is exact.
     A path begins as the motion before it has left the contacts, in the steady state where nothing is known of it.
@@ -68,7 +69,7 @@ def describe(effect: EffectInStudy) -> str:
 rate_and_state = Effect(
     name="rate_and_state",
     acts_on="force",
-    equation="L s (F_0 + A ln(1 + |v|/v_0) + B ln(1 + v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c",
+    equation="L s (F_0 + A ln(1 + |v|/v_0) + B ln(v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c",
     parameters=(
         Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
         Parameter("A", "N", linear=True, loaded=True),
@@ -82,11 +83,11 @@ rate_and_state = Effect(
     scales_with="load",
     memory=True,
     what="The contacts creep and grow while they last, also at rest; sliding renews them over a distance.",
-    looks_like="a peak after a rest that grows with the logarithm of its length; a step of speed that is answered twice",
+    looks_like="a peak after a rest that grows with the logarithm of its length; a double answer to a step of speed",
     mistaken_for="stribeck, if the speed changes slowly and never rests; rate_and_state_slip, without rests",
     confirm="Slide, hold for 1, 10 and 100 s, slide: the peak grows by the same amount per decade.",
     invariant="the age of the contacts needs rests, or steps of the speed",
     describe=describe,
-    source="Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983, J. Geophys. Res. 88, 10359; logarithms cut off below "
-    "v_0 as in Okubo & Dieterich 1986",
+    source="Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983, J. Geophys. Res. 88, 10359; direct effect cut "
+    "off below v_0 as in Okubo & Dieterich 1986",
 )

@@ -32,7 +32,8 @@ def score(folder: Path, say: Say) -> dict[str, Any]:
     first, second = _halves(data["validation"])
     start = screen.Law({name: {} for name in ASYMMETRIC.split(",")})
     late = screen.timed(data["train"], start)
-    rows.append(_row(f"asymmetric, drive {1e3 * late.late:.2f} ms late, fitted on train", start, late, data["validation"]))
+    title = f"asymmetric, drive {1e3 * late.late:.2f} ms late, fitted on train"
+    rows.append(_row(title, start, late, data["validation"]))
     for law, record, _ in screen.grown(first, start, say):
         rows.append(_row(f"{law.words}, drive {1e3 * record.late:.2f} ms late, second half", law, record, second))
     return {"rows": rows, "flexibility": _flexibility(data)}
