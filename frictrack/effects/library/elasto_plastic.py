@@ -8,10 +8,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
 from frictrack.effects.memory import direction_stretches, last_samples, per_individual, preceding_motion
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
+from frictrack.number_format import format_number
 from frictrack.records import Array
 
 MAX_YIELDED = 40.0  # logarithm of the way to full bending that is left, beyond which the contact slides
@@ -89,6 +91,11 @@ def _table(share: float) -> tuple[CubicSpline, CubicSpline, float]:
     return way, CubicSpline(way(u), u), float(way(MAX_YIELDED))
 
 
+def describe(effect: EffectInStudy) -> str:
+    """Share of the level up to which nothing yields."""
+    return f"purely elastic up to {format_number(100 * effect.value('share'))} % of the level of dry friction"
+
+
 elasto_plastic = Effect(
     name="elasto_plastic",
     acts_on="force",
@@ -113,5 +120,6 @@ elasto_plastic = Effect(
     invariant="a load below the share of the level moves nothing for good",
     source="Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "
     "the bristles",
+    describe=describe,
     quote=quote,
 )

@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import bending, quote
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
+from frictrack.number_format import format_number
 from frictrack.records import Array
 
 N_ELEMENTS = 8  # with equal limits
@@ -48,6 +50,11 @@ def _length_ratios(spread: float | Array) -> list[Array]:
     return [np.asarray(length / mean) for length in lengths]
 
 
+def describe(effect: EffectInStudy) -> str:
+    """How far the elements differ."""
+    return f"elements that slip over lengths up to {format_number(effect.value('spread') ** 2)} times as long as others"
+
+
 generalised_maxwell_slip = Effect(
     name="generalised_maxwell_slip",
     acts_on="force",
@@ -72,5 +79,6 @@ generalised_maxwell_slip = Effect(
     invariant="nested loops need a reversal within the breakaway length",
     source="Al-Bender, Lampaert & Swevers 2005, IEEE Trans. Automatic Control 50, 1883, with equal limits, lengths "
     "evenly spaced in their logarithm, and slip at the level of the moment",
+    describe=describe,
     quote=quote,
 )
