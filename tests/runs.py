@@ -61,7 +61,10 @@ TOLD = {
     "out_of_plane": {"k": 0.02},
 }
 TIMED = ("clock_rate",)  # held against scaled times elsewhere
-REMEMBERED = ("presliding", "friction_lag", "lugre", "bouc_wen")  # held against integrators of their own elsewhere
+REMEMBERED = (  # held against integrators of their own elsewhere
+    *("presliding", "friction_lag", "lugre", "bouc_wen", "elasto_plastic"),
+    *("generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
+)
 
 
 def drive(t):

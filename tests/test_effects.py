@@ -142,7 +142,7 @@ def test_scans_rise_or_fall_within_their_bounds_even_for_very_short_runs(effect)
             assert np.all((grid >= p.bounds[0]) & (grid <= p.bounds[1]))
 
 
-SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", "lugre", "bouc_wen", *TIMED)]
+SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", *REMEMBERED, *TIMED)]
 
 
 @pytest.mark.parametrize("effect", SCALED, ids=lambda e: e.name)

@@ -35,6 +35,7 @@ GROUPS = {
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
         *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
+        *("elasto_plastic", "generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
     ),
     "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
     "Vibrations": (

@@ -168,6 +168,13 @@ def mean_per_step(value: Array, step: Array, broken: Mask) -> Array:
     return out
 
 
+def follow_linear(decay: Array, gained: Array, begin: Array, starts: Sequence[int]) -> Array:
+    """State u (n,) with u[i] = decay[i] u[i - 1] + gained[i], and `begin` (P,) at the `starts`."""
+    whole, right = decay.copy(), gained.copy()
+    whole[list(starts)], right[list(starts)] = 0.0, begin
+    return _recursion(whole, right[:, None])[:, 0]
+
+
 def _recursion(decay: Array, right: Array) -> Array:
     """u[i] = decay[i] u[i - 1] + right[i], all columns at once."""
     band = np.ones((2, len(decay)))

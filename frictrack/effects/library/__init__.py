@@ -28,6 +28,7 @@ ORDER = (
     *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen"),
     *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
     *("rolling_shutter", "out_of_plane"),
+    *("elasto_plastic", "generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
 )
 
 

@@ -1,0 +1,65 @@
+"""Rate-and-state friction with the slip law: contacts change only while they slide, toward a level of the speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.library.rate_and_state import REFERENCE_SPEED, describe
+from frictrack.effects.memory import follow_target, last_samples, per_individual, preceding_motion, slid_per_step
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import breakaway_lengths
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Level, direct effect and state, shape (n, 3): N per N of F_0, A and B, in the direction of motion."""
+    w = state(path, nonlinear)[:, 0]
+    made = [np.ones_like(w), np.log1p(path.speed / nonlinear["v_0"]), w]
+    return np.asarray((path.load * path.s)[:, None] * np.column_stack(made))
+
+
+def state(path: Path, nonlinear: Nonlinear) -> Array:
+    """State w = ln(v_0 theta/D_c), (n, 1), which follows -ln(1 + |v|/v_0) over the distance D_c."""
+    return _logarithm(path, nonlinear["D_c"], nonlinear["v_0"])[:, None]
+
+
+def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
+    """State (n,). A path begins as the motion before it has left it, steady where nothing is known of it."""
+    target = -np.log1p(path.speed / v_0)[:, None]
+    starts, slid = list(path.starts), np.sum(slid_per_step(path), axis=0) / length
+    fresh = np.zeros(len(path.t), dtype=bool)
+    fresh[starts] = True
+    begin = target[starts] if path.begin is None else path.begin
+    earlier = preceding_motion(path)
+    if earlier is not None:
+        n = len(earlier.t)
+        lasting = _logarithm(earlier, per_individual(length, path, n), per_individual(v_0, path, n))
+        begin = lasting[last_samples(earlier), None]
+    return follow_target(target, (np.zeros_like(slid), slid), fresh, begin, starts)[:, 0]
+
+
+rate_and_state_slip = Effect(
+    name="rate_and_state_slip",
+    acts_on="force",
+    equation="L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))",
+    parameters=(
+        Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
+        Parameter("A", "N", linear=True, loaded=True),
+        Parameter("B", "N", linear=True, loaded=True),
+        Parameter("D_c", "m", (1e-9, np.inf), scan=breakaway_lengths),
+        Parameter("v_0", "m/s", (1e-12, np.inf), fixed=REFERENCE_SPEED),
+    ),
+    columns=columns,
+    state=state,
+    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_and_state"}),
+    scales_with="load",
+    memory=True,
+    what="Sliding renews the contacts over a distance; a rest leaves them as they are.",
+    looks_like="a step of speed that is answered at once and, over a distance, the other way; the same up and down",
+    mistaken_for="stribeck, if the speed changes slowly; rate_and_state, without rests",
+    confirm="Step the speed up and down by the same factor: both answers have the same length; a rest adds no peak.",
+    invariant="the state of the contacts needs steps of the speed",
+    describe=describe,
+    source="Ruina 1983, J. Geophys. Res. 88, 10359, with w = ln(v_0 theta/D_c) and the logarithm cut off below v_0",
+)
