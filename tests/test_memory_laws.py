@@ -1,9 +1,8 @@
-"""Laws with memory that are fitted by name: elements in parallel, elasto-plastic contact, age of contacts."""
+"""Laws with memory that are fitted by name: elasto-plastic contact, age of contacts."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,15 +18,13 @@ from frictrack.simulate import Conditions, simulate
 
 LENGTH, RATE = 3e-5, 2 * np.pi * 7
 V_0, NM = 1e-4, 1e-9
-NAMES = ("generalised_maxwell_slip", "elasto_plastic", "rate_and_state", "rate_and_state_slip")
+NAMES = ("elasto_plastic", "rate_and_state", "rate_and_state_slip")
 SETTINGS = {
-    "generalised_maxwell_slip": {"stiffness": LENGTH, "spread": 3.0},
     "elasto_plastic": {"stiffness": LENGTH, "share": 0.6},
     "rate_and_state": {"D_c": LENGTH, "v_0": V_0},
     "rate_and_state_slip": {"D_c": LENGTH, "v_0": V_0},
 }
 OTHERS = {
-    "generalised_maxwell_slip": {"stiffness": (2e-5, 1e-4, 7e-5), "spread": (1.0, 3.0, 10.0)},
     "elasto_plastic": {"stiffness": (2e-5, 1e-4, 7e-5), "share": (0.0, 0.6, 0.9)},
     "rate_and_state": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
     "rate_and_state_slip": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
@@ -79,27 +76,6 @@ def test_an_elasto_plastic_contact_does_not_drift_below_its_share():
     path = Path(t, x, v, np.r_[0.0, direction_of_motion(v)[1:]])
     found = made("elasto_plastic", path, {"stiffness": LENGTH, "share": 0.5})[:, 0]
     np.testing.assert_allclose(found[1:], x[1:] / LENGTH, atol=1e-9)
-
-
-@pytest.mark.parametrize("spread", [1.0, 4.0])
-def test_elements_in_parallel_are_clipped_springs(spread):
-    path, lengths = to_and_fro(), spread ** np.linspace(-1, 1, 8)
-    lengths = LENGTH * lengths / (8 / np.sum(1 / lengths))
-    w, truth = np.ones(8), [1.0]
-    for dx in np.diff(place(np.linspace(0, path.t[-1], (len(path.t) - 1) * 50 + 1))):
-        w = np.clip(w + dx / lengths, -1, 1)
-        truth.append(np.mean(w))
-    found = made("generalised_maxwell_slip", path, {"stiffness": LENGTH, "spread": spread})[:, 0]
-    np.testing.assert_allclose(found, np.array(truth)[::50], atol=2e-3)
-
-
-def test_a_small_loop_closes_within_a_large_one():
-    corners = np.array([0.0, 2e-4, 1.5e-4, 1.6e-4, 1.55e-4, 1.6e-4, 0.0])  # 1.6e-4 is passed again after a small loop
-    x = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in pairwise(corners)])
-    t = np.arange(len(x)) * 1e-3
-    path = Path(t, x, np.gradient(x, t), direction_of_motion(np.diff(x, prepend=x[0] - 1e-9)))
-    found = made("generalised_maxwell_slip", path, {"stiffness": 1e-4, "spread": 3.0})[:, 0]
-    assert found[1000] == pytest.approx(found[600], abs=2e-3)  # Masing: it returns to where the loop began
 
 
 def rates_of_contacts(t, u):
@@ -178,7 +154,6 @@ def drive(t):
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("generalised_maxwell_slip", {"stiffness": 1e-4, "spread": 3.0}),
         ("elasto_plastic", {"stiffness": 1e-4, "share": 0.6}),
         ("rate_and_state", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
         ("rate_and_state_slip", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),

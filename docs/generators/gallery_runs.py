@@ -277,9 +277,6 @@ EXAMPLES: dict[str, Example] = {
         axis="x",
     ),
     "elasto_plastic": _with("elasto_plastic", {"stiffness": 3e-4, "share": 0.6}, design=SWINGS, axis="x"),
-    "generalised_maxwell_slip": _with(
-        "generalised_maxwell_slip", {"stiffness": 3e-4, "spread": 3.0}, design=SWINGS, axis="x"
-    ),
     "rate_and_state": Example({"rate_and_state": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"),
     "rate_and_state_slip": Example(
         {"rate_and_state_slip": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"
