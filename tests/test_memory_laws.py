@@ -18,16 +18,16 @@ from frictrack.simulate import Conditions, simulate
 
 LENGTH, RATE = 3e-5, 2 * np.pi * 7
 V_0, NM = 1e-4, 1e-9
-NAMES = ("elasto_plastic", "rate_and_state", "rate_and_state_slip")
+NAMES = ("elasto_plastic", "rate_state_ageing", "rate_state_slip")
 SETTINGS = {
     "elasto_plastic": {"stiffness": LENGTH, "share": 0.6},
-    "rate_and_state": {"D_c": LENGTH, "v_0": V_0},
-    "rate_and_state_slip": {"D_c": LENGTH, "v_0": V_0},
+    "rate_state_ageing": {"D_c": LENGTH, "v_0": V_0},
+    "rate_state_slip": {"D_c": LENGTH, "v_0": V_0},
 }
 OTHERS = {
     "elasto_plastic": {"stiffness": (2e-5, 1e-4, 7e-5), "share": (0.0, 0.6, 0.9)},
-    "rate_and_state": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
-    "rate_and_state_slip": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
+    "rate_state_ageing": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
+    "rate_state_slip": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
 }
 
 
@@ -86,7 +86,7 @@ def rates_of_contacts(t, u):
 def test_the_age_of_contacts_converges_to_the_one_that_scipy_integrates(n, tolerance):
     path = to_and_fro(n)
     u = state(rates_of_contacts, path.t, V_0 / speed(0.0))
-    found = made("rate_and_state", path, SETTINGS["rate_and_state"]) * path.s[:, None]
+    found = made("rate_state_ageing", path, SETTINGS["rate_state_ageing"]) * path.s[:, None]
     np.testing.assert_allclose(found[:, 2], np.log(u), atol=tolerance * np.ptp(np.log(u)))
     np.testing.assert_allclose(found[:, 1], np.log1p(np.abs(path.v) / V_0), rtol=1e-12)
 
@@ -99,7 +99,7 @@ def test_the_state_of_the_slip_law_converges_to_the_one_that_scipy_integrates(n,
         return -abs(speed(t)) / LENGTH * (w + np.log1p(abs(speed(t)) / V_0))
 
     w = state(rate, path.t, -np.log1p(speed(0.0) / V_0))
-    found = made("rate_and_state_slip", path, SETTINGS["rate_and_state_slip"])[:, 2] * path.s
+    found = made("rate_state_slip", path, SETTINGS["rate_state_slip"])[:, 2] * path.s
     np.testing.assert_allclose(found, w, atol=tolerance * np.max(np.abs(w)))
 
 
@@ -108,7 +108,7 @@ def test_contacts_grow_with_the_time_of_a_hold_and_with_the_slip_law_they_do_not
     t = np.r_[np.linspace(0, 0.1, 101), 0.1 + hold]
     v = np.r_[np.full(101, 1e-3), 0.0]
     path = Path(t, np.r_[1e-3 * t[:101], 1e-4], v, np.ones(102))
-    aged, slipped = (get(n).state(path, SETTINGS[n])[:, 0] for n in ("rate_and_state", "rate_and_state_slip"))
+    aged, slipped = (get(n).state(path, SETTINGS[n])[:, 0] for n in ("rate_state_ageing", "rate_state_slip"))
     assert aged[-1] - aged[-2] == pytest.approx(V_0 / LENGTH * hold, rel=1e-2)
     assert slipped[-1] == pytest.approx(slipped[-2], rel=1e-6)
 
@@ -117,7 +117,7 @@ def test_a_steady_slide_has_a_level_of_the_logarithm_of_its_speed():
     t = np.linspace(0, 1.0, 400)
     for v in (1e-3, 1e-2):
         path = Path(t, v * t, np.full(400, v), np.ones(400))
-        age = get("rate_and_state").state(path, SETTINGS["rate_and_state"])[:, 0]
+        age = get("rate_state_ageing").state(path, SETTINGS["rate_state_ageing"])[:, 0]
         np.testing.assert_allclose(age, V_0 / v, rtol=1e-6)
 
 
@@ -155,8 +155,8 @@ def drive(t):
     ("name", "values"),
     [
         ("elasto_plastic", {"stiffness": 1e-4, "share": 0.6}),
-        ("rate_and_state", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
-        ("rate_and_state_slip", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
+        ("rate_state_ageing", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
+        ("rate_state_slip", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
     ],
 )
 def test_the_parameters_are_found_in_a_measured_friction(name, values):

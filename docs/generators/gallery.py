@@ -34,7 +34,7 @@ GROUPS = {
     "Forces that belong to friction": (
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
-        *("elasto_plastic", "rate_and_state", "rate_and_state_slip"),
+        *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
     ),
     "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
     "Vibrations": (

@@ -277,10 +277,10 @@ EXAMPLES: dict[str, Example] = {
         axis="x",
     ),
     "elasto_plastic": _with("elasto_plastic", {"stiffness": 3e-4, "share": 0.6}, design=SWINGS, axis="x"),
-    "rate_and_state": Example({"rate_and_state": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"),
-    "rate_and_state_slip": Example(
-        {"rate_and_state_slip": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"
+    "rate_state_ageing": Example(
+        {"rate_state_ageing": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"
     ),
+    "rate_state_slip": Example({"rate_state_slip": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"),
     "atm2:2": Example(
         {
             "atm2:2": {

@@ -26,7 +26,7 @@ ORDER = (
     *("spring", "collision", "thermal", "drift", "asymmetry", "slope", "load_modulation", "measured_load"),
     *("viscous_modulation", "drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame", "timebase"),
     *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen"),
-    *("elasto_plastic", "rate_and_state", "rate_and_state_slip"),
+    *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
 )
 
 
