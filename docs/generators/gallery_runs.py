@@ -278,8 +278,8 @@ EXAMPLES: dict[str, Example] = {
         axis="x",
     ),
     "elasto_plastic": _with("elasto_plastic", {"stiffness": 3e-4, "share": 0.6}, design=SWINGS, axis="x"),
-    "rate_state_ageing": Example({"rate_state_ageing": CONTACTS} | VISCOUS, design=SPEED_SWINGS, axis="v"),
-    "rate_state_slip": Example({"rate_state_slip": CONTACTS} | VISCOUS, design=SPEED_SWINGS, axis="v"),
+    "rate_state_ageing": Example({"rate_state_ageing": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
+    "rate_state_slip": Example({"rate_state_slip": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
     "atm2:2": Example(
         {
             "atm2:2": {
