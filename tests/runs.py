@@ -63,7 +63,7 @@ TOLD = {
 TIMED = ("clock_rate",)  # held against scaled times elsewhere
 REMEMBERED = (  # held against integrators of their own elsewhere
     *("presliding", "friction_lag", "lugre", "bouc_wen", "elasto_plastic"),
-    *("generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
+    *("rate_state_ageing", "rate_state_slip"),
 )
 
 

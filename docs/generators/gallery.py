@@ -35,7 +35,7 @@ GROUPS = {
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
         *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
-        *("elasto_plastic", "generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
+        *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
     ),
     "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
     "Vibrations": (

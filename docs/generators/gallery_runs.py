@@ -204,6 +204,7 @@ def _with(effect: str, values: Mapping[str, float], **settings: Any) -> Example:
     return Example(TUSTIN | {effect: dict(values)}, **settings)
 
 
+VISCOUS = {"viscous": {"F_v": 0.1}}
 CONTACTS = {"F_0": 1.1, "A": 0.05, "B": 0.1, "D_c": 0.003, "v_0": 1e-4}
 
 EXAMPLES: dict[str, Example] = {
@@ -283,13 +284,8 @@ EXAMPLES: dict[str, Example] = {
         axis="x",
     ),
     "elasto_plastic": _with("elasto_plastic", {"stiffness": 3e-4, "share": 0.6}, design=SWINGS, axis="x"),
-    "generalised_maxwell_slip": _with(
-        "generalised_maxwell_slip", {"stiffness": 3e-4, "spread": 3.0}, design=SWINGS, axis="x"
-    ),
-    "rate_and_state": Example({"rate_and_state": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"),
-    "rate_and_state_slip": Example(
-        {"rate_and_state_slip": CONTACTS, "viscous": {"F_v": 0.1}}, design=SPEED_SWINGS, axis="v"
-    ),
+    "rate_state_ageing": Example({"rate_state_ageing": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
+    "rate_state_slip": Example({"rate_state_slip": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
     "atm2:2": Example(
         {
             "atm2:2": {

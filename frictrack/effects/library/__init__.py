@@ -28,7 +28,7 @@ ORDER = (
     *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen"),
     *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
     *("rolling_shutter", "out_of_plane"),
-    *("elasto_plastic", "generalised_maxwell_slip", "rate_and_state", "rate_and_state_slip"),
+    *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
 )
 
 

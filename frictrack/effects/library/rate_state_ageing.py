@@ -66,8 +66,8 @@ def describe(effect: EffectInStudy) -> str:
     return f"{a} N at once and {b} N late per factor e of the speed, within {format_length(effect.value('D_c'))}"
 
 
-rate_and_state = Effect(
-    name="rate_and_state",
+rate_state_ageing = Effect(
+    name="rate_state_ageing",
     acts_on="force",
     equation="L s (F_0 + A ln(1 + |v|/v_0) + B ln(v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c",
     parameters=(
@@ -79,12 +79,12 @@ rate_and_state = Effect(
     ),
     columns=columns,
     state=state,
-    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_and_state_slip"}),
+    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_state_slip"}),
     scales_with="load",
     memory=True,
     what="The contacts creep and grow while they last, also at rest; sliding renews them over a distance.",
     looks_like="a peak after a rest that grows with the logarithm of its length; a double answer to a step of speed",
-    mistaken_for="stribeck, if the speed changes slowly and never rests; rate_and_state_slip, without rests",
+    mistaken_for="stribeck, if the speed changes slowly and never rests; rate_state_slip, without rests",
     confirm="Slide, hold for 1, 10 and 100 s, slide: the peak grows by the same amount per decade.",
     invariant="the age of the contacts needs rests, or steps of the speed",
     describe=describe,

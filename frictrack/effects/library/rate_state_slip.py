@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.library.rate_and_state import REFERENCE_SPEED, describe
+from frictrack.effects.library.rate_state_ageing import REFERENCE_SPEED, describe
 from frictrack.effects.memory import follow_target, last_samples, per_individual, preceding_motion, slid_per_step
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
@@ -39,8 +39,8 @@ def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
     return follow_target(target, (np.zeros_like(slid), slid), fresh, begin, starts)[:, 0]
 
 
-rate_and_state_slip = Effect(
-    name="rate_and_state_slip",
+rate_state_slip = Effect(
+    name="rate_state_slip",
     acts_on="force",
     equation="L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))",
     parameters=(
@@ -52,12 +52,12 @@ rate_and_state_slip = Effect(
     ),
     columns=columns,
     state=state,
-    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_and_state"}),
+    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_state_ageing"}),
     scales_with="load",
     memory=True,
     what="Sliding renews the contacts over a distance; a rest leaves them as they are.",
     looks_like="a step of speed that is answered at once and, over a distance, the other way; the same up and down",
-    mistaken_for="stribeck, if the speed changes slowly; rate_and_state, without rests",
+    mistaken_for="stribeck, if the speed changes slowly; rate_state_ageing, without rests",
     confirm="Step the speed up and down by the same factor: both answers have the same length; a rest adds no peak.",
     invariant="the state of the contacts needs steps of the speed",
     describe=describe,
