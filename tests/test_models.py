@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, Slider, force
+from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, TOLD, Slider, force
 
 from frictrack import effects, models
 from frictrack.effects import Path
@@ -367,7 +367,7 @@ def test_instances_add_up():
 
 def test_picture_effects_shift_the_picture_and_add_no_force():
     model = models.of(["coulomb", *SHIFTS])
-    values = {"coulomb": {"F_c": 3.0}} | {k: HIDDEN[k] for k in SHIFTS}
+    values = {"coulomb": {"F_c": 3.0}} | {k: (HIDDEN | TOLD)[k] for k in SHIFTS}
     path = path_of()
     np.testing.assert_allclose(model.force(path, values), 3.6, rtol=1e-12)
     assert set(model.measurement_columns(path, values)) == set(SHIFTS)

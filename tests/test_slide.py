@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from runs import BASE, FPS, HIDDEN, MASS, PITCH, SHIFTS, Slider, integrate, picture
+from runs import BASE, FPS, HIDDEN, MASS, PITCH, SHIFTS, TOLD, Slider, integrate, picture
 
 from frictrack import models
 from frictrack.errors import FrictrackError
@@ -128,7 +128,7 @@ def test_a_motion_that_cannot_be_followed_is_refused():
 
 def test_measurement_effects_shift_the_picture_and_not_the_mass():
     t = frames(0.1)
-    values = BASE | {name: HIDDEN[name] for name in SHIFTS}
+    values = BASE | {name: (HIDDEN | TOLD)[name] for name in SHIFTS}
     plain, run = slid(BASE, t, (0.0, 4.0)), slid(values, t, (0.0, 4.0), pixel_pitch=PITCH)
     np.testing.assert_array_equal(plain.shift, 0.0)
     np.testing.assert_allclose(run.x, plain.x, atol=1e-13)

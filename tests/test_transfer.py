@@ -74,6 +74,12 @@ def test_the_rule_takes_the_pair_and_leaves_the_set_up():
         "presliding": ["stiffness", "exponent"],
         "friction_lag": ["tau"],
         "lugre": ["F_c", "sigma_1", "sigma_0", "F_s", "v_s", "delta"],
+        "flash_weakening": ["dF", "v_w"],
+        "log_velocity": ["a", "v_0"],
+        "power_law_viscosity": ["c", "n"],
+        "elasto_plastic": ["stiffness", "share"],
+        "rate_state_ageing": ["F_0", "A", "B", "D_c", "v_0"],
+        "rate_state_slip": ["F_0", "A", "B", "D_c", "v_0"],
         "atm2:2": ["f_c", "f_s", "f_v", "v_s"],
     }
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
     from frictrack.flow.film_stages import contact_sheet_path
     from frictrack.flow.fit_request import FitRequest, user_effects
+    from frictrack.flow.formula_effects import effect_of_formula
     from frictrack.flow.input_checks import table_needs_mass
     from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
     from frictrack.flow.opening import open_study
@@ -62,6 +63,7 @@ _MODULE_OF = {
     "conclude": "verdict_first",
     "demo": "sample_demo",
     "describe_keys": "new_study",
+    "effect_of_formula": "formula_effects",
     "Findings": "plausibility_checks",
     "FitRequest": "fit_request",
     "no_progress": "pipeline",

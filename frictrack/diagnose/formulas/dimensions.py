@@ -105,7 +105,7 @@ def _of_call(node: ast.Call, text: str, names: Mapping[str, Dimension]) -> Dimen
     name = node.func.id if isinstance(node.func, ast.Name) else ""
     if name == "sqrt":
         return scaled(inner, 0.5)
-    if name != "abs" and not _alike(inner, NONE):
+    if name != "abs" and not _is_same(inner, NONE):
         _refuse(text, f"an argument of {name} without a unit")
     return inner
 
@@ -115,7 +115,7 @@ def _of_operation(node: ast.BinOp, text: str, names: Mapping[str, Dimension]) ->
     if isinstance(node.op, ast.Pow):
         if isinstance(node.right, ast.Constant):
             return scaled(left, float(str(node.right.value)))
-        if not _alike(left, NONE):
+        if not _is_same(left, NONE):
             _refuse(text, "a power of a quantity without a unit")
         return NONE
     right = _read(node.right, text, names)
@@ -123,10 +123,10 @@ def _of_operation(node: ast.BinOp, text: str, names: Mapping[str, Dimension]) ->
         return product(left, right)
     if isinstance(node.op, ast.Div):
         return product(left, scaled(right, -1.0))
-    if not _alike(left, right):
+    if not _is_same(left, right):
         _refuse(text, "a sum of quantities of one unit")
     return left
 
 
-def _alike(first: Dimension, second: Dimension) -> bool:
+def _is_same(first: Dimension, second: Dimension) -> bool:
     return all(abs(a - b) < POWER_TOLERANCE for a, b in zip(first, second, strict=True))

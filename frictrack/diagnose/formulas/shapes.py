@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack import effects
 from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, KIND_POWERS, Dimension, dimension_of, scaled
-from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS, formula
+from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
@@ -235,7 +236,7 @@ def shapes_of_functions(functions: Sequence[str]) -> tuple[Shape, ...]:
     Examples
     --------
     >>> [shape.columns for shape in shapes_of_functions(["exp(-sqrt(z))"])]
-    [('exp(-sqrt((u/w)))',), ('exp(-sqrt(((u - c)/w)))',)]
+    [('exp(-sqrt((u/w)))',), ('exp(-sqrt((((u - c)/w))))',)]
 
     """
     out = []
@@ -244,7 +245,7 @@ def shapes_of_functions(functions: Sequence[str]) -> tuple[Shape, ...]:
             raise FrictrackError(f'functions: expected functions of z but got "{unknown[0]}" in "{text}"', usage=True)
         if not re.search(r"\bz\b", text):
             raise FrictrackError(f'functions: expected a function of z but got "{text}"', usage=True)
-        formula("functions", f"F * ({_substitute(text, ' x ')})")  # the text is read as that of an effect
+        effects.formula("functions", f"F * ({_substitute(text, ' x ')})")  # the text is read as that of an effect
         for argument, make in (("u/w", scaled_shape), ("(u - c)/w", placed_shape)):
             out.append(make(f"{text}, z = {argument}", _substitute(text, "(z)")))
     return tuple(out)

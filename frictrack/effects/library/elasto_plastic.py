@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
@@ -15,6 +15,9 @@ from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.number_format import format_number
 from frictrack.records import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 MAX_YIELDED = 40.0  # logarithm of the way to full bending that is left, beyond which the contact slides
 N_TABLE = 2001  # values of the way that belongs to a bending
@@ -84,6 +87,8 @@ def _table(share: float) -> tuple[CubicSpline, CubicSpline, float]:
 
     dw/dz = 1 - alpha w gives dz/du = (1 - w)/(1 - alpha w), which is smooth and tends to one.
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes longer to import than all effects
+
     u = np.sinh(np.linspace(0.0, np.arcsinh(MAX_YIELDED), N_TABLE))
     left = (1.0 - share) * np.exp(-u)
     elastic = np.sin(np.pi / 2 * np.exp(-u)) ** 2  # 1 - alpha
