@@ -143,13 +143,16 @@ def reverses_freely(run: Run, before: slice, after: slice) -> float | None:
     Returns
     -------
     float or None
-        Acceleration, m/s^2; None if the mass rests in between, or an impact reverses it.
+        Acceleration, m/s^2; None if the mass rests in between, an impact reverses it, or one of the spans is too
+        short to be told from the end of the smoothed motion at a stop.
 
     """
     if _has_measured_force(run):
         return None
     v, a = run.motion.v, np.abs(run.motion.a)
     shorter = min(before.stop - before.start, after.stop - after.start)
+    if shorter < _filter_frames(run):  # where a mass comes to rest, the smoothed motion swings on within these
+        return None
     turn = slice(before.stop - 1, after.start + 1)
     if v[turn.start] * v[after.start] >= 0 or after.start - before.stop > max(MAX_PAUSE_SHARE * shorter, 2):
         return None

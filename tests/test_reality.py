@@ -21,6 +21,7 @@ from frictrack.fit import fit
 from frictrack.fit.measured_friction import friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.noise import strokes
 from frictrack.fit.segments.swings import join_swings
+from frictrack.friction import moving_sections
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.sampling import screened
@@ -315,3 +316,19 @@ def test_a_mass_that_sets_out_from_rest_is_not_taken_for_one_that_stops():
     found = fit(["coulomb"], runs)
     assert min(len(p.t) for p in found.solution.problem.pieces) > 250
     assert abs(found.parameters["coulomb.F_c"].value - friction) < 4 * found.parameters["coulomb.F_c"].std
+
+
+@pytest.mark.parametrize("rest_frames", [5, 12, 60])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mass_that_comes_to_rest_at_the_end_of_the_record_does_not_swing(seed: int, rest_frames: int):
+    deceleration, v_0, sigma = 9.0 + seed, 1.5, 10e-6
+    stop = v_0 / deceleration
+    t = np.arange(int(stop * 4000) + rest_frames) / 4000
+    moving = np.minimum(t, stop)
+    x = v_0 * moving - deceleration * moving**2 / 2
+    nan = np.full(len(t), np.nan)
+    noisy = x + sigma * np.random.default_rng(seed).standard_normal(len(t))
+    seen = Displacement(t, noisy, nan, nan, np.full(len(t), sigma), nan, np.ones(len(t), bool))
+    run = Run(seen, differentiate(low_pass(seen)), mass=0.2, name="stops")
+    assert not any(slack for _, slack in join_swings(run, moving_sections(run)))
+    assert abs(fit(models.of(["coulomb"]), [run]).parameters["coulomb.F_c"].value - 0.2 * deceleration) < 2e-3
