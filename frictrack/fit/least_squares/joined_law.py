@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.effects import Path
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.segments import JoinedPieces, Piece
+from frictrack.fit.segments import JoinedPieces
 from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution
@@ -201,11 +201,17 @@ class JoinedLaw:
         """The path of a motion; a model with memory begins it with its states at the start."""
         if not self.remembers:
             return self.joined.path_at_nodes(x, v, levels)
-        piece = self.joined.pieces[0]
-        return replace(piece.path_since_start(x, v, t, levels[0]), states=self._initial_states(piece, values))
+        states = self._states if values is self._inputs[0] else self._initial_states(values)
+        return replace(self.joined.pieces[0].path_since_start(x, v, t, levels[0]), states=states)
 
-    def _initial_states(self, piece: Piece, values: Values) -> dict[str, Array]:
-        """States of effects with memory after the motion before a piece; computed once for all motions through it."""
+    @cached_property
+    def _states(self) -> dict[str, Array]:
+        """The states at the start; computed once for all motions through the piece."""
+        return self._initial_states(self._inputs[0])
+
+    def _initial_states(self, values: Values) -> dict[str, Array]:
+        """States of effects with memory after the motion before the piece."""
+        piece = self.joined.pieces[0]
         path = piece.path
         if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
             return {}
