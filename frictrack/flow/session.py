@@ -19,10 +19,10 @@ from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
 from frictrack.flow.formula_effects import choose_formula, formula_number
+from frictrack.flow.measured_runs import MeasuredRuns
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
-from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from frictrack.flow.plausibility_checks import Findings
     from frictrack.workers import WorkerPool
 
-STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
 STUDY_EDITS = {  # command -> function of `study_edits` that changes the study
     "edit": "set_key",
@@ -110,21 +109,20 @@ class Session:
 
     def _load(self, study: Study) -> None:
         self.study = study
-        self.runs = run_pipelines(study, self.progress, self._pool)
+        self._measured = MeasuredRuns(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
-        self._findings: Findings | None = None
-        self._inputs_checked = False
         self.path = study.output / "study.h5"
+
+    @property
+    def runs(self) -> list[RunPipeline]:
+        """The runs, in the order of the study file."""
+        return self._measured.pipelines
 
     @property
     def findings(self) -> Findings:
         """The implausible numbers of the study that were found so far."""
-        if self._findings is None:
-            from frictrack.flow.plausibility_checks import Findings  # noqa: PLC0415
-
-            self._findings = Findings(self.study)
-        return self._findings
+        return self._measured.findings
 
     def apply(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Run one command that changes the study; the command history, jobs and scripts use this method.
@@ -175,40 +173,7 @@ class Session:
             If a stage fails, or a number cannot be right.
 
         """
-        if self.study.incomplete:
-            raise FrictrackError(f"{self.study.path.name}: {'; '.join(self.study.incomplete)}", usage=True)
-        self.findings.check_study_file()
-        self._check_inputs(stage)
-        if stage in STAGES_FROM_MOTION:
-            self._update_runs("motion", self.runs)
-            self.findings.check_runs(self.runs)
-        self._update_runs(stage, self.runs)
-        if stage == "friction":
-            self.findings.check_all_runs(self.runs)
-        return self.runs
-
-    def _check_inputs(self, stage: str) -> None:
-        """Check all inputs once, and the units of tables before films are tracked."""
-        if not self._inputs_checked:
-            from frictrack.flow.input_checks import check_inputs  # noqa: PLC0415 - not needed for stored results
-
-            check_inputs(self.runs)
-            self._inputs_checked = True
-        tables = [p for p in self.runs if p.run.table]
-        if stage in STAGES_FROM_MOTION and tables and len(tables) < len(self.runs):
-            self._update_runs("motion", tables)
-            self.findings.check_tables(tables)
-
-    def _update_runs(self, stage: str, runs: list[RunPipeline]) -> None:
-        missing = [p for p in runs if stage in p.stages and not p.is_current(stage)]
-        if missing:
-            count = "1 run" if len(missing) == 1 else f"{len(missing)} runs"
-            self.progress(0, 0, f"measuring {count} up to {stage}")
-        for i, pipeline in enumerate(runs):
-            self.progress(i, len(runs), "runs")
-            if stage in pipeline.stages:
-                pipeline.get(stage)
-        self.progress(len(runs), len(runs), "runs")
+        return self._measured.bring_up_to(stage)
 
     def measure(self, stage: str, *, overlay: bool = False) -> Measurements:
         """Bring every run up to ``"track"``, ``"motion"`` or ``"friction"``: JSON of those commands.
@@ -221,16 +186,7 @@ class Session:
             Write every film once more with the tracked positions drawn into it.
 
         """
-        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
-        from frictrack.flow.run_summaries import run_summaries  # noqa: PLC0415
-
-        for pipeline in self.runs if overlay else ():
-            if pipeline.run.video:
-                write_overlay(pipeline)
-        pipelines = self.bring_up_to("tracks" if stage == "track" else stage)
-        if stage != "track":
-            self.bring_up_to("cutoff")
-        rows = run_summaries(pipelines, stage)
+        rows = self._measured.summaries(stage, overlay=overlay)
         return {"runs": rows, "warnings": self.findings.summary, "output": str(self.study.output)}
 
     @exclusive
@@ -277,18 +233,13 @@ class Session:
             self._add_uncertainty(group, profiles, draws, request.seed)
         result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
-        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._run_notes()}
+        more = {
+            "scale_error": self._scale_error(),
+            "warnings": self.findings.summary,
+            "findings": self._measured.notes(),
+        }
         uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
         return {**result, "remarks": [*result["remarks"], *twice, *uneven], **more}
-
-    def _run_notes(self) -> list[dict[str, str]]:
-        """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
-        from frictrack.friction import impact  # noqa: PLC0415
-
-        notes = [(pipeline.run.name, note) for pipeline in self.runs for note in pipeline.get("displacement").notes]
-        found = [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
-        impacts = [{"run": pipeline.run.name, "words": impact(pipeline.to_run())} for pipeline in self.runs]
-        return [*found, *(one for one in impacts if one["words"])]
 
     def _add_uncertainty(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
@@ -400,7 +351,7 @@ class Session:
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
         test = self.budget.plan(key, self.models.input_hash, request.model(self.study.effects).names)
         spent = alpha_spent([*self.budget.tests, test])
-        more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._run_notes()}
+        more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._measured.notes()}
         found = self._read_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
             announce = _once(on_verdict, more)
@@ -660,10 +611,7 @@ class Session:
 
     def _update_all(self, seed: int | None) -> tuple[str, ...]:
         """Compute all that is missing or outdated; return notes, also on what could not be computed."""
-        for pipeline in self.runs:
-            with pipeline.saved_together():
-                for stage in pipeline.stages:
-                    pipeline.get(stage)
+        self._measured.update_all_stages()
         self.compare()
         self.diagnose(self._last_seed() if seed is None else seed)
         return (*self.notes, *self._update_papers_route(), *describe_tests(self.budget.summary()))
