@@ -158,7 +158,7 @@ def _compare_forms(fitter: _FormulaFitter, best: FittedFormula) -> tuple[_Found,
     base = best.delta_bic / (2 * unit) - max(evidence)
     weights = {t.form: base + one for t, one in zip(scan.terms, evidence, strict=True)}
     prior = log_prior(0, scan.sizes)
-    free = base + smooth_evidence(compressed, unit) - prior
+    free = base + smooth_evidence(compressed, power, unit) - prior
     left = float(logsumexp(list(weights.values()))) + remaining_evidence(best.solution)
     none = float(np.log(PRIOR_NONE)) + max(free, left)
     order = sorted(scan.terms, key=lambda t: -weights[t.form])

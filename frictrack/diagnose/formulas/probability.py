@@ -89,10 +89,22 @@ def relative_evidence(term: Term, power: float, unit: float = 1.0) -> float:
     return 0.5 * term.gain / unit - coefficients + term.log_volume + LOG_PRIOR_PER_UNKNOWN * term.size
 
 
-def smooth_evidence(compressed: CompressedResidual, unit: float) -> float:
-    """Logarithm of the evidence of a smooth force of any shape over the best axis, over that of no force."""
+def smooth_evidence(compressed: CompressedResidual, power: float, unit: float = 1.0) -> float:
+    """Logarithm of the evidence of a smooth force of any shape over the best axis, over that of no force.
+
+    Parameters
+    ----------
+    compressed
+        The compressed residual.
+    power
+        Fall of chi-squared by the best force, from which the prior of its size is taken, as for a form.
+    unit
+        Reduced chi-squared, if it is above 1.
+
+    """
     smooth = smooth_forces(compressed)
-    return smooth[0].gain / (2 * unit) - float(np.log(len(smooth) * len(LENGTH_RATIOS)))
+    tried = float(np.log(len(smooth) * len(LENGTH_RATIOS)))
+    return smooth[0].gain / (2 * unit) - tried - 0.5 * float(np.log1p(power / unit))
 
 
 def remaining_evidence(solution: Solution) -> float:
@@ -100,7 +112,7 @@ def remaining_evidence(solution: Solution) -> float:
     n = solution.problem.n_frames
     ratio = max(solution.chi2 / max(n - 2 * len(solution.responses) - len(solution.p), 1), 1.0)
     misfit = 0.5 * (n * (ratio - 1 - float(np.log(ratio))) - float(np.log(n)))
-    return max(smooth_evidence(compress_residual(solution), 1.0), misfit, 0.0)
+    return max(smooth_evidence(compress_residual(solution), 0.0), misfit, 0.0)
 
 
 def form_probabilities(weights: Mapping[str, float], none: float) -> dict[str, float]:
