@@ -221,7 +221,7 @@ def _example(unit: str) -> str:
 COHERENT_UNITS = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
 
 
-_UNIT_POWER = r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d(?:\.5)?)?)"  # whole and half powers
+_UNIT_POWER = r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d(?:\.(?:5|333|667))?)?)"  # whole, half and third powers
 UNIT_PATTERN = re.compile(rf"{_UNIT_POWER}(?:[ */]{_UNIT_POWER}){{0,6}}")
 
 

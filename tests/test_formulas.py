@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,15 @@ from frictrack.cli.diagnosis_output import unexplained
 from frictrack.cli.output import Console
 from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
 from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, coefficient_unit, dimension_of
-from frictrack.diagnose.formulas.terms import Term, build_effect, factor_dimension
+from frictrack.diagnose.formulas.probability import (
+    CREDIBLE_PROBABILITY,
+    credible_forms,
+    form_probabilities,
+    log_prior,
+    log_volume,
+    relative_evidence,
+)
+from frictrack.diagnose.formulas.terms import Term, build_effect, factor_dimension, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.errors import FrictrackError
 from frictrack.flow.formula_effects import choose_formula, formula_number
@@ -42,7 +51,9 @@ def test_every_form_has_units_that_agree_and_can_be_written(shape):
             assert is_coherent(unit), unit
 
 
-@pytest.mark.parametrize("factor", ["L * s * x", "abs(v)", "L * s * mass", "L * s * mass^(-1/2)", "s * t"])
+@pytest.mark.parametrize(
+    "factor", ["L * s * x", "abs(v)", "L * s * mass", "L * s * mass^(-1/2)", "L * s * mass^(-1/3)", "s * t"]
+)
 def test_a_factor_with_a_unit_gives_a_unit_and_an_effect(factor):
     assert is_coherent(coefficient_unit(factor_dimension(factor)))
     shape = next(s for s in SHAPES if s.name == "decay")
@@ -92,3 +103,45 @@ def test_the_command_line_says_how_certain_a_formula_is(capsys):
     assert "cannot distinguish it from F * 1/(1 + abs(v)/w)" in said
     assert "Probability that none of these forms is right: 40 %." in said
     assert "frictrack add STUDY formula:1" in said
+
+
+def decay(gain=100.0, parameters=(2.0,)):
+    shape = next(s for s in SHAPES if s.name == "decay")
+    return Term(shape, Axis("v", lambda p: p.speed, "L * s"), parameters, (0.0, 4.0), gain)
+
+
+def test_a_parameter_that_data_determine_costs_evidence_and_one_that_they_do_not_costs_none():
+    rng = np.random.default_rng(0)
+    column = rng.standard_normal((50, 1))
+    assert log_volume(decay(), 0.0 * column) == pytest.approx(0.0, abs=1e-9)
+    sharp, sharper = log_volume(decay(), 10.0 * column), log_volume(decay(), 20.0 * column)
+    assert sharp < -3.0
+    assert sharper == pytest.approx(sharp - np.log(2.0), abs=1e-2)  # half as wide
+    per_logarithm = np.linalg.norm(10.0 * column) * 2.0  # of the logarithm of w = 2
+    prior = np.log(2 * 3.0 / 3e-3)
+    assert sharp == pytest.approx(np.log(np.sqrt(2 * np.pi) / per_logarithm / prior), abs=1e-2)
+
+
+def test_of_forms_that_fit_alike_the_one_with_fewer_operators_is_more_probable():
+    plain = decay()
+    twice = replace(plain, variable=Axis("v", lambda p: p.speed, "L * s * mass^(-1/2)"))
+    assert relative_evidence(plain, 100.0) - relative_evidence(twice, 100.0) == pytest.approx(2 * np.log(2.0))
+    assert log_prior(1, [1, 2, 2]) - log_prior(2, [1, 2, 2]) == pytest.approx(np.log(2.0))
+    assert sum(np.exp(log_prior(n, [1, 2, 2])) for n in (1, 2, 2)) == pytest.approx(1.0)
+
+
+def test_the_group_holds_the_stated_probability_and_no_more():
+    weights = {"a": 5.0, "b": 4.0, "c": 3.0, "d": -9.0}
+    probabilities = form_probabilities(weights, none=4.0)
+    assert list(probabilities) == ["a", "b", "c", "d"]
+    assert 0.5 < sum(probabilities.values()) < 1.0
+    group = credible_forms(probabilities)
+    held = sum(probabilities[form] for form in group) / sum(probabilities.values())
+    assert group == ["a", "b", "c"]
+    assert held >= CREDIBLE_PROBABILITY
+    assert sum(probabilities[form] for form in group[:-1]) / sum(probabilities.values()) < CREDIBLE_PROBABILITY
+
+
+def test_a_width_is_refined_only_within_the_range_of_its_prior():
+    low, high = parameter_bounds(decay(parameters=(-0.02,)), 30.0, 3.0)["w"]
+    assert (low, high) == pytest.approx((-0.6, -0.012))  # a growth stays a growth; 3e-3 of the axis at least

@@ -125,6 +125,19 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
     assert 0.9 < first["reduced_chi2"] < 1.1
 
 
+@pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
+def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
+    found = search_formulas(ResidualForces(fits[cause].solution))
+    probabilities = [f["probability"] for f in found]
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert 0.5 < sum(probabilities) < 1.0
+    right = {"rate_and_state": "F * L * s * log(1 + abs(v)/w)", "magnet": "F * ((x - c)/w)/(1 + ((x - c)/w)^2)^2"}[
+        cause
+    ]
+    assert right in [found[0]["form"], *found[0]["equivalents"]]
+    assert found[0]["form"] not in found[0]["equivalents"]
+
+
 def test_numbers_are_those_of_the_cause(firsts):
     magnet = firsts("magnet")["formula"]
     size, place, width = (float(magnet.split(part)[i].split()[0]) for part, i in ((" N ", 0), ("(x - ", 1), (")/", 1)))

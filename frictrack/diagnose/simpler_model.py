@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES, Shape
+from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
+
+MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
 
 
 def find_simpler_model(

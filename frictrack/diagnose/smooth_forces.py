@@ -41,7 +41,8 @@ FACTORS: dict[str, Callable[[Path], Any]] = {  # what may multiply a force, as i
     "t": lambda p: p.t,
     "abs(v)": lambda p: p.speed,
     "mass": lambda p: p.mass,
-    "mass^(-1/2)": lambda p: np.asarray(p.mass, dtype=float) ** -0.5,
+    "mass^(-1/2)": lambda p: np.asarray(p.mass, dtype=float) ** (-1 / 2),
+    "mass^(-1/3)": lambda p: np.asarray(p.mass, dtype=float) ** (-1 / 3),
 }
 
 

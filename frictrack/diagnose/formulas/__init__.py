@@ -1,7 +1,7 @@
 """Search formulas of few variables and numbers that describe a force which no library effect explains."""
 
-from frictrack.diagnose.formulas.formula_search import MAX_DELTA_BIC_EQUAL, search_formulas
+from frictrack.diagnose.formulas.formula_search import search_formulas
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape, shapes_of_functions
 from frictrack.diagnose.formulas.terms import AXIS_SYMBOLS
 
-__all__ = ["AXIS_SYMBOLS", "MAX_DELTA_BIC_EQUAL", "SHAPES", "Shape", "search_formulas", "shapes_of_functions"]
+__all__ = ["AXIS_SYMBOLS", "SHAPES", "Shape", "search_formulas", "shapes_of_functions"]

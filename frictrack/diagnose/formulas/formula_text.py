@@ -25,7 +25,8 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
 
-FACTOR_TEXTS = {"L": "L", "s": "s", "x": "x", "t": "t", "abs(v)": "|v|", "mass": "m", "mass^(-1/2)": "m^(-1/2)"}
+FACTOR_TEXTS = {"L": "L", "s": "s", "x": "x", "t": "t", "abs(v)": "|v|", "mass": "m", "mass^(-1/2)": "m^(-1/2)",
+                "mass^(-1/3)": "m^(-1/3)"}  # fmt: skip
 INVERSE_UNITS = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
 
 

@@ -1,69 +1,155 @@
 """Estimate the probability that a formula has the right form.
 
-Posterior weights of forms follow from BIC (Schwarz 1978; Kass & Raftery 1995) and a prior that halves with every
-unknown and is shared by all forms of the same size. "None of these" competes with them: its weight rises with what a
-smooth force still explains beside the best formula, or explains better in its place, and with misfit that is left.
+The evidence of a form is its likelihood averaged over its coefficients and parameters (Laplace's approximation; MacKay
+1992). Its prior halves with every coefficient, parameter and further operator. "None of these" competes with the forms:
+a smooth force of any shape in their place, and what a smooth force still explains beside the best of them.
+
+References
+----------
+MacKay (1992), Neural Computation 4, 415-447; Zellner (1986), in Bayesian Inference and Decision Techniques, 233-243;
+Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, ch. 5.
+
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import logsumexp
 
-from frictrack.diagnose.compressed import compress_residual
-from frictrack.diagnose.formulas.terms import FittedFormula, Term
+from frictrack.diagnose.compressed import CompressedResidual, compress_residual
+from frictrack.diagnose.formulas.terms import Term, parameter_ranges
 from frictrack.diagnose.smooth_forces import LENGTH_RATIOS, smooth_forces
 from frictrack.fit.least_squares import Solution
+from frictrack.records import Array
 
-PRIOR_NONE = 0.1  # prior odds of a cause outside of the grammar
+PRIOR_NONE = 0.1  # prior probability of a cause outside of the grammar
 LOG_PRIOR_PER_UNKNOWN = float(np.log(0.5))
+CREDIBLE_PROBABILITY = 0.95  # that the right form is in the group, if the grammar has it
 
 
-def family_probabilities(
-    formulas: Sequence[FittedFormula], tried: Iterable[Term], unfitted: Sequence[tuple[Term, float]], bare_gain: float
-) -> list[float]:
-    """Probability that each formula has the right form.
+def log_prior(size: int, sizes: Sequence[int]) -> float:
+    """Logarithm of the prior probability of a form among those of a grammar.
 
     Parameters
     ----------
-    formulas
-        Fitted formulas, best first.
-    tried
-        All forms of the scan, by which the prior is shared.
-    unfitted
-        Terms that were not fitted in full, with the fall of BIC that is expected of them.
-    bare_gain
-        Gain of the best smooth force in place of a formula.
+    size
+        Number of its coefficients, parameters and further operators.
+    sizes
+        Sizes of all forms of the grammar.
+
+    Examples
+    --------
+    >>> round(log_prior(1, [1, 2, 2]), 3)
+    -0.693
+
+    """
+    return LOG_PRIOR_PER_UNKNOWN * size - float(logsumexp(LOG_PRIOR_PER_UNKNOWN * np.array(sizes)))
+
+
+def log_volume(term: Term, jacobian: Array) -> float:
+    """Logarithm of the share of the prior range of its parameters that the data leave to a form.
+
+    Parameters
+    ----------
+    term
+        The form at its best parameters.
+    jacobian
+        Derivative of the whitened residual by the parameters, (M, q).
 
     Returns
     -------
-    list of float
-        One per formula; what is missing to 1 belongs to other forms and to none of them.
+    float
+        At most 0, for parameters that the data do not determine.
 
     """
-    counts = Counter(t.size for t in tried)
+    ranges, logarithmic = parameter_ranges(term)
+    per_step = jacobian * np.where(logarithmic, np.abs(term.parameters), 1.0)
+    precision = per_step.T @ per_step + np.diag(2 * np.pi / ranges**2)
+    sign, log_det = np.linalg.slogdet(precision)
+    whole = 0.5 * (len(ranges) * float(np.log(2 * np.pi)) - float(log_det)) - float(np.sum(np.log(ranges)))
+    return min(whole, 0.0) if sign > 0 else 0.0
 
-    def log_prior(terms: Sequence[Term]) -> float:
-        return sum(LOG_PRIOR_PER_UNKNOWN * t.size - float(np.log(max(counts[t.size], 1))) for t in terms)
 
-    best = max(formulas, key=lambda f: f.delta_bic)
-    unit = max(best.solution.chi2 / max(best.solution.problem.n_frames - len(best.solution.p), 1), 1.0)
-    listed = [f.delta_bic / (2 * unit) + log_prior(f.terms) for f in formulas]
-    others = [bic / (2 * unit) + log_prior([term]) for term, bic in unfitted]
-    alone = bare_gain - best.delta_bic
-    evidence = max(0.0, alone, remaining_evidence(best.solution)) / 2
-    none = float(logsumexp([*listed, *others])) + float(np.log(PRIOR_NONE)) + evidence
-    total = float(logsumexp([*listed, *others, none]))
-    return [float(np.exp(one - total)) for one in listed]
+def relative_evidence(term: Term, power: float, unit: float = 1.0) -> float:
+    """Logarithm of the evidence of a form times its relative prior, over that of no force.
+
+    Parameters
+    ----------
+    term
+        The refined form.
+    power
+        Fall of chi-squared by the best form, from which the prior of the size of a force is taken (Zellner 1986).
+    unit
+        Reduced chi-squared, if it is above 1.
+
+    """
+    coefficients = 0.5 * len(term.shape.columns) * float(np.log1p(power / unit))
+    return 0.5 * term.gain / unit - coefficients + term.log_volume + LOG_PRIOR_PER_UNKNOWN * term.size
+
+
+def smooth_evidence(compressed: CompressedResidual, power: float, unit: float = 1.0) -> float:
+    """Logarithm of the evidence of a smooth force of any shape over the best axis, over that of no force.
+
+    Parameters
+    ----------
+    compressed
+        The compressed residual.
+    power
+        Fall of chi-squared by the best force, from which the prior of its size is taken, as for a form.
+    unit
+        Reduced chi-squared, if it is above 1.
+
+    """
+    smooth = smooth_forces(compressed)
+    tried = float(np.log(len(smooth) * len(LENGTH_RATIOS)))
+    return smooth[0].gain / (2 * unit) - tried - 0.5 * float(np.log1p(power / unit))
 
 
 def remaining_evidence(solution: Solution) -> float:
-    """Evidence, as a fall of BIC, that something is left beside a model: a smooth force, or misfit of any kind."""
-    smooth = smooth_forces(compress_residual(solution))
-    force = smooth[0].gain - 2 * float(np.log(len(smooth) * len(LENGTH_RATIOS)))
+    """Logarithm of the evidence that something is left beside a model: a smooth force, or misfit of any kind."""
     n = solution.problem.n_frames
     ratio = max(solution.chi2 / max(n - 2 * len(solution.responses) - len(solution.p), 1), 1.0)
-    return max(force, n * (ratio - 1 - float(np.log(ratio))) - float(np.log(n)))
+    misfit = 0.5 * (n * (ratio - 1 - float(np.log(ratio))) - float(np.log(n)))
+    return max(smooth_evidence(compress_residual(solution), 0.0), misfit, 0.0)
+
+
+def form_probabilities(weights: Mapping[str, float], none: float) -> dict[str, float]:
+    """Probability of every form; what is missing to 1 belongs to none of them.
+
+    Parameters
+    ----------
+    weights
+        Logarithm of the weight of every form.
+    none
+        Logarithm of the weight of a cause outside of the grammar.
+
+    Returns
+    -------
+    dict
+        Highest first.
+
+    Examples
+    --------
+    >>> {form: round(p, 2) for form, p in form_probabilities({"a": 0.0, "b": 0.0}, 0.0).items()}
+    {'a': 0.33, 'b': 0.33}
+
+    """
+    total = float(logsumexp([*weights.values(), none]))
+    order = sorted(weights.items(), key=lambda pair: -pair[1])
+    return {form: float(np.exp(weight - total)) for form, weight in order}
+
+
+def credible_forms(probabilities: Mapping[str, float]) -> list[str]:
+    """The most probable forms, which hold `CREDIBLE_PROBABILITY` of all forms of the grammar together.
+
+    Examples
+    --------
+    >>> credible_forms({"a": 0.5, "b": 0.3, "c": 0.01})
+    ['a', 'b']
+
+    """
+    forms = sorted(probabilities, key=lambda form: -probabilities[form])
+    before = np.cumsum([0.0, *(probabilities[form] for form in forms)])
+    return [form for form, p in zip(forms, before, strict=False) if p < CREDIBLE_PROBABILITY * before[-1]]

@@ -11,12 +11,12 @@ import numpy as np
 
 from frictrack import effects
 from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, NONE, Dimension, product
-from frictrack.diagnose.formulas.shapes import Shape
+from frictrack.diagnose.formulas.shapes import MAX_PERIODS, Shape
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # in a study file, and to read
 EFFECT_NAME = "unexplained"  # in the study file
@@ -24,9 +24,12 @@ FACTOR_VARIABLES = {"x": "x", "t": "t", "abs(v)": "v"}  # factors that are varia
 FACTOR_DIMENSIONS = {  # of factors with a unit
     **{factor: AXIS_DIMENSIONS[axis] for factor, axis in FACTOR_VARIABLES.items()},
     "mass": (0.0, 0.0, 1.0),
-    "mass^(-1/2)": (0.0, 0.0, -0.5),
+    "mass^(-1/2)": (0.0, 0.0, -1 / 2),
+    "mass^(-1/3)": (0.0, 0.0, -1 / 3),
 }
-MAX_WIDTH_RATIO = 3.0  # times the axis; a wider shape is flat
+MIN_WIDTH_RATIO, MAX_WIDTH_RATIO = 3e-3, 3.0  # times the axis; a wider shape is flat
+LOGARITHMIC_KINDS = ("width", "scale", "period")
+MIN_SHARE, MAX_SHARE = 0.3, 0.995
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,8 @@ class Term:
         Fall of chi-squared.
     coefficients
         Coefficient of each column, N.
-    rank
-        Position of the shape in the grammar, simplest first.
+    log_volume
+        Logarithm of the share of the prior range of its parameters that the data leave.
 
     """
 
@@ -58,7 +61,7 @@ class Term:
     ends: tuple[float, float]  # of the axis
     gain: float = 0.0
     coefficients: tuple[float, ...] = ()
-    rank: int = 0
+    log_volume: float = 0.0
 
     @property
     def unknowns(self) -> int:
@@ -82,8 +85,8 @@ class Term:
 
     @property
     def size(self) -> int:
-        """Number of unknowns and of multipliers; another power of the load than one counts twice."""
-        return self.unknowns + sum(1 if one in FACTOR_VARIABLES else 2 for one in self.multipliers)
+        """Number of unknowns and of operators of the multipliers: a product, and a power."""
+        return self.unknowns + sum(2 if "^" in one else 1 for one in self.multipliers)
 
     @property
     def form(self) -> str:
@@ -116,12 +119,6 @@ class FittedFormula:
         """The form without values, as in a study file."""
         suffixes = [""] if len(self.terms) == 1 else ["_a", "_b"]
         return " + ".join(study_file_text(*pair) for pair in zip(self.terms, suffixes, strict=True))
-
-    @property
-    def complexity(self) -> tuple[int, int, int]:
-        """Size, number of multipliers, then position of the shapes in the grammar."""
-        multipliers = sum(len(t.multipliers) for t in self.terms)
-        return sum(t.size for t in self.terms), multipliers, sum(t.rank for t in self.terms)
 
 
 def factor_dimension(factor: str) -> Dimension:
@@ -189,10 +186,11 @@ def parameter_bounds(term: Term, factor: float, cells: float, suffix: str = "") 
     out = {}
     for letter, kind, value in zip(parameter_names(term, suffix), term.shape.kinds, term.parameters, strict=True):
         if kind in ("width", "scale"):
-            smaller, larger = sorted((value / factor, value * factor), key=abs)
-            ends = smaller, float(np.clip(larger, -MAX_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span))
+            least, most = MIN_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span
+            sign, size = (-1.0, -value) if value < 0 else (1.0, value)
+            ends = sign * float(np.clip(size / factor, least, most)), sign * float(np.clip(size * factor, least, most))
         elif kind == "share":
-            ends = 0.3, 0.995
+            ends = MIN_SHARE, MAX_SHARE
         else:
             period = term.parameters[1] if kind in ("offset", "period") else span
             cell = {"place": 0.05 * span, "offset": 0.25 * period, "period": 0.5 * period**2 / span}
@@ -201,6 +199,39 @@ def parameter_bounds(term: Term, factor: float, cells: float, suffix: str = "") 
             ends = (max(ends[0], low), min(ends[1], high)) if kind == "place" else ends
         out[letter] = min(ends), max(ends)
     return out
+
+
+def parameter_ranges(term: Term) -> tuple[Array, Mask]:
+    """Prior ranges of the parameters, over which their prior is constant.
+
+    Parameters
+    ----------
+    term
+        The term.
+
+    Returns
+    -------
+    ranges : ndarray, shape (q,)
+        Widths of the ranges; of the logarithm for widths, scales and periods.
+    logarithmic : ndarray of bool, shape (q,)
+        Whether it is the logarithm.
+
+    """
+    span = term.ends[1] - term.ends[0]
+    widths = float(np.log(MAX_WIDTH_RATIO / MIN_WIDTH_RATIO))
+    periods = term.parameters[term.shape.kinds.index("period")] if "period" in term.shape.kinds else span
+    ranges = {
+        "place": span,
+        "offset": periods,
+        "width": widths,
+        "scale": widths + float(np.log(2.0)),  # either sign
+        "period": float(np.log(MAX_PERIODS)),
+        "rate": MAX_PERIODS / span,
+        "sweep": MAX_PERIODS / span**2,
+        "share": MAX_SHARE - MIN_SHARE,
+    }
+    kinds = term.shape.kinds
+    return np.array([ranges[k] for k in kinds]), np.array([k in LOGARITHMIC_KINDS for k in kinds], dtype=bool)
 
 
 def parameter_names(term: Term, suffix: str = "") -> list[str]:

@@ -11,7 +11,7 @@ from frictrack.diagnose.formulas.shapes import Shape
 from frictrack.diagnose.formulas.terms import AXIS_SYMBOLS
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO, Axis, candidate_axes
 
-LOAD_POWERS = {"mass": "L * s", "mass^(-1/2)": "L * s"}  # L m ~ L^2 and L/sqrt(m) ~ sqrt(L), where loads are masses
+LOAD_POWERS = ("mass", "mass^(-1/2)", "mass^(-1/3)")  # times L: powers 2, 1/2 and 2/3, where loads are masses
 
 MAX_UNKNOWNS_MULTIPLIED = 3  # of a shape that is multiplied with another variable
 
@@ -40,8 +40,8 @@ def formula_axes(compressed: CompressedResidual) -> list[Axis]:
     heavy = [
         Axis(axis.name, axis.of, _times(axis.factor, power))
         for axis in plain
-        for power, factor in LOAD_POWERS.items()
-        if axis.factor == factor and _masses_differ(compressed)
+        for power in LOAD_POWERS
+        if axis.factor == "L * s" and _masses_differ(compressed)
     ]
     return [*plain, *other, *heavy]
 

@@ -12,6 +12,7 @@ import numpy as np
 
 import frictrack as ft
 from formulas.causes import CAUSES, normalised
+from formulas.comparison import compared
 from formulas.studies import Sealed, draw
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import definitions, read_settings
@@ -21,8 +22,11 @@ MAX_DEVIATIONS = 3.0
 BINS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 
 
-def hidden_study(seed: int, *, full: bool) -> dict[str, Any]:
-    """Score one study with a cause; `full` diagnoses it, else formulas are searched in the residual of the fit."""
+def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[str, Any]:
+    """Score one study with a cause; `full` diagnoses it, else formulas are searched in the residual of the fit.
+
+    `gplearn` is a Python interpreter that has gplearn, which then searches as long in the same residual.
+    """
     names = list(CAUSES)
     sealed = draw(seed, names[seed % len(names)])
     fit = ft.fit(LAW, sealed.runs)
@@ -42,6 +46,7 @@ def hidden_study(seed: int, *, full: bool) -> dict[str, Any]:
         "verdict": verdict,
         "missing": missing,
         "cpu_s": seconds,
+        **({} if gplearn is None else {"compared": compared(sealed, fit, formulas, seconds, gplearn)}),
         **_judged(sealed, formulas),
         **(_values(sealed, fit, formulas[0]) if formulas and _is_right(sealed, formulas[0]) else {}),
         "formulas": [
@@ -114,6 +119,9 @@ def score(hidden: list[dict[str, Any]], empty: list[dict[str, Any]]) -> dict[str
         "values_within_3": f"{sum(one['within'] for one in valued)} of {len(valued)}",
         "cpu_s_median": float(np.median([one["cpu_s"] for one in hidden])) if hidden else None,
         "cpu_s_max": max((one["cpu_s"] for one in hidden), default=None),
+        **_compared_score(hidden),
+        "first_stated": sum(one["formulas"][0]["probability"] for one in hidden if one["formulas"]) / n,
+        "calibration_first": calibration(hidden, first=True),
         "calibration": calibration(hidden),
         "empty": len(empty),
         "empty_with_formula": sum(one["formulas"] > 0 for one in empty),
@@ -121,9 +129,25 @@ def score(hidden: list[dict[str, Any]], empty: list[dict[str, Any]]) -> dict[str
     }
 
 
-def calibration(hidden: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of all formulas stated with a probability, the share that is right, by probability."""
-    stated = [(f["probability"], f["right"]) for one in hidden for f in one["formulas"] if f["probability"] is not None]
+def _compared_score(hidden: list[dict[str, Any]]) -> dict[str, Any]:
+    """Share of studies in which each search has the right form and the right force along the runs."""
+    both = [one["compared"] for one in hidden if "compared" in one]
+    return {
+        f"{tool}_{key}": f"{sum(bool(one.get(tool, {}).get(key)) for one in both)} of {len(both)}"
+        for tool in ("frictrack", "gplearn")
+        for key in ("form", "values")
+        if both
+    }
+
+
+def calibration(hidden: list[dict[str, Any]], *, first: bool = False) -> list[dict[str, Any]]:
+    """Of all formulas stated with a probability, or of the first ones, the share that is right, by probability."""
+    stated = [
+        (f["probability"], f["right"])
+        for one in hidden
+        for f in one["formulas"][: 1 if first else None]
+        if f["probability"] is not None
+    ]
     out = []
     for low, high in pairwise(BINS):
         inside = [(p, right) for p, right in stated if low <= p < high or (p == high == 1)]
@@ -135,20 +159,24 @@ def calibration(hidden: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def overview(result: dict[str, Any]) -> str:
     """The figures as lines of text."""
+    tables = {"calibration_first": "calibration of the first formula", "calibration": "calibration of all formulas"}
     lines = [f"{key}: {value:.3g}" if isinstance(value, float) else f"{key}: {value}"
-             for key, value in result.items() if key != "calibration"]  # fmt: skip
-    rows = [
-        f"  stated {row['stated']:.2f} ({row['from']:g} to {row['to']:g}): right {row['right']:.2f} of {row['n']}"
-        for row in result["calibration"]
-    ]
-    return "\n".join([*lines, "calibration:", *rows])
+             for key, value in result.items() if key not in tables]  # fmt: skip
+    for key, title in tables.items():
+        lines.append(f"{title}:")
+        for row in result[key]:
+            where = f"({row['from']:g} to {row['to']:g})"
+            lines.append(f"  stated {row['stated']:.2f} {where}: right {row['right']:.2f} of {row['n']}")
+    return "\n".join(lines)
 
 
-def all_studies(n: int, n_empty: int, seed: int, tell: Callable[[str], None], *, full: bool) -> dict[str, Any]:
+def all_studies(
+    n: int, n_empty: int, seed: int, tell: Callable[[str], None], *, full: bool, gplearn: str | None = None
+) -> dict[str, Any]:
     """Score `n` studies with a cause and `n_empty` without; one line for each is told."""
     hidden, empty = [], []
     for k in range(seed, seed + n):
-        hidden.append(one := hidden_study(k, full=full))
+        hidden.append(one := hidden_study(k, full=full, gplearn=gplearn))
         mark = "first" if one["first"] else "group" if one["group"] else "listed" if one["listed"] else "no"
         first = one["formulas"][0] if one["formulas"] else {"formula": "-", "probability": None}
         mark = f"{mark} of {one['group_size']}"
