@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects, store
+from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
@@ -443,6 +444,7 @@ class Session:
             self.models.fit(group),
             own=own,
             functions=self.study.functions,
+            costs=self.study.costs,
             auxiliary=signals,
             rng=seed,
             alpha=alpha,
@@ -458,7 +460,8 @@ class Session:
         keys = [pipeline.key(name) for pipeline in self.runs for name in names if name in pipeline.stages]
         contradicted = [str(finding) for finding in self.findings.contradictions]
         functions = [list(self.study.functions)] if self.study.functions else []
-        return [keys, contradicted, *functions, *(table.model_dump(mode="json") for table in self.study.effects)]
+        costs = [asdict(self.study.costs)] if self.study.costs != DEFAULT_COSTS else []
+        return [keys, contradicted, *functions, *costs, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -14,6 +14,8 @@ from frictrack.diagnose.experiments.rating import (
     propose_experiments,
     rate_runs,
 )
+from frictrack.diagnose.experiments.settings import last_settings, settings_of
+from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.diagnose.experiments.virtual_runs import (
     DEFAULT_SCATTER,
     GOLDEN_ANGLE_RAD,
@@ -36,11 +38,14 @@ __all__ = [
     "blank_piece",
     "candidate_experiments",
     "evidence_interval",
+    "explain_by_axes",
     "integrate_motion",
+    "last_settings",
     "make_explanation",
     "plan_for_candidates",
     "plan_for_unexplained",
     "propose_experiments",
     "rate_runs",
+    "settings_of",
     "settled_by",
 ]

@@ -27,13 +27,15 @@ class Experiment:
     design: RunDesign
 
 
-def candidate_experiments(solution: Solution) -> list[Experiment]:
+def candidate_experiments(solution: Solution, speeds: tuple[float, float] = (MIN_SPEED, MAX_SPEED)) -> list[Experiment]:
     """List runs that could be filmed next.
 
     Parameters
     ----------
     solution
         A fit of the present runs.
+    speeds
+        Slowest and fastest speed of the set-up, m/s.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def candidate_experiments(solution: Solution) -> list[Experiment]:
 
     """
     setup = _setup(solution)
-    return [*_speeds(setup), *_changes(setup)]
+    return [*_speeds(setup, *speeds), *_changes(setup)]
 
 
 @dataclass(frozen=True)
@@ -86,17 +88,17 @@ def _setup(solution: Solution) -> _ObservedSetup:
     )
 
 
-def _speeds(setup: _ObservedSetup) -> Iterator[Experiment]:
+def _speeds(setup: _ObservedSetup, low: float, high: float) -> Iterator[Experiment]:
     """Slower, faster, to a stop, reversed and repeated."""
     typical, what = float(np.median(setup.speeds)), _instruction(setup)
-    slow = max(SLOWER_FACTOR * setup.speeds[0], MIN_SPEED)
+    slow = max(SLOWER_FACTOR * setup.speeds[0], low)
     if slow < (1 - MIN_SPEED_DIFFERENCE) * setup.speeds[0]:
         yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.design(slow))
-    fast = min(FASTER_FACTOR * setup.speeds[-1], MAX_SPEED)
+    fast = min(FASTER_FACTOR * setup.speeds[-1], high)
     if fast > (1 + MIN_SPEED_DIFFERENCE) * setup.speeds[-1]:
         yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.design(fast))
     stop = float(np.sqrt(2 * setup.braking * STOP_WITHIN_SHARE * (setup.course[1] - setup.course[0])))
-    if not setup.driven and MIN_SPEED < stop < MAX_SPEED:
+    if not setup.driven and low < stop < high:
         words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
         yield Experiment("to a stop", words, setup.design(stop))
     text = "the other way" if setup.both_directions else "in the other direction, which no run has had so far,"
