@@ -26,7 +26,8 @@ from frictrack.diagnose import MIN_CHI2_SEPARATED
 from frictrack.diagnose.experiments import (
     Explanation,
     ModelDiscrimination,
-    candidate_experiments,
+    RunDesign,
+    combined_experiments,
     evidence_interval,
     explain_by_axes,
     last_settings,
@@ -37,6 +38,7 @@ from frictrack.effects import PLANNED_SHARE
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.plan.causes import list_causes
 from frictrack.plan.experiment_setup import candidate_runs
@@ -51,6 +53,7 @@ DECISIVE_DELTA_BIC = 2 * MIN_CHI2_SEPARATED  # at which a diagnosis no longer li
 MAX_BIC_NEAR = 60.0  # from the best, within which an explanation is compared
 MAX_EXPLANATIONS = 4
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
+MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth filming
 
 
@@ -67,6 +70,7 @@ class Question:
     decisive: float
     now: float
     relative_size_std: float = 0.0
+    discrimination: ModelDiscrimination | None = None
 
     def progress(self, after: float) -> float:
         """Weighted progress toward decisive evidence."""
@@ -74,6 +78,13 @@ class Question:
 
     def _share(self, evidence: float) -> float:
         return float(np.clip(evidence / self.decisive, 0.0, 1.0))
+
+    def refitted(self, option: Option, after: float) -> float:
+        """Evidence after a run, with the rival fitted to it by simulation."""
+        if self.discrimination is None or option.design is None:
+            return after
+        discrimination, design = self.discrimination, option.design
+        return _or_zero(lambda: discrimination.expected_delta_bic_after(design, refit=True))
 
     def prediction(self, after: float) -> dict[str, Any]:
         """Entry of the JSON `predictions`."""
@@ -91,6 +102,7 @@ class Option:
     settings: RunSettings
     cost: float
     after: tuple[float, ...]
+    design: RunDesign | None = None
 
     def value(self, questions: Sequence[Question]) -> tuple[float, float]:
         """Progress over cost; then the plain gain of evidence over cost, where no run makes progress."""
@@ -116,7 +128,8 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     -------
     dict or None
         "what", "key", "settings" (speed m/s with sign, mass kg, incline_deg, fps), "cost", "separates",
-        "expected_delta_bic", "expected_interval" (95 %) and "predictions", one for every question. None if nothing is
+        "expected_delta_bic", "expected_interval" (95 %) and "predictions", one for every
+        open question if a likely explanation is true. None if nothing is
         open, or if no run that the set-up can do helps.
 
     Examples
@@ -137,8 +150,8 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     if not open_now or best.value(questions)[0] * best.cost < MIN_PROGRESS * sum(q.weight for q in questions):
         return None
     likeliest = max(q.weight for q, _ in open_now)
-    weakest, expected = min((p for p in open_now if p[0].weight == likeliest), key=lambda p: p[1])
-    predictions = [q.prediction(e) for q, e in zip(questions, best.after, strict=True)]
+    refitted = [(q, q.refitted(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
+    weakest, expected = min((p for p in refitted if p[0].weight == likeliest), key=lambda p: p[1])
     return {
         "what": best.words,
         "key": best.key,
@@ -147,7 +160,7 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
         "separates": list(dict.fromkeys(name for q, _ in open_now for name in (q.true, q.rival) if name)),
         "expected_delta_bic": expected,
         "expected_interval": weakest.prediction(expected)["interval"],
-        "predictions": predictions,
+        "predictions": [q.prediction(e) for q, e in refitted],
     }
 
 
@@ -159,11 +172,19 @@ def _open_questions(
         return [], []
     verdict = diagnosis["verdict"]
     if verdict == "undetermined" or verdict == "complete":
-        return _power_questions(fit, _unseen_effects(diagnosis), costs)
+        questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
+        return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
     found = _explanations(fit.solution, diagnosis) if verdict in ("ambiguous", "missing") else []
     if verdict == "unexplained":
         found = explain_by_axes(fit.solution)
     return _rival_questions(found, costs) if len(found) > 1 else ([], [])
+
+
+def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[Question], list[Option]]:
+    """Questions that at least one of the runs answers."""
+    best = [max((o.after[k] for o in options), default=0.0) for k in range(len(questions))]
+    kept = [k for k, q in enumerate(questions) if best[k] >= q.decisive]
+    return [questions[k] for k in kept], [replace(o, after=tuple(o.after[k] for k in kept)) for o in options]
 
 
 # --- which explanation is true
@@ -203,22 +224,23 @@ def _rival_questions(found: Sequence[Explanation], costs: Costs) -> tuple[list[Q
     pairs = [
         (ModelDiscrimination(a, b), weight / (len(found) - 1))
         for (a, weight), (b, _) in permutations(zip(found, weights, strict=True), 2)
+        if a.fitted_effect.kind not in b.fitted_effect.special_cases  # it predicts the same data whatever these are
     ]
     questions = [
         Question(
             d.truth.effect, d.rival.effect, float(w), DECISIVE_DELTA_BIC,
-            _or_zero(lambda d=d: d.expected_delta_bic_now), d.truth.relative_size_std,
+            _or_zero(lambda d=d: d.expected_delta_bic_now), d.truth.relative_size_std, d,
         )
         for d, w in pairs
     ]  # fmt: skip
     solution = found[0].solution
     last, options = last_settings(solution), []
-    for entry in candidate_experiments(solution, costs.speeds):
+    for entry in combined_experiments(solution, costs):
         settings = settings_of(solution, entry.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
             after = tuple(_or_zero(lambda d=d, e=entry: d.expected_delta_bic_after(e.design)) for d, _ in pairs)
-            options.append(Option(entry.key, entry.words, settings, cost, after))
+            options.append(Option(entry.key, entry.words, settings, cost, after, entry.design))
     return questions, options
 
 
@@ -257,6 +279,7 @@ def _power_questions(
     count = sum(r.experiment in setup.completed for r in runs)
     tables = {n: t for n in names if (t := _evidence_of_effect(runs, n, setup.scatter)) is not None}
     chi2 = {n: sum_runs(t[:count]).unexplained_chi2()[0] for n, t in tables.items()}
+    times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
     decisive = detection_threshold()
     questions = [Question(n, None, 1.0 / len(chi2), decisive, float(now)) for n, now in chi2.items()]
     last, options = last_settings(fit.solution), []
@@ -264,7 +287,7 @@ def _power_questions(
         settings = setup.settings(run.experiment.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
-            after = tuple(float(sum_runs([*t[:count], t[i]]).unexplained_chi2()[0]) for t in tables.values())
+            after = tuple(float(sum_runs([*t[:count], *[t[i]] * times]).unexplained_chi2()[0]) for t in tables.values())
             options.append(Option(run.experiment.key, f"Film {run.experiment.words}", settings, cost, after))
     return questions, options
 

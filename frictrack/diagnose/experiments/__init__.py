@@ -7,7 +7,7 @@ from frictrack.diagnose.experiments.expected_separation import (
     evidence_interval,
     make_explanation,
 )
-from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments, combined_experiments
 from frictrack.diagnose.experiments.rating import (
     plan_for_candidates,
     plan_for_unexplained,
@@ -37,6 +37,7 @@ __all__ = [
     "RunDesign",
     "blank_piece",
     "candidate_experiments",
+    "combined_experiments",
     "evidence_interval",
     "explain_by_axes",
     "integrate_motion",

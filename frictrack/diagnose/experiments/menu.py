@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from frictrack.diagnose.experiments.virtual_runs import RunDesign
+from frictrack.costs import SAME_RATIO, Costs
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece
 from frictrack.fit.least_squares import Solution
 
 MAX_SPEED = 8.0  # m/s, reached by setups of this field
@@ -16,6 +18,7 @@ SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run
 TILT_RAD = np.deg2rad(5.0)
 MIN_SPEED_DIFFERENCE = 0.15  # relative; smaller ones count as the same speed
 STOP_WITHIN_SHARE = 0.8  # of the course
+SPEED_KEYS = ("slower", "faster", "to a stop", "repeat")  # experiments whose speeds are combined with mass and direction
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,37 @@ def candidate_experiments(solution: Solution, speeds: tuple[float, float] = (MIN
     """
     setup = _setup(solution)
     return [*_speeds(setup, *speeds), *_changes(setup)]
+
+
+def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
+    """List runs that combine speed, direction and mass, within what the set-up can do, beside the single changes.
+
+    Parameters
+    ----------
+    solution
+        A fit of the present runs.
+    costs
+        Costs, speeds and masses of the set-up.
+
+    Returns
+    -------
+    list of Experiment
+        Those of `candidate_experiments` first.
+
+    """
+    entries = candidate_experiments(solution, costs.speeds)
+    setup, mass = _setup(solution), longest_piece(solution.problem.pieces).mass
+    ratios = [one / mass for one in costs.masses] or [1.0, 2.0]
+    speeds = {abs(e.design.start[1]) for e in entries if e.key in SPEED_KEYS}
+    known = {e.design for e in entries}
+    for speed, direction, ratio in product(sorted(speeds), (setup.direction, -setup.direction), ratios):
+        design = replace(setup.design(speed, direction), mass=1.0 if abs(ratio - 1) < SAME_RATIO else ratio)
+        if design not in known:
+            text = "" if direction == setup.direction else " the other way"
+            load = "" if design.mass == 1 else f" with {mass * ratio:.3g} kg"
+            words = f"{_instruction(setup)} a run{text} at about {speed:.1f} m/s{load}"
+            entries.append(Experiment(f"{direction * speed:.1f} m/s{load}", words, design))
+    return entries
 
 
 @dataclass(frozen=True)
