@@ -22,6 +22,7 @@ from frictrack.flow.fit_request import FitRequest, configured_effects, user_effe
 from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.predictions import Predictions
 from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.stages import run_pipelines
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
@@ -29,7 +30,7 @@ from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest
-from frictrack.verdicts import describe_tests
+from frictrack.verdicts import describe_no_run, describe_tests
 from frictrack.version import __version__
 
 if TYPE_CHECKING:
@@ -114,6 +115,7 @@ class Session:
         self.runs = run_pipelines(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
+        self.predictions = Predictions(study.output)
         self._findings: Findings | None = None
         self._inputs_checked = False
         self.path = study.output / "study.h5"
@@ -357,10 +359,38 @@ class Session:
         Returns
         -------
         dict
-            JSON of `frictrack history`: "models", "fails_at", "tests" and "alpha_spent".
+            JSON of `frictrack history`: "models", "fails_at", "tests", "alpha_spent" and "predictions".
 
         """
-        return {**self.compare(), **self.budget.summary()}
+        return {**self.compare(), **self.budget.summary(), "predictions": self.predictions.rows}
+
+    def name_next_run(self) -> dict[str, Any]:
+        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it.
+
+        Returns
+        -------
+        dict
+            "next": the run, see `frictrack.plan.next_run`, or None; "next_reason": why there is none.
+
+        """
+        from frictrack.plan import next_run  # noqa: PLC0415
+
+        group, request = self.models.current()
+        fitted = self.models.fit(group)
+        inside = f"models/{group}/diagnosis"
+        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        if found is None:
+            return {"next": None, "next_reason": "run `frictrack diagnose` first: it says what is open"}
+        named = next_run(fitted, found, self.study.costs)
+        if named is None:
+            return {"next": None, "next_reason": describe_no_run(found)}
+        named = to_builtins(named)
+        self.predictions.record(named, request.model(self.study.effects).names, self._fitted_runs())
+        return {"next": named, "next_reason": None}
+
+    def _fitted_runs(self) -> list[str]:
+        """Names of the runs that are fitted."""
+        return [run.name for run in self.models.runs if run.role != "validation"]
 
     def _current_index(self) -> int:
         return self.models.groups.index(self.models.current()[0])
@@ -413,6 +443,7 @@ class Session:
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         if test.named is None:
             self.budget.record(test, found)
+        self.predictions.resolve(found, self._fitted_runs())
         return {**found, **more}
 
     def _diagnose(
@@ -461,7 +492,13 @@ class Session:
         contradicted = [str(finding) for finding in self.findings.contradictions]
         functions = [list(self.study.functions)] if self.study.functions else []
         costs = [asdict(self.study.costs)] if self.study.costs != DEFAULT_COSTS else []
-        return [keys, contradicted, *functions, *costs, *(table.model_dump(mode="json") for table in self.study.effects)]
+        return [
+            keys,
+            contradicted,
+            *functions,
+            *costs,
+            *(table.model_dump(mode="json") for table in self.study.effects),
+        ]
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -75,9 +75,7 @@ class ExperimentSetup:
 
     def settings(self, design: RunDesign) -> RunSettings:
         """Settings of a planned run."""
-        return RunSettings(
-            design.start[1], self.mass * design.mass, design.tilt, self.fps * design.rate, design.pitch
-        )
+        return RunSettings(design.start[1], self.mass * design.mass, design.tilt, self.fps * design.rate, design.pitch)
 
     @property
     def friction(self) -> float:

@@ -164,14 +164,12 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     }
 
 
-def _open_questions(
-    fit: Fit, diagnosis: Mapping[str, Any], costs: Costs
-) -> tuple[list[Question], list[Option]]:
+def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tuple[list[Question], list[Option]]:
     """Questions that a diagnosis leaves open, and the runs that may answer them."""
     if fit.measured or any(p.turns or p.cut for p in fit.solution.problem.pieces):
         return [], []
     verdict = diagnosis["verdict"]
-    if verdict == "undetermined" or verdict == "complete":
+    if verdict in {"undetermined", "complete"}:
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
     found = _explanations(fit.solution, diagnosis) if verdict in ("ambiguous", "missing") else []
@@ -265,9 +263,7 @@ def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     return [n for n in named if effects.get(n).acts_on == "force" and effects.get(n).sized]
 
 
-def _power_questions(
-    fit: Fit, names: Sequence[str], costs: Costs
-) -> tuple[list[Question], list[Option]]:
+def _power_questions(fit: Fit, names: Sequence[str], costs: Costs) -> tuple[list[Question], list[Option]]:
     """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction."""
     if not names:
         return [], []

@@ -16,7 +16,17 @@ from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.errors import FrictrackError
 from frictrack.files import MAX_NAME_LENGTH, is_file_name
 from frictrack.priors import Prior
-from frictrack.study.schema import CameraTable, CostsTable, EffectTable, Keys, RunTable, StudyTable, Value, needs_film, suggest
+from frictrack.study.schema import (
+    CameraTable,
+    CostsTable,
+    EffectTable,
+    Keys,
+    RunTable,
+    StudyTable,
+    Value,
+    needs_film,
+    suggest,
+)
 
 TABLES: dict[str, type[Keys]] = {
     "study": StudyTable,

@@ -18,7 +18,12 @@ SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run
 TILT_RAD = np.deg2rad(5.0)
 MIN_SPEED_DIFFERENCE = 0.15  # relative; smaller ones count as the same speed
 STOP_WITHIN_SHARE = 0.8  # of the course
-SPEED_KEYS = ("slower", "faster", "to a stop", "repeat")  # experiments whose speeds are combined with mass and direction
+SPEED_KEYS = (
+    "slower",
+    "faster",
+    "to a stop",
+    "repeat",
+)  # experiments whose speeds are combined with mass and direction
 
 
 @dataclass(frozen=True)

@@ -284,9 +284,7 @@ def _expected_evidence(discrimination: ModelDiscrimination, entry: Experiment) -
         return 0.0
 
 
-def rate_direct_checks(
-    explanations: Sequence[Explanation], costs: Costs = DEFAULT_COSTS
-) -> Iterator[RatedExperiment]:
+def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAULT_COSTS) -> Iterator[RatedExperiment]:
     """Rate the direct checks that need no further run."""
     made: dict[str, RatedExperiment] = {}
     for one, other in combinations(explanations, 2):

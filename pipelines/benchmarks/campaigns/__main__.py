@@ -19,10 +19,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from machine import described  # noqa: E402
+
 from campaigns.causes import EFFECTS  # noqa: E402
 from campaigns.play import costs_of, play, score, tell_one  # noqa: E402
 from campaigns.studies import draw  # noqa: E402
-from machine import described  # noqa: E402
 
 HIDDEN = ["", "", *EFFECTS]  # two in eleven campaigns hide nothing
 

@@ -124,7 +124,7 @@ def play(campaign: Campaign, costs: Costs) -> dict[str, Any]:
     for settings in (design[0], design[-1]):  # slow to a stop, and fast the other way
         adaptive.film(settings)
     while True:
-        fit, found, plan = adaptive.diagnose()
+        fit, _, plan = adaptive.diagnose()
         predictions += realised(named[-1], fit) if named else []
         if adaptive.steps[-1].closed or len(adaptive.runs) == MAX_RUNS or plan is None:
             break
