@@ -1,7 +1,7 @@
 """Keep what was predicted of every run that `frictrack plan` named, and the evidence after it was filmed.
 
-The file ``.frictrack/predictions.json`` in the folder of the results has one entry per named run. The first diagnosis of
-the same model with exactly one run more fills in what was realised.
+The file ``.frictrack/predictions.json`` in the folder of the results has one entry per named run. The first diagnosis
+of the same model with exactly one run more fills in what was realised.
 """
 
 from __future__ import annotations
