@@ -129,7 +129,7 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     dict or None
         "what", "key", "settings" (speed m/s with sign, mass kg, incline_deg, fps), "cost", "separates",
         "expected_delta_bic", "expected_interval" (95 %) and "predictions", one for every
-        open question if a likely explanation is true. None if nothing is
+        question that the run is expected to answer if a likely explanation is true. None if nothing is
         open, or if no run that the set-up can do helps.
 
     Examples
@@ -151,13 +151,14 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
         return None
     likeliest = max(q.weight for q, _ in open_now)
     refitted = [(q, q.refitted(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
-    weakest, expected = min((p for p in refitted if p[0].weight == likeliest), key=lambda p: p[1])
+    refitted = [(q, e) for q, e in refitted if e >= MIN_CHI2_SEPARATED] or refitted  # what the run separates
+    weakest, expected = min(refitted, key=lambda p: (p[0].weight != max(q.weight for q, _ in refitted), p[1]))
     return {
         "what": best.words,
         "key": best.key,
         "settings": best.settings.summary(),
         "cost": best.cost,
-        "separates": list(dict.fromkeys(name for q, _ in open_now for name in (q.true, q.rival) if name)),
+        "separates": list(dict.fromkeys(name for q, _ in refitted for name in (q.true, q.rival) if name)),
         "expected_delta_bic": expected,
         "expected_interval": weakest.prediction(expected)["interval"],
         "predictions": [q.prediction(e) for q, e in refitted],

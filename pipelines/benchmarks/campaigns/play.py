@@ -21,7 +21,7 @@ from frictrack.plan import next_run
 
 MAX_RUNS, N_FIRST = 6, 2
 RULES = ("sure", "closed")  # first sure verdict; first one that leaves nothing open
-MIN_RATED = 1.0  # realised evidence below which a factor says nothing
+MIN_PROMISED = 10.0  # expected evidence from which on a run is promised to separate two explanations
 
 
 @dataclass
@@ -182,7 +182,7 @@ def score(played: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The figures of all campaigns."""
     n = max(len(played), 1)
     predictions = [p for one in played for p in one["predictions"]]
-    rated = [p for p in predictions if abs(p["realised"]) >= MIN_RATED]
+    rated = [p for p in predictions if p["expected"] >= MIN_PROMISED]
 
     def arm(name: str, rule: str) -> dict[str, Any]:
         needed = [one[name][rule]["runs"] for one in played]
@@ -203,8 +203,9 @@ def score(played: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "n": len(played),
         **{f"{name}_{rule}": arm(name, rule) for rule in RULES for name in ("fixed", "adaptive")},
         "predictions": len(predictions),
+        "rated": len(rated),
         "within_factor_two": sum(p["factor_two"] for p in rated) / max(len(rated), 1),
-        "in_interval": sum(p["inside"] for p in predictions) / max(len(predictions), 1),
+        "in_interval": sum(p["inside"] for p in rated) / max(len(rated), 1),
     }
 
 
