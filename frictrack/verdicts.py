@@ -153,6 +153,55 @@ def _percent(probability: float) -> str:
     return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
 
 
+def describe_no_run(diagnosis: Mapping[str, Any]) -> str:
+    """Say why no run is named after a diagnosis.
+
+    Examples
+    --------
+    >>> describe_no_run({"verdict": "missing", "missing": ["drag"]})
+    'drag is missing and has no rival: add it with `frictrack add STUDY drag`'
+
+    """
+    verdict, missing = diagnosis["verdict"], diagnosis["missing"]
+    if verdict == "missing" and missing:
+        has = "is missing and has no rival" if len(missing) == 1 else "are missing and have no rivals"
+        return f"{', '.join(missing)} {has}: add it with `frictrack add STUDY {missing[0]}`"
+    if verdict == "complete":
+        return "the model is complete, and one more run would show no further effect"
+    return "no run that the set-up can do answers what is open; the next experiment of the diagnosis names other checks"
+
+
+def describe_predictions(history: Mapping[str, Any]) -> list[str]:
+    """Say what was predicted of the runs that a plan named, and what was realised.
+
+    Parameters
+    ----------
+    history : mapping
+        "predictions" of the JSON of `frictrack history`.
+
+    Returns
+    -------
+    list of str
+        One sentence for every run that was filmed.
+
+    Examples
+    --------
+    >>> realised = {"true": "drag", "rival": "drift", "expected": 50.0, "delta_bic": 60.0, "factor": 1.2}
+    >>> describe_predictions({"predictions": [{"filmed": "r3", "realised": realised}]})
+    ['run r3 was predicted to separate drag from drift by a delta BIC of 50; it gave 60, 1.2 times as much.']
+
+    """
+    out = []
+    for row in history.get("predictions") or []:
+        if one := row["realised"]:
+            times = "" if one["factor"] is None else f", {one['factor']:.2g} times as much"
+            out.append(
+                f"run {row['filmed']} was predicted to separate {one['true']} from {one['rival']} by a delta BIC of "
+                f"{one['expected']:.3g}; it gave {one['delta_bic']:.3g}{times}."
+            )
+    return out
+
+
 def describe_tests(history: Mapping[str, Any]) -> list[str]:
     """Say how probable it is that any effect named in the whole work on a study is false.
 

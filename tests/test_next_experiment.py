@@ -47,10 +47,14 @@ from frictrack.simulate import Conditions, simulate
 LAW = ["coulomb", "viscous"]
 SIGMA = 1e-5
 SCATTER = 0.02  # of the friction level, where runs can tell it
-KEYS = {"what", "separates", "expected_delta_bic", "expected_interval", "expected_if_true", "groups", "tells"} | {
-    "kind",
-    "key",
-}
+KEYS = (
+    {"cost", "settings"}
+    | {"what", "separates", "expected_delta_bic", "expected_interval", "expected_if_true", "groups", "tells"}
+    | {
+        "kind",
+        "key",
+    }
+)
 
 
 def law_with(name, values):

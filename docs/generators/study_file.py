@@ -11,7 +11,17 @@ from numpydoc.docscrape import ClassDoc
 from page_text import code, prose, table, write_page
 
 from frictrack.study import schema
-from frictrack.study.schema import COLUMNS, SCALE, SENSOR_COLUMNS, CameraTable, EffectTable, Keys, RunTable, StudyTable
+from frictrack.study.schema import (
+    COLUMNS,
+    SCALE,
+    SENSOR_COLUMNS,
+    CameraTable,
+    CostsTable,
+    EffectTable,
+    Keys,
+    RunTable,
+    StudyTable,
+)
 from frictrack.study.writing import CAMERA
 
 SECTIONS: dict[str, type[Keys]] = {
@@ -19,6 +29,7 @@ SECTIONS: dict[str, type[Keys]] = {
     "[camera]": CameraTable,
     "[[run]]": RunTable,
     "[[effect]]": EffectTable,
+    "[costs]": CostsTable,
 }
 # Types of the schema: what a study file writes, the unit, and an example.
 TYPES = {
@@ -27,6 +38,9 @@ TYPES = {
     "Mass": ('number, text with unit, or "fit"', "kg", '"350 +/- 1 g"'),
     "FrameRate": ("number or text with unit, above 0", "Hz", "4000"),
     "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
+    "Cost": ("number of at least 0; inf: not possible", "", "5"),
+    "Speeds": ("[slowest, fastest]", "m/s", "[2, 8]"),
+    "Masses": ("list of numbers or texts with unit", "kg", '["0.35 kg", "0.70 kg"]'),
     "Place": ("number or text with unit", "m", '"-12 mm"'),
     "Length": ("number or text with unit, above 0", "m", '"0.30 m"'),
     "Load": ("number or text with unit, above 0", "N", '"3.4 N"'),

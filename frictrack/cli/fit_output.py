@@ -13,7 +13,7 @@ from rich.table import Table
 from frictrack.cli.tables import break_name
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus, format_share
-from frictrack.verdicts import describe_tests
+from frictrack.verdicts import describe_predictions, describe_tests
 
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
 ERRORS = {
@@ -208,7 +208,7 @@ def history(out: Console, result: dict[str, Any]) -> None:
     whole = _models(result["models"], str)
     fits = out.measure(whole, options=out.options.update(max_width=MAX_WIDTH)).maximum <= out.width
     out.print(whole if fits else _models(result["models"], break_name))
-    for sentence in describe_tests(result):
+    for sentence in (*describe_tests(result), *describe_predictions(result)):
         out.print(escape(sentence))
 
 

@@ -39,7 +39,8 @@ def _evidence(step: dict[str, Any]) -> str:
     if not step["separates"]:
         return ""
     groups = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
-    return f"separates {groups}; expected delta BIC {_expected(step)}"
+    cost = "" if step.get("cost") in (None, 1.0) else f"; cost {format_plain(step['cost'], 3)}"
+    return f"separates {groups}; expected delta BIC {_expected(step)}{cost}"
 
 
 def _expected(step: dict[str, Any]) -> str:
@@ -63,21 +64,42 @@ def plan(out: Console, result: dict[str, Any]) -> None:
         JSON of `frictrack plan`.
 
     """
+    _film_now(out, result)
     for line in result["assumed"]:
         out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
-    rows = table("", "film", "separates", "pairs left", "for example")
+    rows = table("", "film", "cost", "separates", "pairs left", "for example")
     for k, run in enumerate(result["runs"], 1):
         some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
         example = "\n".join(" from ".join(pair) for pair in some)
-        rows.add_row(str(k), escape(run["what"]), str(run["adds"]), str(run["pairs_left"]), example)
+        rows.add_row(
+            str(k), escape(run["what"]), format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]), example
+        )
     if result["runs"]:
         out.print(rows)
     else:
         out.print(f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects")
     _open(out, result)
     _limits(out, result["detection_limits"])
+
+
+def _film_now(out: Console, result: dict[str, Any]) -> None:
+    """Print the run to film now with its settings, cost and expected evidence, or why there is none."""
+    named = result.get("next")
+    if named is None:
+        if result.get("next_reason"):
+            out.print(f"[bold]Next run[/bold]: no run; {escape(result['next_reason'])}", soft_wrap=True)
+        return
+    own = named["settings"]
+    out.print(f"[bold]Next run[/bold]: {escape(named['what'])}", soft_wrap=True)
+    settings = (
+        f"speed {own['speed']:.3g} m/s, mass {own['mass']:.3g} kg, incline {own['incline_deg']:.2g} degrees, "
+        f"{own['fps']:.4g} frames/s; cost {format_plain(named['cost'], 3)}"
+    )
+    out.print(f"  {settings}", soft_wrap=True)
+    about = ", ".join(named["separates"])
+    out.print(f"  about {about}; expected delta BIC {_expected(named)}", soft_wrap=True, style="dim")
 
 
 def _open(out: Console, result: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
+from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
@@ -73,6 +74,8 @@ class Conclusion:
         Sentences on how the search was made.
     functions
         Further shapes of formulas.
+    costs
+        Costs of the next experiments.
 
     """
 
@@ -80,6 +83,7 @@ class Conclusion:
     search: FinishedSearch
     remarks: tuple[str, ...] = ()
     functions: tuple[Shape, ...] = ()
+    costs: Costs = DEFAULT_COSTS
 
     @cached_property
     def verdict(self) -> Diagnosis:
@@ -235,11 +239,13 @@ class Conclusion:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
         first, last, effects = self.search.first, self.search.last, self.search.found
         if found.verdict == "unexplained":
-            return plan_for_unexplained(last.solution if found.missing or not effects else first.solution, notify)
+            solution = last.solution if found.missing or not effects else first.solution
+            return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.name for t in effects[:1]]
         order = sorted(first.passing, key=lambda t: t.effect.name not in best)
         passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
-        return plan_for_candidates(first.solution, passing, effects[0].indistinguishable_from if best else (), notify)
+        rivals = effects[0].indistinguishable_from if best else ()
+        return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
 
 
 def _is_decisive(best: Candidate, undetermined: Sequence[Undetermined]) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
@@ -49,6 +50,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     auxiliary: AuxiliarySignals | None = None,
     rng: RNG = 0,
     alpha: float = ALPHA,
+    costs: Costs = DEFAULT_COSTS,
     progress: Progress | None = None,
     quick: bool = False,
     on_verdict: Callable[[Diagnosis], None] | None = None,
@@ -75,6 +77,8 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     alpha
         Significance level: half for lack of fit, half for all candidates together. It bounds the probability that a
         complete model is said to lack something; a `Session` lowers it for models that are tried as alternatives.
+    costs
+        Costs of the next experiments, and what the set-up can do: they are rated by evidence over cost.
     progress
         Called with the number of rounds done, their total, and the current step.
     quick
@@ -106,6 +110,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     conclusion = _conclude(fit, (own, auxiliary), (rng, alpha / 2), notify, shapes_of_functions(functions))
+    conclusion = replace(conclusion, costs=costs)
     if on_verdict is not None:
         on_verdict(conclusion.verdict)
     if quick:

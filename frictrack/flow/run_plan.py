@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,9 +39,16 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
     from frictrack.plan import choose_runs, summarise_plan  # noqa: PLC0415
     from frictrack.report import write_plan  # noqa: PLC0415 - loads matplotlib
 
-    setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
+    named: dict[str, Any] = {"next": None, "next_reason": None}
+    if study.runs:
+        session = Session(study, progress)
+        session.bring_up_to("friction")
+        setup, named = _setup_of_fit(session), session.name_next_run()
+    else:
+        setup = _setup_without_runs(study)
+    setup = replace(setup, costs=study.costs)
     run_plan = choose_runs(setup, progress)
-    summary = to_builtins({**summarise_plan(run_plan), "name": study.name})
+    summary = to_builtins({**summarise_plan(run_plan), **named, "name": study.name})
     page = write_plan(summary, study.output / "plan.html")
     return {**summary, "page": str(page), "output": str(study.output)}
 
@@ -69,13 +77,11 @@ def _setup_without_runs(study: Study) -> ExperimentSetup:
     return default_setup(study.mass[0], study.fps, pitch)
 
 
-def _setup_of_fit(study: Study, progress: Progress) -> ExperimentSetup:
+def _setup_of_fit(session: Session) -> ExperimentSetup:
     """Return the set-up as the current fit describes it."""
     from frictrack.fit import Fit  # noqa: PLC0415
     from frictrack.plan import fitted_setup  # noqa: PLC0415
 
-    session = Session(study, progress)
-    session.bring_up_to("friction")
     fitted = session.models.fit(session.models.current()[0])
     if not isinstance(fitted, Fit):
         raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects, store
+from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
@@ -22,13 +23,14 @@ from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.measured_runs import MeasuredRuns
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.predictions import Predictions
 from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest
-from frictrack.verdicts import describe_tests
+from frictrack.verdicts import describe_no_run, describe_tests
 from frictrack.version import __version__
 
 if TYPE_CHECKING:
@@ -112,6 +114,7 @@ class Session:
         self._measured = MeasuredRuns(study, self.progress, self._pool)
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
+        self.predictions = Predictions(study.output)
         self.path = study.output / "study.h5"
 
     @property
@@ -307,10 +310,38 @@ class Session:
         Returns
         -------
         dict
-            JSON of `frictrack history`: "models", "fails_at", "tests" and "alpha_spent".
+            JSON of `frictrack history`: "models", "fails_at", "tests", "alpha_spent" and "predictions".
 
         """
-        return {**self.compare(), **self.budget.summary()}
+        return {**self.compare(), **self.budget.summary(), "predictions": self.predictions.rows}
+
+    def name_next_run(self) -> dict[str, Any]:
+        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it.
+
+        Returns
+        -------
+        dict
+            "next": the run, see `frictrack.plan.next_run`, or None; "next_reason": why there is none.
+
+        """
+        from frictrack.plan import next_run  # noqa: PLC0415
+
+        group, request = self.models.current()
+        fitted = self.models.fit(group)
+        inside = f"models/{group}/diagnosis"
+        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        if found is None:
+            return {"next": None, "next_reason": "run `frictrack diagnose` first: it says what is open"}
+        named = next_run(fitted, found, self.study.costs)
+        if named is None:
+            return {"next": None, "next_reason": describe_no_run(found)}
+        named = to_builtins(named)
+        self.predictions.record(named, request.model(self.study.effects).names, self._fitted_runs())
+        return {"next": named, "next_reason": None}
+
+    def _fitted_runs(self) -> list[str]:
+        """Names of the runs that are fitted."""
+        return [run.name for run in self.models.runs if run.role != "validation"]
 
     def _current_index(self) -> int:
         return self.models.groups.index(self.models.current()[0])
@@ -363,6 +394,7 @@ class Session:
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         if test.named is None:
             self.budget.record(test, found)
+        self.predictions.resolve(found, self._fitted_runs())
         return {**found, **more}
 
     def _diagnose(
@@ -394,6 +426,7 @@ class Session:
             self.models.fit(group),
             own=own,
             functions=self.study.functions,
+            costs=self.study.costs,
             auxiliary=signals,
             rng=seed,
             alpha=alpha,
@@ -409,7 +442,14 @@ class Session:
         keys = [pipeline.key(name) for pipeline in self.runs for name in names if name in pipeline.stages]
         contradicted = [str(finding) for finding in self.findings.contradictions]
         functions = [list(self.study.functions)] if self.study.functions else []
-        return [keys, contradicted, *functions, *(table.model_dump(mode="json") for table in self.study.effects)]
+        costs = [asdict(self.study.costs)] if self.study.costs != DEFAULT_COSTS else []
+        return [
+            keys,
+            contradicted,
+            *functions,
+            *costs,
+            *(table.model_dump(mode="json") for table in self.study.effects),
+        ]
 
     @exclusive
     def add(self, effect: str, seed: int | None = None) -> ModelChange:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack import models
+from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.experiments import DEFAULT_SCATTER, Experiment, RunConditions, RunDesign
 from frictrack.effects import Path
 from frictrack.models import Model
@@ -54,6 +55,8 @@ class ExperimentSetup:
         Runs that were filmed already.
     assumed
         Assumptions as sentences.
+    costs
+        Costs of the runs, and what the set-up can do.
 
     """
 
@@ -68,6 +71,11 @@ class ExperimentSetup:
     start: float = 0.0
     completed: tuple[Experiment, ...] = ()
     assumed: tuple[str, ...] = ()
+    costs: Costs = DEFAULT_COSTS
+
+    def settings(self, design: RunDesign) -> RunSettings:
+        """Settings of a planned run."""
+        return RunSettings(design.start[1], self.mass * design.mass, design.tilt, self.fps * design.rate, design.pitch)
 
     @property
     def friction(self) -> float:
@@ -141,7 +149,8 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
     ['1 m/s', '2 m/s', '4 m/s']
 
     """
-    return [*_speeds(setup), *_changes(setup)]
+    entries = [*_speeds(setup), *_changes(setup)]
+    return [e for e in entries if np.isfinite(setup.costs.of_run(setup.settings(e.design), None))]
 
 
 def plain_run(setup: ExperimentSetup, speed: float) -> RunDesign:

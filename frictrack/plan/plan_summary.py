@@ -72,6 +72,7 @@ def _run(plan: RunPlan, step: PlanStep) -> dict[str, Any]:
         "mass": None if design is None else plan.setup.mass * design.mass,
         "incline_deg": None if design is None else float(np.rad2deg(design.tilt)),
         "fps": None if design is None else plan.setup.fps * design.rate,
+        "cost": step.cost,
         "separates": [list(pair) for pair in step.separated],
         "adds": len(step.separated),
         "shows": step.detected,

@@ -97,6 +97,7 @@ class PlanStep:
     separated: list[tuple[str, str]]
     detected: list[str]  # effects detected from this run on
     n_pairs_left: int
+    cost: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[Evidenc
 
     """
     runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
-    causes, excluded = list_causes(setup.law, _span(setup, runs))
+    causes, excluded = list_causes(setup.law, span_of_runs(runs))
     sizes = np.array([planned_size(runs, c) for c in causes])
     without_rival, rivals, raw_chi2 = [], [], []
     for number, run in enumerate(runs):
@@ -151,15 +152,17 @@ def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[Evidenc
     return EvidenceTables(runs, causes, sizes, without_rival, rivals, np.array(raw_chi2)), excluded
 
 
-def _span(setup: ExperimentSetup, runs: list[PlannedRun]) -> Span:
+def span_of_runs(runs: list[PlannedRun]) -> Span:
+    """Range of time, place and speed of the simulated runs."""
     speeds = np.concatenate([np.abs(r.piece.v_hat) for r in runs])
+    first = runs[0].experiment.design.course
     return Span(
         duration=max(float(r.piece.t[-1]) for r in runs),
-        x_min=setup.start,
-        x_max=setup.start + setup.course,
+        x_min=first[0],
+        x_max=first[1],
         v_min=float(speeds.min()),
         v_max=float(speeds.max()),
-        fps=setup.fps,
+        fps=runs[0].problem.layout.spans[0].fps,
     )
 
 
@@ -192,12 +195,23 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
     evidence = tables.evidence(chosen, reference=False)
     n_pairs_before = len(_unseparated_pairs(evidence))
     steps: list[PlanStep] = []
+
+    def cost_of(option: int) -> float:
+        """Cost of a run after the last one chosen; of a mark at rest for -1."""
+        if option < 0:
+            return setup.costs.check
+        last = setup.settings(tables.runs[chosen[-1]].experiment.design) if chosen else None
+        return setup.costs.of_run(setup.settings(tables.runs[option].experiment.design), last)
+
     while len(steps) < MAX_RUNS and _score(evidence)[0]:
         notify(len(steps), MAX_RUNS, "choosing runs")
         options = [(i, tables.evidence([*chosen, i], reference=reference)) for i in rest]
         if chosen and not reference:
             options.append((-1, tables.evidence(chosen, reference=True)))
-        best, found = min(options, key=lambda o: _score(o[1]))
+        options = [o for o in options if np.isfinite(cost_of(o[0]))]
+        if not options:
+            break
+        best, found = max(options, key=lambda o: _gain_per_cost(evidence, o[1], cost_of(o[0])))
         if _score(found)[0] >= _score(evidence)[0] and _score(found)[1] > _score(evidence)[1] - MIN_PROGRESS_PAIRS:
             break
         new = sorted(_unseparated_pairs(evidence) - _unseparated_pairs(found))
@@ -206,7 +220,12 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
         detected = [names[k] for k in sorted(_undetected(evidence) - _undetected(found))]
         steps.append(
             PlanStep(
-                experiment, found, [(names[a], names[b]) for a, b in new], detected, len(_unseparated_pairs(found))
+                experiment,
+                found,
+                [(names[a], names[b]) for a, b in new],
+                detected,
+                len(_unseparated_pairs(found)),
+                cost_of(best),
             )
         )
         evidence, reference = found, reference or best < 0
@@ -217,6 +236,12 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
         steps.pop()
     notify(MAX_RUNS, MAX_RUNS, "planned")
     return RunPlan(setup, tables, steps, excluded, n_pairs_before)
+
+
+def _gain_per_cost(before: Array, after: Array, cost: float) -> tuple[float, float]:
+    """Pairs separated and effects detected, then progress toward that, over the cost."""
+    (n_before, far_before), (n_after, far_after) = _score(before), _score(after)
+    return (n_before - n_after) / cost, (far_before - far_after) / cost
 
 
 def _unseparated_pairs(evidence: Array) -> set[tuple[int, int]]:

@@ -12,16 +12,28 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.errors import FrictrackError
 from frictrack.files import MAX_NAME_LENGTH, is_file_name
 from frictrack.priors import Prior
-from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, needs_film, suggest
+from frictrack.study.schema import (
+    CameraTable,
+    CostsTable,
+    EffectTable,
+    Keys,
+    RunTable,
+    StudyTable,
+    Value,
+    needs_film,
+    suggest,
+)
 
 TABLES: dict[str, type[Keys]] = {
     "study": StudyTable,
     "camera": CameraTable,
     "run": RunTable,
     "effect": EffectTable,
+    "costs": CostsTable,
 }
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = ("run", "effect")  # written with two brackets
@@ -55,6 +67,8 @@ class Study:
         Conditions in which the studies of a campaign differ, by name.
     functions
         Functions of z in ``[study]``, for formulas.
+    costs
+        Costs of the next experiment.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -73,6 +87,7 @@ class Study:
     prior_file: Path | None = None
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     functions: tuple[str, ...] = ()
+    costs: Costs = DEFAULT_COSTS
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -231,6 +246,7 @@ class _Reader:
         head = self._table("study", 0, raw.get("study", {}))
         camera = self._table("camera", 0, raw.get("camera", {}))
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
+        costs = self._table("costs", 0, raw.get("costs", {}))
         effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
         if not raw.get("run") and not self.allow_no_runs:
             self.faults.append(
@@ -265,6 +281,7 @@ class _Reader:
             prior_file=head.prior,
             conditions=head.conditions,
             functions=head.functions,
+            costs=Costs(**costs.model_dump()),
             incomplete=tuple(self.lacks),
         )
 

@@ -201,6 +201,33 @@ def _share(raw: Any, info: ValidationInfo) -> float:
     return value
 
 
+def _cost(raw: Any, info: ValidationInfo) -> float:
+    """Read a cost: a number of at least 0, `inf` where a change is not possible; a film costs more than 0."""
+    is_number = isinstance(raw, int | float) and not isinstance(raw, bool)
+    if info.field_name in FREE_OF_CHARGE and not (is_number and raw >= 0):
+        raise ValueError(f"expected {info.field_name} as a cost of at least 0, or inf if not possible, but got {raw!r}")
+    if info.field_name not in FREE_OF_CHARGE and not (is_number and raw > 0):
+        raise ValueError(f"expected {info.field_name} as a cost above 0 but got {raw!r}; give a number without a unit")
+    return float(raw)
+
+
+def _speeds(raw: Any, info: ValidationInfo) -> Pair:
+    """Read the slowest and the fastest speed, m/s."""
+    if not isinstance(raw, list) or len(raw) != 2:
+        raise ValueError(f"expected speeds = [slowest, fastest] in m/s but got {raw!r}")
+    low, high = (to_si(part, "m/s", str(info.field_name), above=0.0)[0] for part in raw)
+    if low > high:
+        raise ValueError(f"expected the slowest speed first but got {raw!r}")
+    return low, high
+
+
+def _masses(raw: Any) -> tuple[float, ...]:
+    """Read the masses at hand, kg."""
+    if not isinstance(raw, list) or not raw:
+        raise ValueError(f'expected masses as a list such as ["0.35 kg", "0.70 kg"] but got {raw!r}')
+    return tuple(to_si(part, "kg", "masses", above=0.0)[0] for part in raw)
+
+
 def _exists(path: Path) -> bool:
     """Return whether a path is a file or a folder; pipes and devices may have no end."""
     try:
@@ -392,6 +419,7 @@ RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
 MAX_CONDITION_LENGTH = 60  # characters
+FREE_OF_CHARGE = ("mass", "direction", "incline", "camera")  # changes that may cost nothing
 MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
@@ -418,6 +446,11 @@ Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Angle = Annotated[float, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
+
+
+Cost = Annotated[float, BeforeValidator(_cost)]
+Speeds = Annotated[Pair, BeforeValidator(_speeds)]
+Masses = Annotated[tuple[float, ...], BeforeValidator(_masses)]
 
 
 class Keys(BaseModel):
@@ -487,6 +520,45 @@ class CameraTable(Keys):
     fps: FrameRate | None = None
     scale: Scale | None = None
     lens: File | None = None
+
+
+class CostsTable(Keys):
+    """The keys of ``[costs]``: what one more run costs, in any one unit, and what the set-up can do.
+
+    `frictrack diagnose` and `frictrack plan` rate runs by their expected evidence over their cost.
+
+    Attributes
+    ----------
+    film
+        Cost of one more film, above 0; default 1.
+    mass
+        Added where the mass differs from that of the last run filmed. `inf`: not possible.
+    direction
+        Added where the run goes the other way than the last one.
+    incline
+        Added where the incline differs from that of the last run.
+    camera
+        Added where the frame rate or the zoom differs from that of the last run.
+    sensor
+        Cost of a sensor that must be bought, mounted and synchronised; default that of ten films.
+    check
+        Cost of any other measurement without a film, such as a rule or a level; default that of one film.
+    speeds
+        Slowest and fastest start speed of the set-up, m/s; default [0.3, 8].
+    masses
+        Masses at hand; default any.
+
+    """
+
+    film: Cost = 1.0
+    mass: Cost = 0.0
+    direction: Cost = 0.0
+    incline: Cost = 0.0
+    camera: Cost = 0.0
+    sensor: Cost = 10.0
+    check: Cost = 1.0
+    speeds: Speeds = (0.3, 8.0)
+    masses: Masses = ()
 
 
 class RunTable(Keys):

@@ -7,13 +7,15 @@ from frictrack.diagnose.experiments.expected_separation import (
     evidence_interval,
     make_explanation,
 )
-from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments, combined_experiments
 from frictrack.diagnose.experiments.rating import (
     plan_for_candidates,
     plan_for_unexplained,
     propose_experiments,
     rate_runs,
 )
+from frictrack.diagnose.experiments.settings import last_settings, settings_of
+from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.diagnose.experiments.virtual_runs import (
     DEFAULT_SCATTER,
     GOLDEN_ANGLE_RAD,
@@ -35,12 +37,16 @@ __all__ = [
     "RunDesign",
     "blank_piece",
     "candidate_experiments",
+    "combined_experiments",
     "evidence_interval",
+    "explain_by_axes",
     "integrate_motion",
+    "last_settings",
     "make_explanation",
     "plan_for_candidates",
     "plan_for_unexplained",
     "propose_experiments",
     "rate_runs",
+    "settings_of",
     "settled_by",
 ]

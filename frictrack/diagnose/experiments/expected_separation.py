@@ -11,12 +11,15 @@ Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from frictrack.diagnose.experiments.rival_runs import (
+    MIN_CHI2_FALL,
     RivalOfAllRuns,
     RivalOfPlannedRun,
     compress_response,
@@ -28,7 +31,7 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import PieceResponse, Solution, white_noise_covariance
+from frictrack.fit.least_squares import PieceResponse, Solution, refine, white_noise_covariance
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
@@ -211,13 +214,15 @@ class ModelDiscrimination:
         constraint = penalty_residual(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
         return self._bic(self.fitted_rival, constraint, count_unknowns(truth.problem.layout))
 
-    def expected_delta_bic_after(self, design: RunDesign) -> float:
+    def expected_delta_bic_after(self, design: RunDesign, *, refit: bool = False) -> float:
         """Expected difference of BIC once a planned run is filmed too, positive for the truth.
 
         Parameters
         ----------
         design
             The planned run.
+        refit
+            Fit the rival by simulation, too: slower, and right where the rival is far from the truth.
 
         Returns
         -------
@@ -241,7 +246,21 @@ class ModelDiscrimination:
         truth_layout, q = extend_layout(truth, span, design.phase)
         constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
         untied = self._with_amplitude_per_run(found, planned, tau)
-        return min(self._bic(s, constraint, count) for s in (found, untied))
+        fits = [found, untied]
+        if refit:
+            fits += self._simulated_fits(layout, piece, (found, untied), tau)
+        return min(self._bic(s, constraint, count) for s in fits)
+
+    def _simulated_fits(
+        self, layout: ParameterLayout, piece: Piece, starts: Sequence[Solution], tau: float
+    ) -> Iterator[Solution]:
+        """The rival fitted to all runs by simulation, from where the linearised fits ended and from the present fit."""
+        pieces = [*self.fitted_rival.problem.pieces, piece]
+        again = replace(starts[0], p=extend_layout(self.fitted_rival, layout.spans[-1], 0.0, free=True)[1])
+        for start in (*starts, again):
+            problem = self.rival.solution.problem.rebuild(start.problem.layout, pieces)
+            with suppress(FrictrackError):  # a motion that cannot be integrated from there
+                yield refine(problem, start.p, start.starts, tau=tau, min_fall=MIN_CHI2_FALL)
 
     def _bic(self, rival: Solution, constraint: Array, count: int) -> float:
         """Difference of BIC between a rival and a truth that explains everything, with the penalty of its levels."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from frictrack.diagnose.experiments.virtual_runs import RunDesign
+from frictrack.costs import SAME_RATIO, Costs
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece
 from frictrack.fit.least_squares import Solution
 
 MAX_SPEED = 8.0  # m/s, reached by setups of this field
@@ -16,6 +18,12 @@ SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run
 TILT_RAD = np.deg2rad(5.0)
 MIN_SPEED_DIFFERENCE = 0.15  # relative; smaller ones count as the same speed
 STOP_WITHIN_SHARE = 0.8  # of the course
+SPEED_KEYS = (
+    "slower",
+    "faster",
+    "to a stop",
+    "repeat",
+)  # experiments whose speeds are combined with mass and direction
 
 
 @dataclass(frozen=True)
@@ -27,13 +35,15 @@ class Experiment:
     design: RunDesign
 
 
-def candidate_experiments(solution: Solution) -> list[Experiment]:
+def candidate_experiments(solution: Solution, speeds: tuple[float, float] = (MIN_SPEED, MAX_SPEED)) -> list[Experiment]:
     """List runs that could be filmed next.
 
     Parameters
     ----------
     solution
         A fit of the present runs.
+    speeds
+        Slowest and fastest speed of the set-up, m/s.
 
     Returns
     -------
@@ -42,7 +52,38 @@ def candidate_experiments(solution: Solution) -> list[Experiment]:
 
     """
     setup = _setup(solution)
-    return [*_speeds(setup), *_changes(setup)]
+    return [*_speeds(setup, *speeds), *_changes(setup)]
+
+
+def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
+    """List runs that combine speed, direction and mass, within what the set-up can do, beside the single changes.
+
+    Parameters
+    ----------
+    solution
+        A fit of the present runs.
+    costs
+        Costs, speeds and masses of the set-up.
+
+    Returns
+    -------
+    list of Experiment
+        Those of `candidate_experiments` first.
+
+    """
+    entries = candidate_experiments(solution, costs.speeds)
+    setup, mass = _setup(solution), longest_piece(solution.problem.pieces).mass
+    ratios = [one / mass for one in costs.masses] or [1.0, 2.0]
+    speeds = {abs(e.design.start[1]) for e in entries if e.key in SPEED_KEYS}
+    known = {e.design for e in entries}
+    for speed, direction, ratio in product(sorted(speeds), (setup.direction, -setup.direction), ratios):
+        design = replace(setup.design(speed, direction), mass=1.0 if abs(ratio - 1) < SAME_RATIO else ratio)
+        if design not in known:
+            text = "" if direction == setup.direction else " the other way"
+            load = "" if design.mass == 1 else f" with {mass * ratio:.3g} kg"
+            words = f"{_instruction(setup)} a run{text} at about {speed:.1f} m/s{load}"
+            entries.append(Experiment(f"{direction * speed:.1f} m/s{load}", words, design))
+    return entries
 
 
 @dataclass(frozen=True)
@@ -86,17 +127,17 @@ def _setup(solution: Solution) -> _ObservedSetup:
     )
 
 
-def _speeds(setup: _ObservedSetup) -> Iterator[Experiment]:
+def _speeds(setup: _ObservedSetup, low: float, high: float) -> Iterator[Experiment]:
     """Slower, faster, to a stop, reversed and repeated."""
     typical, what = float(np.median(setup.speeds)), _instruction(setup)
-    slow = max(SLOWER_FACTOR * setup.speeds[0], MIN_SPEED)
+    slow = max(SLOWER_FACTOR * setup.speeds[0], low)
     if slow < (1 - MIN_SPEED_DIFFERENCE) * setup.speeds[0]:
         yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.design(slow))
-    fast = min(FASTER_FACTOR * setup.speeds[-1], MAX_SPEED)
+    fast = min(FASTER_FACTOR * setup.speeds[-1], high)
     if fast > (1 + MIN_SPEED_DIFFERENCE) * setup.speeds[-1]:
         yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.design(fast))
     stop = float(np.sqrt(2 * setup.braking * STOP_WITHIN_SHARE * (setup.course[1] - setup.course[0])))
-    if not setup.driven and MIN_SPEED < stop < MAX_SPEED:
+    if not setup.driven and low < stop < high:
         words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
         yield Experiment("to a stop", words, setup.design(stop))
     text = "the other way" if setup.both_directions else "in the other direction, which no run has had so far,"

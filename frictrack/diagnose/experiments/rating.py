@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
+from math import isfinite
 from typing import Any
 
+from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
 from frictrack.diagnose.experiments.expected_separation import (
@@ -20,6 +22,7 @@ from frictrack.diagnose.experiments.expected_separation import (
     make_explanation,
 )
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.settings import last_settings, settings_of
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -30,8 +33,6 @@ MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations
 MAX_EXPLANATIONS = 3  # that are compared with each other
 MAX_EXPERIMENTS = 5  # that are proposed
 AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that separate axes
-COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # to buy, mount and synchronise
-COST_FACTOR = 10.0  # times the evidence of a film that a costly check must give
 
 Progress = Callable[[str], None]
 Pair = tuple[str, str]  # true explanation, the other one
@@ -45,6 +46,8 @@ class RatedExperiment:
     words: str
     kind: str  # "film" or "measurement"
     evidence: dict[Pair, float]
+    cost: float = 1.0
+    settings: RunSettings | None = None  # of a film
 
     def separated_pairs(self) -> list[Pair]:
         """Pairs of explanations that it separates, whichever is true."""
@@ -58,9 +61,9 @@ class RatedExperiment:
         """Smallest evidence over the pairs that it separates."""
         return min((min(self.evidence[a, b], self.evidence[b, a]) for a, b in self.separated_pairs()), default=0.0)
 
-    def evidence_per_effort(self) -> float:
-        """Evidence relative to effort: a sensor must be bought, mounted and synchronised."""
-        return self.min_evidence() * (1.0 if self.kind == "film" or self.key not in COSTLY_CHECKS else 1 / COST_FACTOR)
+    def evidence_per_cost(self) -> float:
+        """Evidence over the cost that the user declared."""
+        return self.min_evidence() / self.cost
 
     def least_interval(self, explanations: Sequence[Explanation]) -> tuple[float, float | None]:
         """95 % interval of the smallest evidence over the pairs that it separates."""
@@ -87,6 +90,8 @@ class RatedExperiment:
             "tells": describe_separation(_group_names(separated, pairs)),
             "kind": self.kind,
             "key": self.key,
+            "cost": self.cost,
+            "settings": None if self.settings is None else self.settings.summary(),
         }
 
 
@@ -100,7 +105,10 @@ def _group_names(names: Sequence[str], separated_pairs: Sequence[Pair]) -> list[
 
 
 def propose_experiments(
-    explanations: Sequence[Explanation], notify: Progress = lambda what: None, keys: Sequence[str] = ()
+    explanations: Sequence[Explanation],
+    notify: Progress = lambda what: None,
+    keys: Sequence[str] = (),
+    costs: Costs = DEFAULT_COSTS,
 ) -> list[dict[str, Any]]:
     """Propose experiments that separate explanations of the same runs, best first.
 
@@ -112,6 +120,8 @@ def propose_experiments(
         Called with the current step.
     keys
         Keys of the candidate runs to rate; all by default.
+    costs
+        Costs of the experiments.
 
     Returns
     -------
@@ -126,8 +136,8 @@ def propose_experiments(
     rated = [
         experiment
         for experiment in (
-            *(rate_runs(explanations, notify, keys) if _are_coasting(explanations) else ()),
-            *rate_direct_checks(explanations),
+            *(rate_runs(explanations, notify, keys, costs) if _are_coasting(explanations) else ()),
+            *rate_direct_checks(explanations, costs),
         )
         if experiment.separated_pairs()
     ]
@@ -138,7 +148,9 @@ def propose_experiments(
     return out + [_inseparable_entry(pair, explanations) for pair in remaining if _are_coasting(explanations)]
 
 
-def plan_for_unexplained(solution: Solution, notify: Progress = lambda what: None) -> list[dict[str, Any]]:
+def plan_for_unexplained(
+    solution: Solution, notify: Progress = lambda what: None, costs: Costs = DEFAULT_COSTS
+) -> list[dict[str, Any]]:
     """Propose runs that tell whether an unexplained force depends on place, time or speed.
 
     Parameters
@@ -147,6 +159,8 @@ def plan_for_unexplained(solution: Solution, notify: Progress = lambda what: Non
         The fitted model that leaves it.
     notify
         Called with the current step.
+    costs
+        Costs of the experiments.
 
     Returns
     -------
@@ -156,7 +170,7 @@ def plan_for_unexplained(solution: Solution, notify: Progress = lambda what: Non
     """
     if is_measured_friction(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
-    return propose_experiments(explain_by_axes(solution), notify, AXIS_RUN_KEYS)
+    return propose_experiments(explain_by_axes(solution), notify, AXIS_RUN_KEYS, costs)
 
 
 def plan_for_candidates(
@@ -164,6 +178,7 @@ def plan_for_candidates(
     passing: Sequence[tuple[str, Solution, float]],
     rivals: Sequence[str],
     notify: Progress = lambda what: None,
+    costs: Costs = DEFAULT_COSTS,
 ) -> list[dict[str, Any]]:
     """Propose experiments that separate the candidates of a diagnosis.
 
@@ -178,6 +193,8 @@ def plan_for_candidates(
         `MAX_BIC_NEAR` of it.
     notify
         Called with the current step.
+    costs
+        Costs of the experiments.
 
     Returns
     -------
@@ -191,16 +208,16 @@ def plan_for_candidates(
     close = [c for c in passing if c[0] == best or c[0] in rivals or best_gain - c[2] < MAX_BIC_NEAR]
     close.sort(key=lambda c: (c[0] != best, c[0] not in rivals, -c[2]))
     close = close[:MAX_EXPLANATIONS]
-    return propose_experiments([make_explanation(n, s, bare) for n, s, _ in close], notify)
+    return propose_experiments([make_explanation(n, s, bare) for n, s, _ in close], notify, costs=costs)
 
 
 def _rank(rated: Sequence[RatedExperiment]) -> list[RatedExperiment]:
-    """Order experiments: first the one that separates most pairs, then by the pairs that are left."""
+    """Order experiments: first the one that separates most pairs for its cost, then by the pairs that are left."""
     remaining, out = list(rated), []
     open_pairs: set[Pair] = set()
     while remaining:
         open_pairs = open_pairs or {pair for o in remaining for pair in o.separated_pairs()}
-        best = max(remaining, key=lambda o: (len(open_pairs & set(o.separated_pairs())), o.evidence_per_effort()))
+        best = max(remaining, key=lambda o: (_pairs_per_cost(o, open_pairs), o.evidence_per_cost()))
         open_pairs -= set(best.separated_pairs())
         if not any(open_pairs & set(o.separated_pairs()) for o in remaining):
             open_pairs = set()
@@ -209,8 +226,16 @@ def _rank(rated: Sequence[RatedExperiment]) -> list[RatedExperiment]:
     return out
 
 
+def _pairs_per_cost(rated: RatedExperiment, open_pairs: set[Pair]) -> float:
+    """Open pairs that an experiment separates, over its cost (greedy set cover: Chvatal 1979)."""
+    return len(open_pairs & set(rated.separated_pairs())) / rated.cost
+
+
 def rate_runs(
-    explanations: Sequence[Explanation], notify: Progress = lambda what: None, keys: Sequence[str] = ()
+    explanations: Sequence[Explanation],
+    notify: Progress = lambda what: None,
+    keys: Sequence[str] = (),
+    costs: Costs = DEFAULT_COSTS,
 ) -> Iterator[RatedExperiment]:
     """Rate every candidate run, or those with some keys.
 
@@ -222,6 +247,8 @@ def rate_runs(
         Called with the current step.
     keys
         Keys of the runs to rate; all by default.
+    costs
+        Costs of the runs; those that the set-up cannot do are left out.
 
     Yields
     ------
@@ -229,9 +256,15 @@ def rate_runs(
 
     """
     discriminations = {(a.effect, b.effect): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
-    for entry in (e for e in candidate_experiments(explanations[0].solution) if not keys or e.key in keys):
-        notify(f"weighing an experiment: {entry.key}")
-        yield RatedExperiment(entry.key, entry.words, "film", _evidence_both_ways(discriminations, entry))
+    solution = explanations[0].solution
+    last = last_settings(solution)
+    for entry in (e for e in candidate_experiments(solution, costs.speeds) if not keys or e.key in keys):
+        settings = settings_of(solution, entry.design)
+        cost = costs.of_run(settings, last)
+        if isfinite(cost):
+            notify(f"weighing an experiment: {entry.key}")
+            evidence = _evidence_both_ways(discriminations, entry)
+            yield RatedExperiment(entry.key, entry.words, "film", evidence, cost, settings)
 
 
 def _evidence_both_ways(discriminations: dict[Pair, ModelDiscrimination], entry: Experiment) -> dict[Pair, float]:
@@ -251,15 +284,18 @@ def _expected_evidence(discrimination: ModelDiscrimination, entry: Experiment) -
         return 0.0
 
 
-def rate_direct_checks(explanations: Sequence[Explanation]) -> Iterator[RatedExperiment]:
+def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAULT_COSTS) -> Iterator[RatedExperiment]:
     """Rate the direct checks that need no further run."""
     made: dict[str, RatedExperiment] = {}
     for one, other in combinations(explanations, 2):
         for check, if_one, if_other in direct_checks(one, other):
-            experiment = made.setdefault(check.key, RatedExperiment(check.key, check.instruction, "measurement", {}))
+            experiment = made.setdefault(
+                check.key,
+                RatedExperiment(check.key, check.instruction, "measurement", {}, costs.of_check(check.key)),
+            )
             experiment.evidence[one.effect, other.effect] = if_one
             experiment.evidence[other.effect, one.effect] = if_other
-    yield from made.values()
+    yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 
 def _are_coasting(explanations: Sequence[Explanation]) -> bool:
@@ -280,4 +316,6 @@ def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation
         "tells": "",
         "kind": "none",
         "key": "none",
+        "cost": None,
+        "settings": None,
     }

@@ -213,7 +213,7 @@ def conditions_from_fit(solution: Solution) -> RunConditions:
         mass=reference_piece.mass,
         deceleration=_deceleration(solution),
         path=reference_piece.path,
-        incline=_incline_of(reference_piece),
+        incline=incline_of(reference_piece),
         reference_piece=reference_piece,
     )
 
@@ -320,7 +320,7 @@ def _conditions_at_nodes(
     return path, known, mass
 
 
-def _incline_of(reference_piece: Piece) -> float:
+def incline_of(reference_piece: Piece) -> float:
     """Incline of a filmed run, rad."""
     drive = 0.0 if reference_piece.path.drive is None else reference_piece.path.drive / reference_piece.mass
     return float(-np.arcsin(np.clip(np.median(reference_piece.known - drive) / GRAVITY, -1.0, 1.0)))

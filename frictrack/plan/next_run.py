@@ -1,0 +1,311 @@
+"""Choose the one run to film now, by the information that it is expected to give for its cost.
+
+A diagnosis leaves questions open. Which of several explanations is true: each is taken to be true with the probability
+that its BIC gives it, and the others are fitted to all runs including the planned one. Or whether an effect of a tenth
+of the friction would be seen. Every question has its evidence now and after each candidate run; a run is worth the
+progress toward decisive evidence, weighted by probability, over its cost.
+
+References
+----------
+Box & Hill (1967), Discrimination among mechanistic models, Technometrics 9, 57-71 (weights by probability).
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from frictrack import effects, models
+from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
+from frictrack.diagnose import MIN_CHI2_SEPARATED
+from frictrack.diagnose.experiments import (
+    Explanation,
+    ModelDiscrimination,
+    RunDesign,
+    combined_experiments,
+    evidence_interval,
+    explain_by_axes,
+    last_settings,
+    make_explanation,
+    settings_of,
+)
+from frictrack.effects import PLANNED_SHARE
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.plan.causes import list_causes
+from frictrack.plan.experiment_setup import candidate_runs
+from frictrack.plan.normal_matrices import reduce_without_rival, sum_runs
+from frictrack.plan.selection import detection_threshold, span_of_runs
+from frictrack.plan.setup_from_fit import fitted_setup
+from frictrack.plan.traces import PlannedRun, effect_trace, planned_size, simulate_runs
+from frictrack.records import Array
+from frictrack.threads import one_thread
+
+DECISIVE_DELTA_BIC = 2 * MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
+MAX_BIC_NEAR = 60.0  # from the best, within which an explanation is compared
+MAX_EXPLANATIONS = 4
+SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
+MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
+MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth filming
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question: whether `true` differs from `rival` (None: from nothing), with its weight and threshold.
+
+    `relative_size_std` is the relative standard deviation of the size of the true effect.
+    """
+
+    true: str
+    rival: str | None
+    weight: float
+    decisive: float
+    now: float
+    relative_size_std: float = 0.0
+    discrimination: ModelDiscrimination | None = None
+
+    def progress(self, after: float) -> float:
+        """Weighted progress toward decisive evidence."""
+        return self.weight * (self._share(after) - self._share(self.now))
+
+    def _share(self, evidence: float) -> float:
+        return float(np.clip(evidence / self.decisive, 0.0, 1.0))
+
+    def refitted(self, option: Option, after: float) -> float:
+        """Evidence after a run, with the rival fitted to it by simulation."""
+        if self.discrimination is None or option.design is None:
+            return after
+        discrimination, design = self.discrimination, option.design
+        return _or_zero(lambda: discrimination.expected_delta_bic_after(design, refit=True))
+
+    def prediction(self, after: float) -> dict[str, Any]:
+        """Entry of the JSON `predictions`."""
+        low, high = evidence_interval(after, self.relative_size_std)
+        names = {"true": self.true, "rival": self.rival}
+        return {**names, "now": self.now, "expected": after, "interval": [low, high], "decisive": self.decisive}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One candidate run: its words, settings and cost, and the evidence on each question after it."""
+
+    key: str
+    words: str
+    settings: RunSettings
+    cost: float
+    after: tuple[float, ...]
+    design: RunDesign | None = None
+
+    def value(self, questions: Sequence[Question]) -> tuple[float, float]:
+        """Progress over cost; then the plain gain of evidence over cost, where no run makes progress."""
+        pairs = list(zip(questions, self.after, strict=True))
+        progress = sum(q.progress(e) for q, e in pairs)
+        return progress / self.cost, sum(q.weight * (e - q.now) for q, e in pairs) / self.cost
+
+
+@one_thread()
+def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COSTS) -> dict[str, Any] | None:
+    """Choose the run to film now.
+
+    Parameters
+    ----------
+    fit
+        The fit that was diagnosed.
+    diagnosis
+        Its diagnosis: JSON of `frictrack diagnose`, or `Diagnosis.summary()`.
+    costs
+        Costs of the next run, and what the set-up can do.
+
+    Returns
+    -------
+    dict or None
+        "what", "key", "settings" (speed m/s with sign, mass kg, incline_deg, fps), "cost", "separates",
+        "expected_delta_bic", "expected_interval" (95 %) and "predictions", one for every
+        question that the run is expected to answer if a likely explanation is true. None if nothing is
+        open, or if no run that the set-up can do helps.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.samples.runs()[:1]
+    >>> fit = ft.fit(["coulomb", "viscous"], runs)
+    >>> next_run(fit, ft.diagnose(fit, quick=True).summary()) is None  # one effect is named, without a rival
+    True
+
+    """
+    questions, options = _open_questions(fit, diagnosis, costs)
+    options = [o for o in options if o.value(questions)[1] > 0]
+    if not options:
+        return None
+    best = max(options, key=lambda o: o.value(questions))
+    open_now = [(q, e) for q, e in zip(questions, best.after, strict=True) if q.now < q.decisive]
+    if not open_now or best.value(questions)[0] * best.cost < MIN_PROGRESS * sum(q.weight for q in questions):
+        return None
+    likeliest = max(q.weight for q, _ in open_now)
+    refitted = [(q, q.refitted(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
+    refitted = [(q, e) for q, e in refitted if e >= MIN_CHI2_SEPARATED] or refitted  # what the run separates
+    weakest, expected = min(refitted, key=lambda p: (p[0].weight != max(q.weight for q, _ in refitted), p[1]))
+    return {
+        "what": best.words,
+        "key": best.key,
+        "settings": best.settings.summary(),
+        "cost": best.cost,
+        "separates": list(dict.fromkeys(name for q, _ in refitted for name in (q.true, q.rival) if name)),
+        "expected_delta_bic": expected,
+        "expected_interval": weakest.prediction(expected)["interval"],
+        "predictions": [q.prediction(e) for q, e in refitted],
+    }
+
+
+def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tuple[list[Question], list[Option]]:
+    """Questions that a diagnosis leaves open, and the runs that may answer them."""
+    if fit.measured or any(p.turns or p.cut for p in fit.solution.problem.pieces):
+        return [], []
+    verdict = diagnosis["verdict"]
+    if verdict in {"undetermined", "complete"}:
+        questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
+        return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
+    found = _explanations(fit.solution, diagnosis) if verdict in ("ambiguous", "missing") else []
+    if verdict == "unexplained":
+        found = explain_by_axes(fit.solution)
+    return _rival_questions(found, costs) if len(found) > 1 else ([], [])
+
+
+def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[Question], list[Option]]:
+    """Questions that at least one of the runs answers."""
+    best = [max((o.after[k] for o in options), default=0.0) for k in range(len(questions))]
+    kept = [k for k, q in enumerate(questions) if best[k] >= q.decisive]
+    return [questions[k] for k in kept], [replace(o, after=tuple(o.after[k] for k in kept)) for o in options]
+
+
+# --- which explanation is true
+
+
+def _explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[Explanation]:
+    """Explanations of what an ambiguous diagnosis leaves open; empty if no effect has a rival."""
+    listed = {c["effect"]: c for c in diagnosis["candidates"]}
+    doubtful = next((n for n in diagnosis["missing"] if listed[n]["indistinguishable_from"]), None)
+    if doubtful is None:
+        return []
+    for name in diagnosis["missing"]:
+        if name != doubtful:
+            solution = refine_to_end(add_effect(solution, effects.get(name)))
+    rivals = listed[doubtful]["indistinguishable_from"]
+    best = listed[doubtful]["delta_bic"]
+    near = [n for n, c in listed.items() if c["delta_bic"] is not None and best - c["delta_bic"] < MAX_BIC_NEAR]
+    names = [doubtful, *rivals, *(n for n in near if n not in rivals and n != doubtful)]
+    found = list(_fitted(solution, [n for n in names if n not in solution.problem.model][: 2 * MAX_EXPLANATIONS]))
+    return sorted(found, key=lambda e: -e.gain)[:MAX_EXPLANATIONS]
+
+
+def _fitted(solution: Solution, names: Iterable[str]) -> Iterator[Explanation]:
+    """Explanation by every effect of the library that can be fitted."""
+    for name in names:
+        try:
+            yield make_explanation(name, refine_to_end(add_effect(solution, effects.get(name))), solution)
+        except FrictrackError:  # an effect of the user, or a motion that cannot be integrated
+            continue
+
+
+def _rival_questions(found: Sequence[Explanation], costs: Costs) -> tuple[list[Question], list[Option]]:
+    """One question for every ordered pair of explanations, weighted by the probability of the first."""
+    gains = np.array([e.gain for e in found])
+    weights = np.exp((gains - gains.max()) / 2)
+    weights /= weights.sum()
+    pairs = [
+        (ModelDiscrimination(a, b), weight / (len(found) - 1))
+        for (a, weight), (b, _) in permutations(zip(found, weights, strict=True), 2)
+        if a.fitted_effect.kind not in b.fitted_effect.special_cases  # it predicts the same data whatever these are
+    ]
+    questions = [
+        Question(
+            d.truth.effect, d.rival.effect, float(w), DECISIVE_DELTA_BIC,
+            _or_zero(lambda d=d: d.expected_delta_bic_now), d.truth.relative_size_std, d,
+        )
+        for d, w in pairs
+    ]  # fmt: skip
+    solution = found[0].solution
+    last, options = last_settings(solution), []
+    for entry in combined_experiments(solution, costs):
+        settings = settings_of(solution, entry.design)
+        cost = costs.of_run(settings, last)
+        if np.isfinite(cost):
+            after = tuple(_or_zero(lambda d=d, e=entry: d.expected_delta_bic_after(e.design)) for d, _ in pairs)
+            options.append(Option(entry.key, entry.words, settings, cost, after, entry.design))
+    return questions, options
+
+
+def _or_zero(compute: Any) -> float:
+    """Evidence; 0 if a motion cannot be integrated."""
+    try:
+        return float(compute())
+    except FrictrackError:
+        return 0.0
+
+
+# --- what the runs could show
+
+
+def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Effects that the runs leave open: those of an undetermined verdict; else forces absorbed whatever their size."""
+    if diagnosis["verdict"] == "undetermined":
+        parts = [part for one in diagnosis["undetermined"] for part in one["what"].split(" and ")]
+        return list(dict.fromkeys(part.split(".")[0] for part in parts))
+    limits = diagnosis["detection_limits"]
+    named = [n for n, limit in limits.items() if limit["value"] is None and n in effects.LIBRARY]
+    return [n for n in named if effects.get(n).acts_on == "force" and effects.get(n).sized]
+
+
+def _power_questions(fit: Fit, names: Sequence[str], costs: Costs) -> tuple[list[Question], list[Option]]:
+    """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction."""
+    if not names:
+        return [], []
+    try:
+        setup = replace(fitted_setup(fit), costs=costs)
+        runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
+    except FrictrackError:  # a drive, or a law without Coulomb friction
+        return [], []
+    count = sum(r.experiment in setup.completed for r in runs)
+    tables = {n: t for n in names if (t := _evidence_of_effect(runs, n, setup.scatter)) is not None}
+    chi2 = {n: sum_runs(t[:count]).unexplained_chi2()[0] for n, t in tables.items()}
+    times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
+    decisive = detection_threshold()
+    questions = [Question(n, None, 1.0 / len(chi2), decisive, float(now)) for n, now in chi2.items()]
+    last, options = last_settings(fit.solution), []
+    for i, run in enumerate(runs[count:], count):
+        settings = setup.settings(run.experiment.design)
+        cost = costs.of_run(settings, last)
+        if np.isfinite(cost):
+            after = tuple(float(sum_runs([*t[:count], *[t[i]] * times]).unexplained_chi2()[0]) for t in tables.values())
+            options.append(Option(run.experiment.key, f"Film {run.experiment.words}", settings, cost, after))
+    return questions, options
+
+
+def _evidence_of_effect(runs: Sequence[PlannedRun], name: str, scatter: float) -> list[Any] | None:
+    """Products of one effect of `SOUGHT_SHARE` of the friction and the rest of the law, in every run."""
+    law = models.of([e for e in runs[0].problem.model.effects if e.name != name])
+    setup_span = span_of_runs(list(runs))
+    cause = next((c for c in list_causes(law, setup_span)[0] if c.effect.name == name), None)
+    if cause is None:
+        return None
+    size = planned_size(list(runs), cause) * SOUGHT_SHARE / PLANNED_SHARE
+    out = []
+    for number, run in enumerate(runs):
+        trace = effect_trace(run, cause, size, number)[:, None]
+        out.append(reduce_without_rival(replace(run, law_columns=_other_columns(run, name)), trace, scatter))
+    return out
+
+
+def _other_columns(run: PlannedRun, name: str) -> Array:
+    """Sensitivities of the law without those of one effect."""
+    layout = run.problem.layout
+    shared = [i for i in run.response.active if i not in layout.levels]
+    return run.law_columns[:, [k for k, i in enumerate(shared) if layout.slots[i].effect != name]]

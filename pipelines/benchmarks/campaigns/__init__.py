@@ -1,0 +1,1 @@
+"""Simulated campaigns: the runs that frictrack names against a fixed design of six runs."""
