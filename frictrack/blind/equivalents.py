@@ -47,7 +47,7 @@ def _equivalents(full: Solution, name: str) -> list[str]:
     return [other for other, fitted in fits.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
 
 
-def replacements(full: Solution, name: str) -> dict[str, Solution]:
+def replacements(full: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
     """Fit every effect of the library in place of a hidden one to data without noise.
 
     Parameters
@@ -56,6 +56,8 @@ def replacements(full: Solution, name: str) -> dict[str, Solution]:
         Solution at the truth; see `solution_at_truth`.
     name
         The hidden effect.
+    max_chi2
+        Chi-squared that an effect may leave along the true motion; those that leave more are not simulated.
 
     Returns
     -------
@@ -67,6 +69,7 @@ def replacements(full: Solution, name: str) -> dict[str, Solution]:
     reduced = remove_effect(full, name)
     linearised = linearise(reduced)
     chi2_rise = reduced.objective - full.objective
+    screen = min(SCREEN_SHARE * chi2_rise + SCREEN_CHI2, max_chi2) + _level_penalty(full)
     out = {}
     for effect in effects.LIBRARY.values():
         if effect.name in reduced.problem.model or effect.replaces or effect.name == name:
@@ -75,7 +78,7 @@ def replacements(full: Solution, name: str) -> dict[str, Solution]:
         if effect.modifies and not kinds & effect.modifies:
             continue
         try:
-            fitted = _replacement(linearised, effect, full, chi2_rise)
+            fitted = _replacement(linearised, effect, full.tau, screen)
         except FrictrackError:
             continue
         if fitted is not None:
@@ -83,8 +86,8 @@ def replacements(full: Solution, name: str) -> dict[str, Solution]:
     return out
 
 
-def _replacement(linearised: LinearisedModel, effect: Effect, full: Solution, chi2_rise: float) -> Solution | None:
-    """The fit with another effect instead of the true one; None if the linearised fit is far worse."""
+def _replacement(linearised: LinearisedModel, effect: Effect, tau: float, screen: float) -> Solution | None:
+    """The fit with another effect instead of the true one; None if it leaves more than `screen` along the motion."""
     grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
     if not grids:
         return None
@@ -92,10 +95,10 @@ def _replacement(linearised: LinearisedModel, effect: Effect, full: Solution, ch
     trial = try_effect(
         linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.coordinates[:, 0]
     )
-    if trial.misfit > SCREEN_SHARE * chi2_rise + SCREEN_CHI2 + _level_penalty(full):
+    if trial.misfit > screen:
         return None
     extended = simulate_trial(linearised, trial)
-    return refine(extended.problem, extended.p, extended.starts, tau=full.tau)
+    return refine(extended.problem, extended.p, extended.starts, tau=tau)
 
 
 def _level_penalty(full: Solution) -> float:

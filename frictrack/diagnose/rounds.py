@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
+from frictrack.diagnose.confirmation import is_confirmed
 from frictrack.diagnose.hypothesis_tests import (
     ALPHA,
     ScannedCandidate,
@@ -142,8 +143,13 @@ class Round:
 
     @property
     def passing(self) -> list[RefinedCandidate]:
-        """Plausible candidates that are significant and simulated, best first."""
-        return [t for t in self.tried if self.is_significant(t) and t.delta_bic > 0 and t.solution and not t.objection]
+        """Plausible candidates that are significant, and confirmed by their simulated fit, best first."""
+        return [t for t in self.tried if self._passes(t)]
+
+    def _passes(self, t: RefinedCandidate) -> bool:
+        if not self.is_significant(t) or t.solution is None or t.objection:
+            return False
+        return is_confirmed(self.tests, self.solution, t.solution, t.effect)
 
 
 def run_round(

@@ -16,6 +16,8 @@ from frictrack.diagnose.model_selection import information_criterion, parameter_
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 
+MAX_CHI2_RIVAL = 30.0  # separation beyond which noise puts a rival before the truth in less than one of 300 studies
+
 
 @dataclass(frozen=True)
 class IdealNaming:
@@ -36,10 +38,12 @@ def name_ideally(truth: Truth, base: Solution) -> IdealNaming:
     """Name the hidden effect of a study; `base` is the fit of the base law to the noisy data."""
     (name,) = truth.hidden
     full = solution_at_truth(truth, base)
-    without_noise = replacements(full, name)
+    without_noise = replacements(full, name, MAX_CHI2_RIVAL)
     near = [n for n, fitted in without_noise.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
     fits = {name: _with_noise(full, base)}
     for other, fitted in without_noise.items():
+        if fitted.objective - full.objective > MAX_CHI2_RIVAL:
+            continue
         try:
             fits[other] = _with_noise(fitted, base)
         except FrictrackError:  # too far from this noise to be followed

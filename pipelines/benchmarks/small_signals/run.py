@@ -80,6 +80,7 @@ def empty_study(seed: int) -> dict[str, Any]:
         "verdict": found.verdict,
         "missing": found.missing,
         "p": min((c.p for c in found.candidates), default=1.0),
+        "significant": {c.effect: c.delta_bic for c in found.candidates if c.p < found.alpha / 2},
         "p_lack_of_fit": found.p_lack_of_fit,
         "cpu_s": time.process_time() - begin,
     }
