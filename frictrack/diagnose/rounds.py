@@ -144,12 +144,8 @@ class Round:
     @property
     def passing(self) -> list[RefinedCandidate]:
         """Plausible candidates that are significant, and confirmed by their simulated fit, best first."""
-        return [t for t in self.tried if self._passes(t)]
-
-    def _passes(self, t: RefinedCandidate) -> bool:
-        if not self.is_significant(t) or t.solution is None or t.objection:
-            return False
-        return is_confirmed(self.tests, self.solution, t.solution, t.effect)
+        plausible = [t for t in self.tried if self.is_significant(t) and t.solution and not t.objection]
+        return [t for t in plausible if is_confirmed(self.tests, self.solution, t.law, t.effect)]
 
 
 def run_round(

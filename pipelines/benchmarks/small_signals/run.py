@@ -8,9 +8,9 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from diagnosis.studies import recorded
 
 import frictrack as ft
-from diagnosis.studies import recorded
 from frictrack.blind.truth import Truth
 from frictrack.blind.truth_sampling import draw_truth, effects_in_order
 from small_signals.ideal import name_ideally
@@ -43,7 +43,7 @@ def one_study(truth: Truth) -> dict[str, Any]:
     begin = time.process_time()
     found = ft.diagnose(fit, rng=truth.seed, quick=True)
     seconds = time.process_time() - begin
-    group = _group(found)
+    group = named_group(found)
     p = {c.effect: c.p for c in found.candidates}
     return {
         "effect": name,
@@ -63,7 +63,7 @@ def one_study(truth: Truth) -> dict[str, Any]:
     }
 
 
-def _group(found: Any) -> list[str]:
+def named_group(found: Any) -> list[str]:
     """The effect named first, and those stated as indistinguishable from it."""
     first = next((c for c in found.candidates if c.effect in found.missing[:1]), None)
     return [] if first is None else [first.effect, *first.indistinguishable_from]
