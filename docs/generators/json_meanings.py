@@ -184,6 +184,7 @@ MEANINGS = {
     "delta_bic": "fall of the Bayesian information criterion",
     "indistinguishable_from": "effects whose best fit predicts the same data",
     "implausible": "why it cannot be the cause",
+    "passes": "plausible, significant for the whole search, and confirmed by its simulated fit",
     "words.what": "what the effect is",
     "words.looks_like": "how it shows",
     "words.confirm": "how to confirm it",

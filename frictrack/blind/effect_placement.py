@@ -24,7 +24,9 @@ MAX_MOMENTUM_SHARE = 0.3  # of the momentum at the start that a collision may ta
 PlacedEffect = tuple[Truth, Array]  # the study with one hidden effect, and its whitened trace (N,)
 
 
-def place_effect(detector: IdealDetector, name: str, rng: np.random.Generator) -> tuple[PlacedEffect, float] | None:
+def place_effect(
+    detector: IdealDetector, name: str, rng: np.random.Generator, sizes: tuple[float, float] = SIZE_RANGE
+) -> tuple[PlacedEffect, float] | None:
     """Put one effect into a study at a random size.
 
     Parameters
@@ -35,16 +37,18 @@ def place_effect(detector: IdealDetector, name: str, rng: np.random.Generator) -
         Effect of the library or foreign effect.
     rng
         Source of the draws.
+    sizes
+        Smallest and largest size over the detection limit of the ideal detector.
 
     Returns
     -------
     tuple or None
-        The study with the effect and its trace, and the size over the detection limit. None if no size within
-        `SIZE_RANGE` is possible.
+        The study with the effect and its trace, and the size over the detection limit. None if no such size is
+        possible.
 
     """
     effect = effect_named(name)
-    size = float(np.exp(rng.uniform(*np.log(SIZE_RANGE))))
+    size = float(np.exp(rng.uniform(*np.log(sizes))))
     shape = _draw_values(detector, effect, rng)
     if effect.test_draw.own_size or (effect.moves_picture and detector.base_study.film):
         found = _checked_placement(detector, effect, shape)

@@ -43,10 +43,34 @@ def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...
 
 def _equivalents(full: Solution, name: str) -> list[str]:
     """Names of effects that explain the data without noise as well as the hidden one does."""
+    fits = replacements(full, name)
+    return [other for other, fitted in fits.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
+
+
+def replacements(full: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
+    """Fit every effect of the library in place of a hidden one to data without noise.
+
+    Parameters
+    ----------
+    full
+        Solution at the truth; see `solution_at_truth`.
+    name
+        The hidden effect.
+    max_chi2
+        Chi-squared that an effect may leave along the true motion; those that leave more are not simulated.
+
+    Returns
+    -------
+    dict
+        The best fit by effect; only effects that are not far worse along the true motion. The objective of a fit less
+        that of `full` is the chi-squared by which these runs separate the two effects in the mean.
+
+    """
     reduced = remove_effect(full, name)
     linearised = linearise(reduced)
     chi2_rise = reduced.objective - full.objective
-    out = []
+    screen = min(SCREEN_SHARE * chi2_rise + SCREEN_CHI2, max_chi2) + _level_penalty(full)
+    out = {}
     for effect in effects.LIBRARY.values():
         if effect.name in reduced.problem.model or effect.replaces or effect.name == name:
             continue
@@ -54,28 +78,27 @@ def _equivalents(full: Solution, name: str) -> list[str]:
         if effect.modifies and not kinds & effect.modifies:
             continue
         try:
-            excess = _chi2_excess(linearised, effect, full, chi2_rise)
+            fitted = _replacement(linearised, effect, full.tau, screen)
         except FrictrackError:
             continue
-        if excess < MAX_CHI2_EXCESS:
-            out.append(effect.name)
+        if fitted is not None:
+            out[effect.name] = fitted
     return out
 
 
-def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, chi2_rise: float) -> float:
-    """Excess of chi-squared with another effect instead of the true one; inf if the linearised fit is far worse."""
+def _replacement(linearised: LinearisedModel, effect: Effect, tau: float, screen: float) -> Solution | None:
+    """The fit with another effect instead of the true one; None if it leaves more than `screen` along the motion."""
     grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
     if not grids:
-        return np.inf
+        return None
     data = measured_series(linearised)
     trial = try_effect(
         linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.coordinates[:, 0]
     )
-    if trial.misfit > SCREEN_SHARE * chi2_rise + SCREEN_CHI2 + _level_penalty(full):
-        return np.inf
+    if trial.misfit > screen:
+        return None
     extended = simulate_trial(linearised, trial)
-    fitted = refine(extended.problem, extended.p, extended.starts, tau=full.tau)
-    return fitted.objective - full.objective
+    return refine(extended.problem, extended.p, extended.starts, tau=tau)
 
 
 def _level_penalty(full: Solution) -> float:

@@ -58,8 +58,13 @@ def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
     True
 
     """
-    threshold = float(chi2_isf(ALPHA / N_CANDIDATES / forms, degrees_of_freedom))
+    threshold = detection_threshold(degrees_of_freedom, forms)
     return float(brentq(lambda nc: noncentral_chi2_sf(threshold, degrees_of_freedom, nc) - POWER, 1.0, 1e4))
+
+
+def detection_threshold(degrees_of_freedom: int, forms: int = 1) -> float:
+    """Fall of chi-squared that chance exceeds in a scan with the probability that one candidate may use up."""
+    return float(chi2_isf(ALPHA / N_CANDIDATES / forms, degrees_of_freedom))
 
 
 def degrees_of_freedom(effect: Effect, runs: int) -> int:
@@ -130,10 +135,18 @@ class IdealDetector:
 
     def limit(self, effect: Effect) -> float:
         """Rise of chi-squared at which an effect is seen in 95 of 100 repeats; see `noncentrality_limit`."""
+        return noncentrality_limit(degrees_of_freedom(effect, len(self.base_study.runs)), self._forms(effect))
+
+    def threshold(self, effect: Effect) -> float:
+        """Fall of chi-squared from which an effect counts as seen."""
+        return detection_threshold(degrees_of_freedom(effect, len(self.base_study.runs)), self._forms(effect))
+
+    def _forms(self, effect: Effect) -> int:
+        """Independent forms of an effect in a scan."""
         span, runs = self.base_study.span(self.trajectories), len(self.base_study.runs)
         scans = [len(p.scan(span)) for p in effect.parameters if p.scan is not None and p.fixed is None]
         forms = int(np.prod(scans)) * (runs if is_event(effect) else 1)
-        return noncentrality_limit(degrees_of_freedom(effect, runs), max(1, forms // FORMS_PER_CELL))
+        return max(1, forms // FORMS_PER_CELL)
 
     def trace_and_rise(self, truth: Truth) -> tuple[Array, float]:
         """Compute the trace of the hidden effects by simulation.

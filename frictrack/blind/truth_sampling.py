@@ -70,7 +70,9 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
     ]
 
 
-def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
+def draw_truth(
+    seed: int, kind: str, turn: int = 0, *, film: bool = False, sizes: tuple[float, float] = SIZE_RANGE
+) -> Truth:
     """Draw the truth of one study.
 
     Parameters
@@ -83,6 +85,8 @@ def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Tr
         Number of the study among those of its kind; effects take turns, so that all are equally frequent.
     film
         Whether the study consists of films.
+    sizes
+        Smallest and largest size of a hidden effect, over what the ideal detector sees in 95 of 100 repeats.
 
     Returns
     -------
@@ -104,28 +108,35 @@ def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Tr
         names = _hidden_effects(kind, law, first, rng, film=film)
         for _ in range(MAX_DRAWS_MEMORY if any(effect_named(n).memory for n in names) else MAX_DRAWS):
             base_study = _draw_base(seed, kind, law, names, rng, film=film)
-            found = _try_draw(base_study, names, rng)
+            found = _try_draw(base_study, names, rng, sizes)
             if found is not None:
                 return found
     raise FrictrackError(f"no visible study of kind {kind} was found for seed {seed}; give another seed")
 
 
-def _try_draw(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+def _try_draw(
+    base_study: Truth, names: tuple[str, ...], rng: np.random.Generator, sizes: tuple[float, float]
+) -> Truth | None:
     """Draw runs and hide effects; return None if a run is too short or an effect is not visible."""
     try:
         base_study = replace(base_study, runs=tuple(_draw_runs(base_study, rng)))
         if any(run.frames < MIN_FRAMES for run in base_study.runs):
             return None
-        return _hide_effects(base_study, names, rng)
+        return _hide_effects(base_study, names, rng, sizes)
     except FrictrackError:  # a motion that cannot be integrated
         return None
 
 
+def effects_in_order(kind: str, *, film: bool = False) -> list[str]:
+    """List the effects that take turns in the studies of a kind, whatever the base law."""
+    return list(dict.fromkeys(n for law, _ in LAWS for n in candidates(kind, law, film=film)))
+
+
 def _effect_in_turn(kind: str, turn: int, *, film: bool) -> str | None:
-    """The effect whose turn it is, whatever the base law; None if nothing is hidden."""
+    """The effect whose turn it is; None if nothing is hidden."""
     if kind == "none":
         return None
-    order = list(dict.fromkeys(n for law, _ in LAWS for n in candidates(kind, law, film=film)))
+    order = effects_in_order(kind, film=film)
     return order[turn % len(order)]
 
 
@@ -225,27 +236,29 @@ def _count_frames(base_study: Truth, run: RunTruth) -> int:
     return min(ends)
 
 
-def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+def _hide_effects(
+    base_study: Truth, names: tuple[str, ...], rng: np.random.Generator, sizes: tuple[float, float]
+) -> Truth | None:
     """Put the effects into the study; return None if one is not visible, alone or with the other ones free."""
     truth, detector = base_study, IdealDetector(base_study)
     hidden = []
     for name in names:
-        found = place_effect(detector, name, rng)
+        found = place_effect(detector, name, rng, sizes)
         if found is None:
             return None
         hidden.append(found)
         runs = zip(truth.runs, found[0][0].runs, strict=True)
         truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
-    sizes, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
+    reached, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
     if len(names) > 1:
         placed = dict(zip(names, (one for one, _ in hidden), strict=True))
         traces = [_trace_beyond_others(detector, name, placed) for name in names]
         limits = [np.sqrt(detector.limit(effect_named(name))) for name in names]
-        sizes = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
-        if min(sizes) < SIZE_RANGE[0]:
+        reached = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
+        if min(reached) < sizes[0]:
             return None
     rises: Any = tuple(float(t @ t) for t in traces)
-    return replace(truth, hidden=names, size=sizes, rise=rises)
+    return replace(truth, hidden=names, size=reached, rise=rises)
 
 
 def _trace_beyond_others(detector: IdealDetector, name: str, placed: dict[str, PlacedEffect]) -> Array:

@@ -306,6 +306,7 @@ def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _
         if t.effect.name not in chosen
     }
     simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
+    passing = {t.effect.name for t in first.passing} | chosen.keys()
     out = []
     for t in [*found, *(t for t in first.tried if t.effect.name not in chosen)]:
         name = t.effect.name
@@ -314,7 +315,8 @@ def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _
         indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
         shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
         held = heldout if first.is_significant(t) else None
-        out.append(_candidate(shown, held, residual_kind(first.solution.problem)))
+        listed = _candidate(shown, held, residual_kind(first.solution.problem))
+        out.append(replace(listed, passes=name in passing and not listed.implausible))
     return out
 
 

@@ -70,6 +70,24 @@ def information_criterion(solution: Solution) -> float:
     return solution.objective + spread + parameter_penalty(layout, solution.problem)
 
 
+def likelihood_gain(bare: Solution, fitted: Solution) -> float:
+    """Compute the fall of minus twice the log-likelihood from a model to a larger one, levels integrated out.
+
+    Parameters
+    ----------
+    bare, fitted
+        The smaller and the larger model.
+
+    Returns
+    -------
+    float
+
+    """
+    gain = information_criterion(bare) - information_criterion(fitted)
+    penalties = [parameter_penalty(s.problem.layout, s.problem) for s in (bare, fitted)]
+    return gain + penalties[1] - penalties[0]
+
+
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
     """Penalty of BIC for the parameters of a model without its friction levels."""
     return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
+from frictrack.diagnose.confirmation import is_confirmed
 from frictrack.diagnose.hypothesis_tests import (
     ALPHA,
     ScannedCandidate,
@@ -142,8 +143,9 @@ class Round:
 
     @property
     def passing(self) -> list[RefinedCandidate]:
-        """Plausible candidates that are significant and simulated, best first."""
-        return [t for t in self.tried if self.is_significant(t) and t.delta_bic > 0 and t.solution and not t.objection]
+        """Plausible candidates that are significant, and confirmed by their simulated fit, best first."""
+        plausible = [t for t in self.tried if self.is_significant(t) and t.solution and not t.objection]
+        return [t for t in plausible if is_confirmed(self.tests, self.solution, t.law, t.effect)]
 
 
 def run_round(

@@ -46,6 +46,8 @@ class Candidate:
         Why it cannot be the cause; empty if it can.
     unit
         Unit of the held-out errors in the JSON: "um", or "N" for measured friction.
+    passes
+        Whether it is plausible, significant for the whole search, and confirmed by its simulated fit.
 
     """
 
@@ -61,6 +63,7 @@ class Candidate:
     words: dict[str, str] = field(default_factory=dict)
     implausible: str = ""  # why it imitates the misfit and is no cause
     unit: str = "um"  # of the held-out errors: um of displacement, or N where friction was measured
+    passes: bool = False
 
     def __repr__(self) -> str:
         alike = (
@@ -90,6 +93,7 @@ class Candidate:
             "heldout": self.heldout,
             "indistinguishable_from": list(self.indistinguishable_from),
             "implausible": self.implausible or None,
+            "passes": self.passes,
             "words": self.words,
         }
 

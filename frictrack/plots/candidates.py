@@ -22,12 +22,13 @@ LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is 
 
 
 def passes(candidate: Mapping[str, Any]) -> bool:
-    """Whether a candidate is significant for the whole search, improves the BIC, and is plausible.
+    """Whether a candidate is significant for the whole search, confirmed by its simulated fit, and plausible.
 
     Parameters
     ----------
     candidate : mapping
-        A candidate of a diagnosis: `p`, `delta_bic` and, where it is not plausible, `implausible`.
+        A candidate of a diagnosis: `passes`; in results of older versions `p`, `delta_bic` and, where it is not
+        plausible, `implausible`.
 
     Examples
     --------
@@ -35,6 +36,8 @@ def passes(candidate: Mapping[str, Any]) -> bool:
     (True, False)
 
     """
+    if "passes" in candidate:
+        return bool(candidate["passes"])
     return bool(candidate["p"] < MAX_P and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
 
 

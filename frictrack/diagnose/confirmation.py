@@ -1,0 +1,63 @@
+"""Decide whether the simulated fit of a significant candidate confirms what its scan promised.
+
+The p-value comes from a scan along the measured motion. The simulated fit confirms it if it improves the BIC, or if its
+likelihood ratio reaches the critical value of the same search. The second condition matters for small effects with many
+parameters, such as a wave with a phase in every run: there the penalty of BIC exceeds the critical value, and BIC alone
+would discard effects that the search detects at its stated level.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.diagnose.hypothesis_tests import SearchTests
+from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
+from frictrack.distributions import chi2_isf
+from frictrack.effects import Effect
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, EVENT_PENALTY
+
+
+def is_confirmed(tests: SearchTests, bare: Solution, fitted: Solution, effect: Effect) -> bool:
+    """Whether a simulated fit confirms a candidate that is significant in its scan.
+
+    Parameters
+    ----------
+    tests
+        The tests of the round.
+    bare, fitted
+        The model that was tested, and its simulated fit with the candidate.
+    effect
+        The candidate.
+
+    Returns
+    -------
+    bool
+
+    """
+    if information_criterion(bare) > information_criterion(fitted):
+        return True
+    needed = next((s.quantile for s in tests.scanned if s.effect.name == effect.name), None)
+    if needed is None:
+        return False
+    gain = likelihood_gain(bare, fitted) - _event_penalty(fitted, effect)
+    return gain > needed + tests.critical - _loss_by_shared_amplitude(fitted, effect)
+
+
+def _event_penalty(fitted: Solution, effect: Effect) -> float:
+    """Penalty that a scan subtracts for events in single runs."""
+    if not effect.single:
+        return 0.0
+    runs = {p.run for p in fitted.problem.pieces}
+    events = sum((effect.name, run) not in fitted.problem.layout.absent for run in runs)
+    return events * EVENT_PENALTY * float(np.log(fitted.problem.n_frames))
+
+
+def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
+    """Largest loss of likelihood by one amplitude for all runs, where the scan had one for each run."""
+    layout = fitted.problem.layout
+    slots = [s for s in layout.slots if s.effect == effect.name]
+    phased = any(s.parameter == "phase" and s.run is not None for s in slots)
+    shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
+    more = len(layout.run_names) - 1
+    return float(chi2_isf(ALPHA_SHARED_AMPLITUDE, more)) if phased and shared and more else 0.0

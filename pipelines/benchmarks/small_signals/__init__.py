@@ -1,0 +1,1 @@
+"""Benchmark of small hidden effects: how often frictrack and an ideal detector find and name them."""
