@@ -126,3 +126,11 @@ def test_the_table_counts_by_effect_and_size():
     assert (drag["studies"], drag["named"], drag["ideal_named"], drag["ratio"]) == (2, 1, 2, 0.5)
     assert (whole["effect"], whole["studies"], whole["detected"], whole["ratio"]) == ("all", 3, 3, 0.5)
     assert "0.50" in run.overview([drag])
+
+
+def test_a_vibration_that_lasts_is_not_ambiguous_with_one_that_decays():
+    rng = np.random.default_rng(5)
+    runs = [slide(v, m, 31.0, rng) for v, m in ((2.2, 1), (4.0, 1), (5.5, 1), (4.0, 2), (-3.0, 1))]
+    _, group = verdict_and_group(runs)
+    assert "vibration" in group
+    assert "decaying_vibration" not in group

@@ -335,9 +335,14 @@ def _restart_special_case(
 def _refined_from(candidate: RefinedCandidate, other: RefinedCandidate) -> Solution:
     """Fit of a candidate that starts at the parameters of an effect that contains it."""
     problem, law = candidate.law.problem, other.law
-    values = {(s.effect, s.parameter, s.run): x for s, x in zip(law.problem.layout.slots, law.p, strict=True)}
-    for mine, its in zip(candidate.effect.linear, other.effect.linear, strict=True):
-        values[candidate.effect.name, mine.name, None] = values[other.effect.name, its.name, None]
+    values = {(s.effect, s.parameter, s.run): x for s, x in zip(problem.layout.slots, candidate.law.p, strict=True)}
+    pairs = {its.name: mine.name for mine, its in zip(candidate.effect.linear, other.effect.linear, strict=True)}
+    pairs |= {q.name: q.name for q in candidate.effect.nonlinear}
+    for slot, x in zip(law.problem.layout.slots, law.p, strict=True):
+        if slot.effect != other.effect.name:
+            values[slot.effect, slot.parameter, slot.run] = x
+        elif slot.parameter in pairs:
+            values[candidate.effect.name, pairs[slot.parameter], slot.run] = x
     p = np.array([values[s.effect, s.parameter, s.run] for s in problem.layout.slots])
     return fit_with_scatter(problem, p, law.starts, law.tau or 0.03)
 

@@ -50,6 +50,7 @@ decaying_vibration = Effect(
     columns=columns,
     scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
     varies_with="",
+    special_cases={"vibration": {"tau": np.inf}},
     what="The blow or push that starts the run sets the beam or course ringing; damping takes it away.",
     looks_like="a line that is strong just after release and gone at the end of the run",
     mistaken_for="vibration (when the damping is weak), Stribeck effect (when it is gone within a period or two)",
