@@ -54,7 +54,8 @@ def test_a_run_begins_again_when_its_input_changes(study_file: Path, page: Clien
 def test_a_killed_server_is_replaced_and_its_job_goes_on(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     before = client.hear(lambda m: m["type"] == "hello")["server"]
-    client.post("/api/job", do="fit", arguments={"search": "sga", "model": "tustin"}, seen=0)
+    long_work = {"search": "sga", "model": "tustin", "draws": 100_000}  # lasts until it is killed
+    client.post("/api/job", do="fit", arguments=long_work, seen=0)
     client.hear(lambda m: m["type"] == "job" and m["job"])
     client.server.stop(signal.SIGKILL)
     assert spare_processes(client.server) == []
