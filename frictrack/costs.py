@@ -41,7 +41,7 @@ class RunSettings:
             "speed": self.speed,
             "mass": self.mass,
             "incline_deg": math.degrees(self.incline),
-            "fps": self.fps,
+            "fps": round(self.fps, 6),
             "zoom": self.zoom,
         }
 
