@@ -25,7 +25,7 @@ def hand(tmp_path: Path, serve: Serve) -> Server:
 
 
 def suspects(page: Tab) -> list[str]:
-    return [line.inner_text() for line in page.page.locator(".ui-spans:not(.mended) button").all()]
+    return page.page.locator(".ui-spans:not(.mended) button").all_inner_texts()  # at one moment, while the list changes
 
 
 def final_track(study: Path) -> Track:
