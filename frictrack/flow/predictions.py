@@ -6,13 +6,11 @@ of the same model with exactly one run more fills in what was realised.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
+from frictrack.flow.kept_rows import KeptRows
 
 FILE_NAME = "predictions.json"
 
@@ -28,12 +26,12 @@ class Predictions:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._kept = KeptRows(folder, FILE_NAME, _read_row, dict, "predictions are kept from now on")
 
     @property
     def path(self) -> Path:
         """The file."""
-        return self._folder / INTERNAL_FOLDER / FILE_NAME
+        return self._kept.path
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -41,13 +39,7 @@ class Predictions:
 
         Raises `FrictrackError` if the file is damaged.
         """
-        try:
-            rows = json.loads(self.path.read_text(encoding="utf-8"))
-            return [{**row, "runs": list(row["runs"]), "model": list(row["model"])} for row in rows]
-        except FileNotFoundError:
-            return []
-        except (ValueError, TypeError, KeyError, RecursionError) as e:
-            raise FrictrackError(f"{self.path} is damaged; delete it, and predictions are kept from now on") from e
+        return self._kept.read()
 
     def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
         """Keep the prediction of a named run; another one for the same model and runs replaces it.
@@ -68,7 +60,7 @@ class Predictions:
             others = [row for row in rows if (row["model"], row["runs"]) != (entry["model"], entry["runs"])]
             return [*others, entry]
 
-        self._change(with_entry)
+        self._kept.change(with_entry)
 
     def resolve(self, diagnosis: Mapping[str, Any], runs: Sequence[str]) -> None:
         """Fill in the realised evidence of the run that was added since, from a new diagnosis.
@@ -83,12 +75,12 @@ class Predictions:
         """
         found = [resolve_prediction(row, diagnosis, runs) for row in self.rows]
         if any(row is not None for row in found):
-            self._change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
+            self._kept.change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
 
-    def _change(self, change: Any) -> None:
-        make_internal_folder(self._folder)
-        with lock_folder(self._folder):
-            replace_text(self.path, json.dumps(change(self.rows), indent=0))
+
+def _read_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Read one entry of the file."""
+    return {**row, "runs": list(row["runs"]), "model": list(row["model"])}
 
 
 def resolve_prediction(

@@ -16,14 +16,12 @@ Foster & Stine (2008), Alpha-investing, J. R. Statist. Soc. B 70, 429 (a level f
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
+from frictrack.flow.kept_rows import KeptRows
 
 FILE_NAME = "tests.json"
 ALPHA_FIRST = 0.01  # of the first sequence of tests
@@ -139,12 +137,12 @@ class SignificanceBudget:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._kept = KeptRows(folder, FILE_NAME, _read_test, asdict, "the tests are counted from now on")
 
     @property
     def path(self) -> Path:
         """The file."""
-        return self._folder / INTERNAL_FOLDER / FILE_NAME
+        return self._kept.path
 
     @property
     def tests(self) -> list[CompletenessTest]:
@@ -152,13 +150,7 @@ class SignificanceBudget:
 
         Raises `FrictrackError` if the file is damaged.
         """
-        try:
-            rows = json.loads(self.path.read_text(encoding="utf-8"))
-            return [_read_test(row) for row in rows]
-        except FileNotFoundError:
-            return []
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
-            raise FrictrackError(f"{self.path} is damaged; delete it, and the tests are counted from now on") from e
+        return self._kept.read()
 
     def plan(self, key: str, data: str, model: Sequence[str]) -> CompletenessTest:
         """Return the next test; see `plan_test`."""
@@ -176,15 +168,12 @@ class SignificanceBudget:
 
         """
         done = replace(test, named=named_effects(diagnosis), verdict=str(diagnosis["verdict"]))
-        make_internal_folder(self._folder)
-        with lock_folder(self._folder):
-            tests = self.tests
-            known = [one.key for one in tests]
-            if test.key in known:
-                tests[known.index(test.key)] = done
-            else:
-                tests.append(done)
-            replace_text(self.path, json.dumps([asdict(one) for one in tests], indent=0))
+
+        def with_test(tests: list[CompletenessTest]) -> list[CompletenessTest]:
+            known = test.key in [one.key for one in tests]
+            return [done if one.key == test.key else one for one in tests] if known else [*tests, done]
+
+        self._kept.change(with_test)
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack history`: "tests", and "alpha_spent"."""
