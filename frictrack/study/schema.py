@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
+from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.priors import Prior
@@ -550,15 +551,15 @@ class CostsTable(Keys):
 
     """
 
-    film: Cost = 1.0
-    mass: Cost = 0.0
-    direction: Cost = 0.0
-    incline: Cost = 0.0
-    camera: Cost = 0.0
-    sensor: Cost = 10.0
-    check: Cost = 1.0
-    speeds: Speeds = (0.3, 8.0)
-    masses: Masses = ()
+    film: Cost = DEFAULT_COSTS.film
+    mass: Cost = DEFAULT_COSTS.mass
+    direction: Cost = DEFAULT_COSTS.direction
+    incline: Cost = DEFAULT_COSTS.incline
+    camera: Cost = DEFAULT_COSTS.camera
+    sensor: Cost = DEFAULT_COSTS.sensor
+    check: Cost = DEFAULT_COSTS.check
+    speeds: Speeds = DEFAULT_COSTS.speeds
+    masses: Masses = DEFAULT_COSTS.masses
 
 
 class RunTable(Keys):
