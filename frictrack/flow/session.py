@@ -328,8 +328,7 @@ class Session:
 
         group, request = self.models.current()
         fitted = self.models.fit(group)
-        inside = f"models/{group}/diagnosis"
-        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        found = self._stored_diagnosis(group)
         if found is None:
             return {"next": None, "next_reason": "run `frictrack diagnose` first: it says what is open"}
         named = next_run(fitted, found, self.study.costs)
@@ -436,6 +435,11 @@ class Session:
         )
         return keep(diagnosis) if diagnosis.complete else self._read(inside)
 
+    def _stored_diagnosis(self, group: str) -> dict[str, Any] | None:
+        """Return the diagnosis of a model; None if there is none."""
+        inside = f"models/{group}/diagnosis"
+        return self._read(inside) if store.provenance(self.path, inside) is not None else None
+
     def _diagnosis_inputs(self) -> list[Any]:
         """What a diagnosis depends on besides the fit: sensors, further tracks, contradictions, `[[effect]]` tables."""
         names = ("sensors", "tracks")
@@ -477,8 +481,7 @@ class Session:
         if number is None:
             return effect
         group, request = self.models.current()
-        inside = f"models/{group}/diagnosis"
-        found = self._read(inside) if store.provenance(self.path, inside) is not None else None
+        found = self._stored_diagnosis(group)
         taken = [table.effect for table in self.study.effects]
         keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
         self._edit_study("define", effect=keys)

@@ -46,8 +46,8 @@ from frictrack.models import Model
 N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full beside the bare model
 N_REFINED_FIRST, N_REFINED = 40, 300  # forms refined beside the bare model, and beside the model with a formula
 N_SHOWN = 6  # formulas reported
-MIN_RISE_EXCHANGED = 2.0  # of the fall of BIC, for which forms are compared again beside another formula
-MAX_EXCHANGES = 2  # of the formula beside which all forms are compared
+MIN_RISE_COMPARED_AGAIN = 2.0  # of the fall of BIC by a better formula, for which all forms are compared again
+MAX_COMPARISONS = 2  # of all forms with each other, each time beside the best formula so far
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 
 
@@ -143,11 +143,11 @@ def _compare_forms(fitter: _FormulaFitter, best: FittedFormula) -> tuple[_Found,
     The weights are relative to the model without a formula: half the fall of BIC of the best formula and the
     differences of evidence beside it.
     """
-    for _ in range(MAX_EXCHANGES):
+    for _ in range(MAX_COMPARISONS):
         compressed = fitter.compress_without(best.solution)
         scan = scan_forms(compressed, fitter.shapes, N_REFINED)
         new = fitter.exchange_term(best, scan.terms[0]) if scan.terms else None
-        if new is None or new.delta_bic < best.delta_bic + MIN_RISE_EXCHANGED:
+        if new is None or new.delta_bic < best.delta_bic + MIN_RISE_COMPARED_AGAIN:
             break
         best = new
     if not scan.terms:
