@@ -350,16 +350,19 @@ class LeastSquaresProblem:
     ) -> tuple[CollocationSolution, MotionResponse]:
         """Solve the motion of pieces, from the extrapolated previous one where that is close enough."""
         guess, extrapolated = simulation.guess(law, starts)
+        near = simulation.previous.linear if law.remembers and simulation.previous else None
         if extrapolated is not None:
             with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
-                return self._solve(law, starts, extrapolated)
-        return self._solve(law, starts, guess)
+                return self._solve(law, starts, extrapolated, near)
+        return self._solve(law, starts, guess, near)
 
-    def _solve(self, law: JoinedLaw, starts: Array, guess: Array) -> tuple[CollocationSolution, MotionResponse]:
-        """Solve the motion of pieces from a first guess of the accelerations (3 p,)."""
+    def _solve(
+        self, law: JoinedLaw, starts: Array, guess: Array, near: MotionResponse | None
+    ) -> tuple[CollocationSolution, MotionResponse]:
+        """Solve the motion of pieces from a first guess of the accelerations (3 p,) and the response of a near one."""
         slopes = None if law.remembers else law.slopes
         initial, panels = _by_motion(starts), law.joined.panels
-        return solve_motion(law.acceleration, panels, initial, guess, slopes=slopes, memory=law.remembers)
+        return solve_motion(law.acceleration, panels, initial, guess, slopes=slopes, memory=law.remembers, near=near)
 
     def column(self, effect: str, parameter: str) -> int:
         """Return which column of an effect a linear parameter multiplies."""

@@ -10,7 +10,7 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import LEVEL, MASS, Slot
-from frictrack.fit.uncertainty.profile_likelihood import ProfileSearch
+from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
 from frictrack.fit.uncertainty.reported_values import parse_quantity, reported_slots
 from frictrack.models import Model
 from frictrack.records import Array
@@ -73,6 +73,7 @@ def _undetermined_stribeck(solution: Solution, covariance: Array, effect: Effect
         solution,
         parse_quantity(layout, f"{whole_address} - coulomb.F_c" if has_coulomb_level else whole_address),
         covariance,
+        min_fall=PROBE_MIN_FALL,
     )
     level = 0.0 if has_coulomb_level else layout.reported_values(solution.p).get("coulomb.F_c", 0.0)
     if solution.p[rise] <= 0 or not search.excluded(level):
@@ -119,9 +120,8 @@ def _distance_to_bounds(solution: Solution, i: int) -> float:
 
 def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
     """Why the profile of one unknown is unbounded; None if it is bounded on both sides."""
-    search = ProfileSearch(
-        solution, parse_quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance
-    )
+    quantity = parse_quantity(solution.problem.layout, solution.problem.layout.names[i])
+    search = ProfileSearch(solution, quantity, covariance, min_fall=PROBE_MIN_FALL)
     try:
         found = [search.bounded(side) for side in (-1, 1)]
     except (FrictrackError, np.linalg.LinAlgError):

@@ -25,7 +25,7 @@ import numpy as np
 
 from frictrack.distributions import normal_ppf
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Solution, refine, white_noise_covariance
+from frictrack.fit.least_squares import MIN_CHI2_FALL, Solution, refine, white_noise_covariance
 from frictrack.fit.uncertainty.fitted_model import FittedModel
 from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem, pivot_of
 from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
@@ -37,6 +37,7 @@ MAX_REFINEMENTS, MAX_PROBES = 14, 6  # fits per side: to locate an end; to test 
 MAX_STEP_FACTOR = 3.0  # factor by which a step outward may grow
 PROFILE_MARGIN = 1.25  # the plot of a profile extends this far, relative to its ends
 MIN_BETTER_CHI2 = 0.1  # fall of chi-squared from which another optimum counts as better
+PROBE_MIN_FALL = 0.05  # of chi-squared: fits that only test whether a profile has an end stop where a step gains less
 PROBE_STD = 4.0  # standard deviations at which a bounded profile has passed the quantile
 SAME_VALUE_STD = 1e-3  # standard deviations; closer values count as equal
 UNLIMITED_RATIO = 1e6  # times the larger of value and standard deviation: unbounded
@@ -179,6 +180,8 @@ class ProfileSearch:
         Points computed so far.
     better : float
         How far the objective fell below that of the best fit.
+    min_fall : float
+        Predicted fall of the objective below which the fits of points end.
 
     """
 
@@ -188,6 +191,7 @@ class ProfileSearch:
     level: float = 0.95
     points: list[ProfilePoint] = field(default_factory=list)
     better: float = 0.0
+    min_fall: float = MIN_CHI2_FALL
 
     def __post_init__(self) -> None:
         s = self.solution
@@ -227,7 +231,7 @@ class ProfileSearch:
         p, starts = self._predicted(c)
         low, high = s.problem.layout.bounds
         p = held.law(np.clip(p, low, high))
-        found = refine(held, p, starts, tau=s.tau, free=held.free)
+        found = refine(held, p, starts, tau=s.tau, free=held.free, min_fall=self.min_fall)
         rise = (found.objective - s.objective) / self.scale
         self.better = max(self.better, -rise if rise < -MIN_BETTER_CHI2 else 0.0)
         point = ProfilePoint(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)

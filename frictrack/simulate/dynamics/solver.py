@@ -29,6 +29,7 @@ MEMORY_TOLERANCE_M = 2e-11  # relative beyond 1 m: a law with memory has a kink 
 SWEEP_PANELS, MIN_SWEEP_PANELS = 64, 4  # panels per window of a sweep: first try, and fewest
 SWEEP_TOLERANCE_M = 1e-12  # at which a window of a sweep has converged
 MAX_SIMPLIFIED_STEPS = 25
+MAX_CHORD_STEPS, MAX_CHORD_RATE = 12, 0.3  # steps with the response of a near motion; by which their size has to fall
 SEGMENT_PANELS = 16  # panels per segment where all panels together do not converge
 SEGMENT_TOLERANCE_M = 1e-10  # at which a segment has converged
 
@@ -105,6 +106,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     tolerance: float = 1e-13,
     slopes: Slopes | None = None,
     memory: bool = False,
+    near: MotionResponse | None = None,
 ) -> tuple[CollocationSolution, MotionResponse]:
     """Solve x'' = acceleration(x, v, t) from a given start, or several such motions together.
 
@@ -126,6 +128,8 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         law without memory; by default `acceleration` is called three times.
     memory
         Whether the law depends on the whole motion so far.
+    near
+        Response of a near motion, for a law with memory: Newton's method takes its derivatives while it converges.
 
     Returns
     -------
@@ -155,9 +159,11 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     law = _Law(acceleration, panels, start, memory, slopes)
     guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a diverging law is reported below
-        if memory:
-            guess, tolerance = _sweep_windows(law, guess), max(tolerance, MEMORY_TOLERANCE_M)
-        solved = _newton(law, guess, tolerance)
+        tolerance = max(tolerance, MEMORY_TOLERANCE_M) if memory else tolerance
+        solved = None if near is None else _newton_with_response(law, guess, near, tolerance)
+        if solved is None:
+            guess = _sweep_windows(law, guess) if memory else guess
+            solved = _newton(law, guess, tolerance)
         if solved is None and memory:
             marched = _march_segments(law, guess)
             solved = None if marched is None else _newton(law, marched, tolerance)
@@ -268,6 +274,25 @@ def _newton(law: _Law, a: Array, tolerance: float) -> tuple[CollocationSolution,
         if np.all(left * sizes <= tolerance * reach):
             x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
             return CollocationSolution(law.panels, x, v, a, x_edge, v_edge), response
+    return None
+
+
+def _newton_with_response(
+    law: _Law, a: Array, near: MotionResponse, tolerance: float
+) -> tuple[CollocationSolution, MotionResponse] | None:
+    """Iterate with the response of a near motion (the chord method); return None if it converges slowly or not."""
+    size = np.inf
+    for _ in range(MAX_CHORD_STEPS):
+        x, v, x_edge, _ = law.panels.integrate(a, *law.start)
+        step, edges = near.newton_step(law.at(x, v) - a)
+        a = a + step
+        last, size = size, float(np.max(np.abs(edges))) / max(1.0, float(np.max(np.abs(x_edge))))
+        if not size < min(MAX_CHORD_RATE * last, MAX_DISPLACEMENT_M):
+            return None
+        if size <= tolerance:
+            x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
+            f, local = law.local(x, v)
+            return CollocationSolution(law.panels, x, v, a, x_edge, v_edge), law.response(local, f, x, v)
     return None
 
 
