@@ -17,7 +17,7 @@ from frictrack.simulate.dynamics.linear_response import LinearResponse
 
 MAX_KRYLOV_DIRECTIONS = 80
 MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
-SENSITIVITY_RTOL = 1e-7  # residual over the input, of a sensitivity
+SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
 NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
 
 _Direction = tuple[
