@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from frictrack.axes import AXES
+
 VERDICTS = {
     "complete": "complete: no further effect is detectable in these runs",
     "undetermined": "undetermined: these runs cannot show whether something is missing",
@@ -82,6 +84,8 @@ def _rivals(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
 def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     """Select the first effect of a diagnosis that these runs cannot distinguish from others, and these; else the best.
 
+    Formulas that explain as much as all effects found are one of the others.
+
     Parameters
     ----------
     diagnosis : mapping
@@ -92,11 +96,27 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     list of str
         Names of the effects, the best first.
 
+    Examples
+    --------
+    >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"formulas": [{"variables": ["x"]}]}}
+    >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
+    ['patch', 'a formula of place']
+
     """
-    rivals = _rivals(diagnosis)
+    rivals, formula = _rivals(diagnosis), _formula_rival(diagnosis)
     names = diagnosis["missing"] or [diagnosis["candidates"][0]["effect"]]
-    first = next((name for name in names if rivals.get(name)), names[0])
-    return [first, *rivals.get(first, [])]
+    first = next((name for name in names if rivals.get(name)), None)
+    if first is None:
+        return [*names, *formula] if formula else names[:1]
+    return [first, *rivals[first], *formula]
+
+
+def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:
+    """The best formula in words, if effects are named and these runs cannot exclude it."""
+    formulas = (diagnosis.get("unexplained") or {}).get("formulas")
+    if not formulas or diagnosis["verdict"] != "ambiguous":
+        return []
+    return [f"a formula of {' and '.join(AXES[name].name for name in formulas[0]['variables'])}"]
 
 
 def describe_open_question(diagnosis: Mapping[str, Any]) -> str:

@@ -14,11 +14,11 @@ from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
 from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas.formula_search import search_formulas
 from frictrack.diagnose.formulas.shapes import SHAPES
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, Repeatability
-from frictrack.diagnose.simpler_model import find_simpler_model
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import definitions, read_settings
@@ -178,7 +178,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     """The library's best imitation swings the load, with an amplitude and a phase in every run."""
     start = fits["rate_and_state"]
     imitation = fit([*LAW, "load_modulation"], start.runs)
-    told = find_simpler_model(ResidualForces(start.solution), imitation.solution, lambda: repeated("v"))
+    told = compare_with_formulas(ResidualForces(start.solution), imitation.solution, lambda: repeated("v"))
     assert told["decisive"]
     assert told["words"].startswith("a force that depends only on speed explains more with ")
     assert told["formulas"][0]["axis"] == "v"
@@ -191,7 +191,7 @@ def test_an_effect_of_the_library_wins_ties():
     runs = slides(lambda x, v, t, s, load: 0.8 * load * s * np.exp(-(((x - 0.3) / 0.015) ** 2) / 2))
     start, found = fit(LAW, runs), fit([*LAW, "patch"], runs)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
-    told = find_simpler_model(ResidualForces(start.solution), found.solution, lambda: repeated("x"))
+    told = compare_with_formulas(ResidualForces(start.solution), found.solution, lambda: repeated("x"))
     assert told is None or not told["decisive"]
 
 

@@ -211,6 +211,8 @@ MEANINGS = {
     "beside": "effects that it stands beside",
     "toml": "the formula as a table for the study file",
     "decisive": "whether one axis is clearly the best",
+    "unexplained.probability": "that one of the formulas is the cause and the effects found are not",
+    "unexplained.decisive": "whether the formulas explain decisively more than the effects found",
     "unexplained.words": "the same as sentences",
     "next_experiment[].what": "what to film",
     "next_experiment[].separates": "effects that it distinguishes",

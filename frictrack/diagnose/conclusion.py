@@ -18,6 +18,7 @@ from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.formula_comparison import MAX_DELTA_BIC_EQUAL, compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
@@ -27,7 +28,6 @@ from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import RefinedCandidate, Round
-from frictrack.diagnose.simpler_model import find_simpler_model
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
@@ -42,6 +42,7 @@ MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
 N_CANDIDATES_WITH_RIVALS = 3  # the best ones
+MAX_PROBABILITY_FORMULA = 0.05  # that a formula is the cause instead; up to it an effect is named without a rival
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
 
 
@@ -89,9 +90,8 @@ class Conclusion:
     def verdict(self) -> Diagnosis:
         """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
         found, search = self._before_formulas, self.search
-        effects_explain_all = bool(search.found) and not search.last.leaves_misfit
-        if found.verdict not in NOTHING_TO_EXPLAIN and effects_explain_all and self._kind.imitates:
-            found = self._compare_with_formulas(found)
+        if self._may_be_a_formula:
+            found = self._judge_formulas(found)
         rests = rests_on_repairs(self.fit.runs, found.verdict, search.first, search.last.solution, search.found)
         return replace(found, rests_on_repairs=rests)
 
@@ -117,7 +117,10 @@ class Conclusion:
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
         found = self._with_pattern(found, self._evidence(auxiliary))
-        if found.verdict == "unexplained":
+        if found.unexplained is None and self._may_be_a_formula:
+            notify("comparing with formulas")
+            found = replace(found, unexplained=self._formulas(-MAX_DELTA_BIC_EQUAL))
+        if found.verdict == "unexplained" and self.search.last.leaves_misfit:
             notify("looking for a run that disagrees with the others")
             suspects = suspect_run_remarks(self.search.last.solution, self.fit.runs, self.search.generators[0])
             found = replace(found, remarks=[*found.remarks, *suspects])
@@ -189,17 +192,31 @@ class Conclusion:
         unclear = misfit < 1 or (verdict != "unexplained" and not _is_decisive(listed[0], gaps))
         return ("undetermined", gaps) if gaps and unclear else (verdict, [])
 
-    def _compare_with_formulas(self, found: Diagnosis) -> Diagnosis:
-        """Return the verdict after comparing the effects found with a force of one variable that they may imitate."""
-        search = self.search
-        simpler = find_simpler_model(
-            self._pattern.forces, search.last.solution, lambda: self._pattern.repeats, self.functions
-        )
-        if simpler is None or (found.verdict == "unexplained" and not simpler["decisive"]):
+    @property
+    def _may_be_a_formula(self) -> bool:
+        """Whether effects explain everything, so that a formula is the only other explanation."""
+        explained = bool(self.search.found) and not self.search.last.leaves_misfit
+        return explained and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN and self._kind.imitates
+
+    def _judge_formulas(self, found: Diagnosis) -> Diagnosis:
+        """Return the verdict after comparing the effects found with formulas that may describe the cause as well."""
+        told = self._formulas(0.0)
+        if told is None or (found.verdict == "unexplained" and not told["decisive"]):
             return found
-        if not simpler["decisive"]:
-            return replace(found, unexplained=simpler)
-        return replace(found, verdict="unexplained", missing=[], unexplained=simpler)
+        if told["decisive"]:
+            return replace(found, verdict="unexplained", missing=[], unexplained=told)
+        doubtful = told["probability"] > MAX_PROBABILITY_FORMULA and found.verdict == "missing"
+        return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=told)
+
+    def _formulas(self, min_advantage: float) -> dict[str, Any] | None:
+        """Formulas that explain as much as the effects found."""
+        return compare_with_formulas(
+            self._pattern.forces,
+            self.search.last.solution,
+            lambda: self._pattern.repeats,
+            self.functions,
+            min_advantage=min_advantage,
+        )
 
     @property
     def _residual(self) -> dict[str, Array]:

@@ -12,7 +12,7 @@ Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, ch. 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
@@ -125,13 +125,15 @@ class ResidualForces:
         return smooth_forces(self.compressed)
 
 
-def smooth_forces(compressed: CompressedResidual) -> list[SmoothForce]:
+def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis] = ()) -> list[SmoothForce]:
     """Find the most likely smooth force over every axis.
 
     Parameters
     ----------
     compressed
         The compressed residual.
+    axes
+        The axes; by default those that the runs can distinguish, without multipliers.
 
     Returns
     -------
@@ -139,7 +141,7 @@ def smooth_forces(compressed: CompressedResidual) -> list[SmoothForce]:
         Largest gain first.
 
     """
-    return sorted((_smooth(compressed, axis) for axis in candidate_axes(compressed)), key=lambda s: -s.gain)
+    return sorted((_smooth(compressed, axis) for axis in axes or candidate_axes(compressed)), key=lambda s: -s.gain)
 
 
 def gain_of_separate_curves(compressed: CompressedResidual) -> float:

@@ -1,0 +1,105 @@
+"""Compare the effects found with formulas, which may describe the cause better than any effect of the library.
+
+Formulas are fitted where a smooth force over one variable is more likely than the effects found, or where effects with
+parameters of their own in every run, which imitate much, were found though the misfit repeats over one axis. Both are
+compared by their evidence, the formulas with a penalty for the number of forms that were tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import expit
+
+from frictrack.axes import AXES
+from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
+from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.repeatability import Repeatability
+from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
+from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.fit.least_squares import Solution
+
+MIN_PROBABILITY_STATED, MIN_PROBABILITY_DECISIVE = 0.01, 0.95
+MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
+
+
+def compare_with_formulas(
+    forces: ResidualForces,
+    found: Solution,
+    repeats: Callable[[], Repeatability],
+    functions: Sequence[Shape] = (),
+    *,
+    min_advantage: float = 0.0,
+) -> dict[str, Any] | None:
+    """Find formulas of one variable that explain as much as the effects found.
+
+    Parameters
+    ----------
+    forces
+        Smooth forces in the residual of the model before the search.
+    found
+        The model with the effects found.
+    repeats
+        Computes whether the misfit repeats, and over which axis; called only where that matters.
+    functions
+        Further shapes of formulas.
+    min_advantage
+        Evidence (difference of BIC) by which a smooth force must exceed the effects for formulas to be searched.
+
+    Returns
+    -------
+    dict or None
+        As `unexplained_force`, with `probability` that one of the formulas is the cause and the effects are not,
+        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, and `words`. None if no formula explains as much.
+
+    """
+    start = forces.solution
+    evidence = information_criterion(start) - information_criterion(found)
+    if not _is_worth_searching(forces, found, repeats, evidence + min_advantage):
+        return None
+    unexplained = unexplained_force(start, forces=forces, functions=functions)
+    if not unexplained["formulas"]:
+        return None
+    first = unexplained["formulas"][0]
+    advantage = first["delta_bic"] - evidence
+    if advantage < -MAX_DELTA_BIC_EQUAL:
+        return None
+    penalty = _search_penalty(unexplained["axes"])
+    log_odds = (advantage - penalty) / 2 - np.log(first["probability"])
+    probability = float(expit(log_odds))
+    told = {"probability": probability, "decisive": probability > MIN_PROBABILITY_DECISIVE}
+    added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
+    return unexplained | told | {"words": _words(first, added, told)}
+
+
+def _is_worth_searching(
+    forces: ResidualForces, found: Solution, repeats: Callable[[], Repeatability], evidence: float
+) -> bool:
+    """Whether a smooth force of any variable of the formulas explains more, or effects may imitate one."""
+    own = {s.effect for s in found.problem.layout.slots if s.run is not None}
+    start = forces.solution.problem
+    several = len({p.run for p in start.pieces}) > 1
+    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.model)
+    best_axis = repeats().best if may_imitate else None
+    if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
+        return True
+    return smooth_forces(forces.compressed, formula_axes(forces.compressed))[0].gain > evidence
+
+
+def _search_penalty(axes: int) -> float:
+    """Penalty for the best of many forms, axes and multipliers (Bonferroni)."""
+    return 2 * float(np.log(len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)))
+
+
+def _words(first: Mapping[str, Any], added: int, told: Mapping[str, Any]) -> str:
+    much, than = ("more", "than") if told["decisive"] else ("as much", "as")
+    count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
+    variables = " and ".join(AXES[name].name for name in first["variables"])
+    chance = f"{100 * told['probability']:.0f} %" if told["probability"] >= MIN_PROBABILITY_STATED else "below 1 %"
+    instead = "" if told["decisive"] else f"; the probability that it is the cause instead is {chance}"
+    return (
+        f"a force that depends only on {variables} explains {much} with {count}, common to all runs, "
+        f"{than} the effects found with {added}: {first['formula']}{instead}"
+    )
