@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from frictrack.axes import AXES
-
 VERDICTS = {
     "complete": "complete: no further effect is detectable in these runs",
     "undetermined": "undetermined: these runs cannot show whether something is missing",
@@ -98,7 +96,7 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
 
     Examples
     --------
-    >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"formulas": [{"variables": ["x"]}]}}
+    >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"rival": "a formula of place"}}
     >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
     ['patch', 'a formula of place']
 
@@ -113,10 +111,8 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:
     """The best formula in words, if effects are named and these runs cannot exclude it."""
-    formulas = (diagnosis.get("unexplained") or {}).get("formulas")
-    if not formulas or diagnosis["verdict"] != "ambiguous":
-        return []
-    return [f"a formula of {' and '.join(AXES[name].name for name in formulas[0]['variables'])}"]
+    rival = (diagnosis.get("unexplained") or {}).get("rival")
+    return [rival] if rival and diagnosis["verdict"] == "ambiguous" else []
 
 
 def describe_open_question(diagnosis: Mapping[str, Any]) -> str:

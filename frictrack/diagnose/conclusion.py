@@ -20,6 +20,7 @@ from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.formula_comparison import MAX_DELTA_BIC_EQUAL, compare_with_formulas
 from frictrack.diagnose.formulas import Shape
+from frictrack.diagnose.joint_search import AlternativeSet
 from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repaired_frames import rests_on_repairs
@@ -50,7 +51,8 @@ NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failu
 class FinishedSearch:
     """Result of a search: start, first and last round, effects found, and random generators for the later steps.
 
-    `cut` says what was left out because the budget of evaluations was spent; None if nothing was.
+    `cut` says what was left out because the budget of evaluations was spent; None if nothing was. `alternatives` are
+    other sets of effects that explain as much as those found.
     """
 
     start: Solution
@@ -59,6 +61,7 @@ class FinishedSearch:
     found: list[RefinedCandidate]
     generators: list[np.random.Generator]
     cut: str | None = None
+    alternatives: Sequence[AlternativeSet] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +175,9 @@ class Conclusion:
             unexplained=None,
             detection_limits=limits,
             undetermined=undetermined,
+            alternatives=[vars(one) | {"effects": list(one.effects)} for one in self.search.alternatives]
+            if named
+            else [],
             remarks=[*_remarks(self.fit, first.excluded), *self.remarks],
             figures=curves,
             complete=False,

@@ -52,7 +52,8 @@ def compare_with_formulas(
     -------
     dict or None
         As `unexplained_force`, with `probability` that one of the formulas is the cause and the effects are not,
-        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, and `words`. None if no formula explains as much.
+        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is not, and `words`. None if
+        no formula explains as much.
 
     """
     start = forces.solution
@@ -69,7 +70,9 @@ def compare_with_formulas(
     penalty = _search_penalty(unexplained["axes"])
     log_odds = (advantage - penalty) / 2 - np.log(first["probability"])
     probability = float(expit(log_odds))
-    told = {"probability": probability, "decisive": probability > MIN_PROBABILITY_DECISIVE}
+    decisive = probability > MIN_PROBABILITY_DECISIVE
+    rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
+    told = {"probability": probability, "decisive": decisive, "rival": None if decisive else rival}
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
     return unexplained | told | {"words": _words(first, added, told)}
 

@@ -17,6 +17,7 @@ from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.formulas import Shape, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.residual_kinds import residual_kind
@@ -163,6 +164,8 @@ def _search(
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
     first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what), level)
     tested, unrefined, found = [first.tested], first.unrefined, list[RefinedCandidate]()
+    compared: list[str] = []  # effects of which other sets were compared, and these sets
+    alternatives: list[AlternativeSet] = []
     for done in range(1, MAX_ROUNDS + 1):
 
         def notify_round(what: str, done: int = done) -> None:
@@ -176,6 +179,10 @@ def _search(
         else:
             before = [t.effect.name for t in found]
             found = kind.review(tested, found, own, notify_round)
+            if [t.effect.name for t in found] == before != compared and not last.leaves_misfit:
+                notify_round("comparing sets of effects")
+                found, alternatives = exchange_effects(first, tested, found, lambda e: _agrees_with_sensor(e, sensor))
+                compared = [t.effect.name for t in found]
             if [t.effect.name for t in found] == before:
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
@@ -185,12 +192,16 @@ def _search(
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     cut = describe_cut(budget, unrefined, found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    return FinishedSearch(start, first, last, found, generators, cut)
+    return FinishedSearch(start, first, last, found, generators, cut, alternatives)
 
 
 def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:
     """Keep the candidates that agree with the accelerometer, which separates a moving mass from a moving picture."""
-    return [t for t in tried if sensor is None or t.effect.acts_on == sensor.acts_on]
+    return [t for t in tried if _agrees_with_sensor(t.effect, sensor)]
+
+
+def _agrees_with_sensor(effect: Effect, sensor: Evidence | None) -> bool:
+    return sensor is None or effect.acts_on == sensor.acts_on
 
 
 def _choose_candidate(tested: Round, sensor: Evidence | None) -> RefinedCandidate:

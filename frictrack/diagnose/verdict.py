@@ -166,6 +166,8 @@ class Diagnosis(NotebookView):
         Other measurements that match the residual, largest share first.
     undetermined
         What the runs leave open.
+    alternatives
+        Other sets of effects that explain as much as those that are missing, with their BIC over that of these.
     importance
         Effects by importance.
     repeats
@@ -203,6 +205,7 @@ class Diagnosis(NotebookView):
     next_experiment: list[dict[str, Any]] = field(default_factory=list)
     evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
     undetermined: list[Undetermined] = field(default_factory=list)  # what the runs leave open
+    alternatives: list[dict[str, Any]] = field(default_factory=list)  # other sets of effects
     importance: list[Importance] = field(default_factory=list)  # most important first
     repeats: Repeatability = field(
         default_factory=Repeatability
@@ -240,6 +243,7 @@ class Diagnosis(NotebookView):
             "alpha": self.alpha,
             "rests_on_repairs": self.rests_on_repairs,
             "undetermined": [u.summary() for u in self.undetermined],
+            "alternatives": self.alternatives,
             "importance": [i.summary() for i in self.importance],
             "evidence": [e.summary() for e in self.evidence],
             "missing": self.missing,

@@ -22,6 +22,7 @@ from frictrack.fit.stepwise.trial import (
     try_effect,
     try_known_effect,
     try_linear_effects,
+    try_together,
 )
 
 __all__ = [
@@ -47,4 +48,5 @@ __all__ = [
     "try_effect",
     "try_known_effect",
     "try_linear_effects",
+    "try_together",
 ]

@@ -6,7 +6,7 @@ milliseconds. Several positions of the scan are tried, because the best grid poi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +28,12 @@ MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
 MIN_GAIN_SHARE = 0.5  # share of the best gain
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
-ROUGH_STEPS, FINAL_STEPS = 4, 25  # steps for every grid point, and for the best two
-ROUGH_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-6  # predicted fall of a step, share of the misfit
+ROUGH_STEPS, SET_STEPS, FINAL_STEPS = (
+    4,
+    10,
+    25,
+)  # steps for every grid point, for a set of effects, and for the best two
+ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fall of a step, share of the misfit
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
@@ -95,6 +99,38 @@ def try_known_effect(linearised: LinearisedModel, known: Solution, effect: Effec
     problem = _projected_problem(linearised, layout)
     state = problem.at(np.array([values[n] for n in layout.names]))
     return _trial(effect, *_refined(problem, state))
+
+
+def try_together(
+    linearised: LinearisedModel,
+    effects: Sequence[Effect],
+    values: Mapping[tuple[str, str, int | None], float],
+    absent: frozenset[tuple[str, int]] = frozenset(),
+) -> CandidateTrial:
+    """Fit a model with several more effects along the measured motion, from given values.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The fitted model.
+    effects : sequence of Effect
+        The effects.
+    values : mapping
+        First values of all unknowns by effect, parameter and run (None for all runs).
+    absent : frozenset of (str, int)
+        Effects that are absent in a run.
+
+    Returns
+    -------
+    CandidateTrial
+        The trial of the last effect, its layout with all of them.
+
+    """
+    old = linearised.solution.problem.layout
+    layout = replace(old, model=Model((*old.model.effects, *effects)), absent=old.absent | absent)
+    problem = _projected_problem(linearised, layout)
+    p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
+    return _trial(effects[-1], problem, problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL))
 
 
 def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:

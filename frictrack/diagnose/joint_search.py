@@ -1,0 +1,226 @@
+"""Exchange several effects at once: what was found one by one may imitate a set of other effects.
+
+Effects are fitted together along the measured motion, where a set takes milliseconds: one effect in place of each
+found, then two of those that did best in place of one, two or three. Sets that explain as much as the effects found are
+simulated.
+
+References
+----------
+Miller, A. (2002). Subset Selection in Regression, ch. 3 (exchange algorithms). Chapman & Hall.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+from frictrack.diagnose.admissible import objection
+from frictrack.diagnose.model_selection import (
+    MAX_BIC_BARE_MENTION,
+    MIN_CHI2_SEPARATED,
+    information_criterion,
+    parameter_penalty,
+)
+from frictrack.diagnose.rounds import RefinedCandidate, Round, RoundOutcome
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import LinearisedModel
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.stepwise import CandidateTrial, remove_effect, simulate_trial, try_effect, try_together
+from frictrack.records import Array
+
+N_EXCHANGED = 10  # effects of which pairs are tried
+MAX_SETS_SIMULATED = 6
+MAX_DELTA_BIC_SIMULATED = 2 * MIN_CHI2_SEPARATED  # behind the effects found, along the measured motion
+
+Names = frozenset[str]
+
+
+@dataclass(frozen=True)
+class AlternativeSet:
+    """A set of effects that explains as much as those named, and its BIC over theirs."""
+
+    effects: tuple[str, ...]
+    delta_bic: float
+
+
+def exchange_effects(
+    first: Round,
+    tested: Sequence[RoundOutcome],
+    found: list[RefinedCandidate],
+    is_allowed: Callable[[Effect], bool] = lambda effect: True,
+) -> tuple[list[RefinedCandidate], list[AlternativeSet]]:
+    """Look for other sets of effects that explain as much as those found, or more.
+
+    Parameters
+    ----------
+    first
+        The first round of the search.
+    tested
+        The models that were tested, with their candidates.
+    found
+        Effects found; the last one's fit contains them all.
+    is_allowed
+        Whether an effect may take part.
+
+    Returns
+    -------
+    found : list of RefinedCandidate
+        The best set; the effects of other sets are rivals of those in whose place they stand.
+    alternatives : list of AlternativeSet
+        The other sets that these runs cannot exclude, best first.
+
+    """
+    law = found[-1].law
+    if len(found) < 2 or not law.problem.simulates or law.problem.budget.is_spent:
+        return found, []
+    search = _SetSearch(
+        first.draws.law, _fitted_effects(first, tested, found, is_allowed), _values(law.problem.layout, law.p)
+    )
+    names = frozenset(t.effect.name for t in found)
+    laws = {names: law} | _simulated(search, names)
+    criteria = {one: information_criterion(solution) for one, solution in laws.items()}
+    best = min(criteria, key=criteria.__getitem__)
+    if criteria[names] < criteria[best] + MAX_BIC_BARE_MENTION:
+        best = names
+    near = [one for one in sorted(criteria, key=criteria.__getitem__) if one != best]
+    near = [one for one in near if criteria[one] < criteria[best] + MIN_CHI2_SEPARATED]
+    near = [one for one in near if not any(other < one for other in (best, *near))]  # others without what adds nothing
+    near = [one for one in near if not _contains(search, one - best, best - one)]
+    chosen = found if best == names else _with_set(search, found, laws[best])
+    alternatives = [AlternativeSet(tuple(sorted(one)), criteria[one] - criteria[best]) for one in near]
+    return [_with_rivals(t, near, best) for t in chosen], alternatives
+
+
+@dataclass(frozen=True)
+class _FittedEffect:
+    """An effect with the values that it had in an earlier fit, and the runs in which it is absent."""
+
+    effect: Effect
+    values: dict[tuple[str, str, int | None], float]
+    absent: frozenset[tuple[str, int]]
+
+
+@dataclass(frozen=True)
+class _SetSearch:
+    """Fits sets of effects along the measured motion; every set once."""
+
+    law: LinearisedModel
+    effects: dict[str, _FittedEffect]
+    values: dict[tuple[str, str, int | None], float]  # of the model with the effects found
+    trials: dict[Names, CandidateTrial] = field(default_factory=dict)
+
+    def criterion(self, names: Names) -> float:
+        """BIC of a set along the measured motion, but for a constant."""
+        if names not in self.trials:
+            self.trials[names] = self._fitted(names)
+        return self._bic(self.trials[names])
+
+    def _fitted(self, names: Names) -> CandidateTrial:
+        members = [known for name, known in self.effects.items() if name in names]
+        values = dict(self.values)
+        for known in members:
+            values |= known.values
+        absent = frozenset[tuple[str, int]]().union(*(known.absent for known in members))
+        return try_together(self.law, [known.effect for known in members], values, absent)
+
+    def _bic(self, trial: CandidateTrial) -> float:
+        return trial.misfit + parameter_penalty(trial.layout, self.law.solution.problem)
+
+    def best(self, found: Names) -> list[Names]:
+        """The sets that are near the effects found, or better; best first."""
+        others = [name for name in self.effects if name not in found]
+        rank = {name: min(self.criterion(found - {out} | {name}) for out in found) for name in others}
+        near = sorted(others, key=rank.__getitem__)[:N_EXCHANGED]
+        for out in _subsets(found):
+            if out < found:
+                self.criterion(found - out)
+            for pair in combinations(near, 2):
+                self.criterion(found - out | frozenset(pair))
+        limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
+        return [one for one in sorted(self.trials, key=self.criterion) if one != found and self.criterion(one) < limit]
+
+
+def _subsets(found: Names) -> Iterator[Names]:
+    """Sets of one to three effects."""
+    for size in (1, 2, 3):
+        yield from map(frozenset, combinations(sorted(found), size))
+
+
+def _simulated(search: _SetSearch, found: Names) -> dict[Names, Solution]:
+    """The best other sets, simulated; those that are no law or have a physical objection left out."""
+    out: dict[Names, Solution] = {}
+    for one in search.best(found):
+        if len(out) == MAX_SETS_SIMULATED or search.law.solution.problem.budget.is_spent:
+            break
+        try:
+            law = simulate_trial(search.law, search.trials[one])
+        except FrictrackError:
+            continue
+        if not any(objection(law, search.effects[name].effect) for name in one):
+            out[one] = law
+    return out
+
+
+def _fitted_effects(
+    first: Round,
+    tested: Sequence[RoundOutcome],
+    found: Sequence[RefinedCandidate],
+    is_allowed: Callable[[Effect], bool],
+) -> dict[str, _FittedEffect]:
+    """Every effect of the library with the values of its latest fit; a clock error is no force along the motion."""
+    data: Array = first.draws.series.coordinates[:, 0]
+    law = first.draws.law
+    trials = [try_effect(law, s.effect, s.scans, data) for s in first.tests.scanned if is_allowed(s.effect)]
+    later = [t for outcome in tested for t in outcome.tried if is_allowed(t.effect) and not t.objection]
+    fits: list[tuple[str, ParameterLayout, Array]] = [(t.effect.name, t.layout, t.p) for t in trials]
+    for t in later:
+        if t.solution is not None:
+            fits.append((t.effect.name, t.solution.problem.layout, t.solution.p))
+        elif t.linear_trial is not None:
+            fits.append((t.effect.name, t.linear_trial[1].layout, t.linear_trial[1].p))
+    whole = found[-1].law
+    fits += [(t.effect.name, whole.problem.layout, whole.p) for t in found]
+    out: dict[str, _FittedEffect] = {}
+    for name, layout, p in fits:
+        effect = next(e for e in layout.model.effects if e.name == name)
+        values = {key: value for key, value in _values(layout, p).items() if key[0] == name}
+        if effect.clock is None or any(t.effect.name == name for t in found):
+            out[name] = _FittedEffect(effect, values, frozenset(a for a in layout.absent if a[0] == name))
+    return out
+
+
+def _values(layout: ParameterLayout, p: Array) -> dict[tuple[str, str, int | None], float]:
+    """Unknowns by effect, parameter and run."""
+    return {(s.effect, s.parameter, s.run): float(value) for s, value in zip(layout.slots, p, strict=True)}
+
+
+def _contains(search: _SetSearch, others: Names, replaced: Names) -> bool:
+    """Whether one of some effects contains one that it replaces as a special case: it fits whatever the data are."""
+    kinds = {search.effects[name].effect.kind for name in replaced}
+    return any(kinds & set(search.effects[name].effect.special_cases) for name in others)
+
+
+def _with_set(search: _SetSearch, found: Sequence[RefinedCandidate], law: Solution) -> list[RefinedCandidate]:
+    """The effects of another set as those found: first those that stay."""
+    names = [name for name in search.effects if name in law.problem.model]
+    kept = [t for t in found if t.effect.name in names]
+    out = [replace(t, solution=law) for t in kept]
+    p = max(t.p for t in found)
+    for name in names:
+        if name not in {t.effect.name for t in kept}:
+            try:
+                evidence = information_criterion(remove_effect(law, name)) - information_criterion(law)
+            except FrictrackError:
+                evidence = 0.0
+            out.append(RefinedCandidate(search.effects[name].effect, law, evidence, p))
+    return out
+
+
+def _with_rivals(candidate: RefinedCandidate, sets: Sequence[Names], best: Names) -> RefinedCandidate:
+    """The candidate with the effects that stand in its place in other sets as rivals."""
+    rivals = [name for one in sets if candidate.effect.name not in one for name in sorted(one - best)]
+    return replace(candidate, indistinguishable_from=tuple(dict.fromkeys((*candidate.indistinguishable_from, *rivals))))
