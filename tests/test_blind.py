@@ -460,6 +460,9 @@ def test_three_causes_are_all_found():
         outcome("three", hidden, named=("lens", "texture", "drag"), verdict="missing"),
         outcome("three", hidden, named=("texture", "drag"), verdict="missing"),
     ]
+    stated = replace(rows[0], verdict="ambiguous", named=("drag",), sets=(("drag",), tuple(rows[0].hidden)))
+    assert tally([stated])["three"]["all_stated"]["hits"] == 1
+    assert tally([replace(stated, verdict="missing", sets=())])["three"]["wrong_without_doubt"]["hits"] == 1
     assert tally(rows)["three"]["all"]["hits"] == tally(rows)["three"]["all_by_name"]["hits"] == 1
 
 

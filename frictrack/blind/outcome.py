@@ -33,6 +33,8 @@ class Outcome:
         Effects named as missing, in order.
     group
         The first named effect and those that the diagnosis cannot distinguish from it.
+    sets
+        Sets of effects that the diagnosis says explain the runs equally: those named first.
     equivalents
         For each hidden effect those that fit as well; "alike" in JSON.
     noted
@@ -60,6 +62,7 @@ class Outcome:
     verdict: str = ""
     named: tuple[str, ...] = ()
     group: tuple[str, ...] = ()
+    sets: tuple[tuple[str, ...], ...] = ()
     equivalents: dict[str, tuple[str, ...]] = field(default_factory=dict)
     noted: tuple[str, ...] = ()
     reduced_chi2: float | None = None
@@ -75,8 +78,9 @@ def read_outcome(raw: dict[str, Any]) -> Outcome:
     """Read an outcome from its JSON."""
     lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
     equivalents = {name: tuple(others) for name, others in raw["alike"].items()}
-    known = {key: value for key, value in raw.items() if key != "alike"}
-    return Outcome(**known | lists, equivalents=equivalents)
+    sets = tuple(map(tuple, raw.get("sets", ())))
+    known = {key: value for key, value in raw.items() if key not in ("alike", "sets")}
+    return Outcome(**known | lists, sets=sets, equivalents=equivalents)
 
 
 def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
@@ -122,6 +126,7 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         verdict=diagnosis["verdict"],
         named=named,
         group=_first_group(diagnosis),
+        sets=_stated_sets(diagnosis),
         equivalents=equivalent_effects(truth, fit.solution) if _has_equivalents(truth) else {},
         noted=_faults_in_notes(session),
         overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
@@ -157,6 +162,17 @@ def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
     first = diagnosis["missing"][0]
     rivals = [c["indistinguishable_from"] for c in diagnosis["candidates"] if c["effect"] == first]
     return (first, *(rivals[0] if rivals else ()))
+
+
+def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """The effects named, these with one of them exchanged for a rival, and the alternative sets."""
+    named = diagnosis["missing"]
+    if not named:
+        return ()
+    rivals = {c["effect"]: c["indistinguishable_from"] for c in diagnosis["candidates"]}
+    exchanged = [[rival if n == name else n for n in named] for name in named for rival in rivals.get(name) or []]
+    others = [one["effects"] for one in diagnosis["alternatives"]]
+    return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
 
 
 def _has_equivalents(truth: Truth) -> bool:

@@ -74,6 +74,21 @@ def are_all_named(row: Outcome) -> bool:
     return any(all(n in s for n, s in zip(pair, sets, strict=True)) for pair in permutations(row.named, len(sets)))
 
 
+def are_all_stated(row: Outcome) -> bool:
+    """Whether one of the sets stated as equal, with what tracking found, holds all hidden effects."""
+    return any(set(row.hidden) <= {*one, *row.noted} for one in row.sets)
+
+
+def is_wrong_without_doubt(row: Outcome) -> bool:
+    """Whether effects are named without a rival although an equivalent of each is not hidden."""
+    left = [h for h in row.hidden if h not in row.noted]
+    sets = [set(row.equivalents.get(h, (h,))) | {h} for h in left]
+    right = len(row.named) == len(left) and any(
+        all(n in s for n, s in zip(order, sets, strict=True)) for order in permutations(row.named)
+    )
+    return row.verdict == "missing" and not right
+
+
 def is_reproduced(row: Outcome) -> bool:
     """Whether a foreign effect is called unexplained, or the named effects leave only noise."""
     good = row.reduced_chi2 is not None and row.reduced_chi2 <= REDUCED_CHI2_RANGE[1]
@@ -148,10 +163,14 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
         "two": {
             "both": _share(kind["two"], are_all_named),
             "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),
+            "both_stated": _share(kind["two"], are_all_stated),
+            "wrong_without_doubt": _share(kind["two"], is_wrong_without_doubt),
         },
         "three": {
             "all": _share(kind["three"], are_all_named),
             "all_by_name": _share(kind["three"], lambda r: set(r.hidden) <= set(r.named)),
+            "all_stated": _share(kind["three"], are_all_stated),
+            "wrong_without_doubt": _share(kind["three"], is_wrong_without_doubt),
         },
         "foreign": {
             "unexplained_or_reproduced": _share(kind["foreign"], is_reproduced),
