@@ -115,6 +115,51 @@ def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:
     return [rival] if rival and diagnosis["verdict"] == "ambiguous" else []
 
 
+def describe_alternatives(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Describe the sets of effects that differ from those named in more than one effect and explain as much.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis.
+
+    Returns
+    -------
+    list of str
+        One sentence for every set, without a full stop.
+
+    Examples
+    --------
+    >>> sets = [{"effects": ["drag", "slope", "texture"], "delta_bic": 2.0}]
+    >>> describe_alternatives({"missing": ["texture", "spring", "drift"], "alternatives": sets})
+    ['drag and slope together explain as much as spring and drift']
+
+    """
+    named = diagnosis["missing"]
+    out = []
+    for one in diagnosis.get("alternatives") or []:
+        instead = [name for name in one["effects"] if name not in named]
+        replaced = [name for name in named if name not in one["effects"]]
+        if instead and max(len(instead), len(replaced)) > 1:
+            verb = "together explain" if len(instead) > 1 else "alone explains"
+            out.append(f"{' and '.join(instead)} {verb} as much as {' and '.join(replaced)}")
+    return out
+
+
+def force_without_effect(diagnosis: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the force that no effect explains, or that formulas may explain as well as the effects; else None.
+
+    Examples
+    --------
+    >>> unlikely = {"words": "a formula explains as much", "rival": None, "decisive": False}
+    >>> force_without_effect({"verdict": "missing", "unexplained": unlikely}) is None
+    True
+
+    """
+    left = diagnosis.get("unexplained")
+    return left if left and (left.get("rival", "words" in left) or diagnosis["verdict"] == "unexplained") else None
+
+
 def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
     """Describe the first question that the runs cannot answer, and what would answer it.
 

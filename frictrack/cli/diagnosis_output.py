@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
@@ -15,7 +16,14 @@ from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
 from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus
-from frictrack.verdicts import VERDICT_ONLY, describe_formula, describe_unnamed, describe_verdict
+from frictrack.verdicts import (
+    VERDICT_ONLY,
+    describe_alternatives,
+    describe_formula,
+    describe_unnamed,
+    describe_verdict,
+    force_without_effect,
+)
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
@@ -78,7 +86,9 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(result["repeats_words"]))
     if result.get("importance"):
         out.print(importance(result["importance"]))
-    unexplained(out, result.get("unexplained"))
+    for words in describe_alternatives(result):
+        out.print(escape(words))
+    unexplained(out, force_without_effect(result))
     for remark in result.get("remarks", []):
         out.print(escape(remark))
     next_experiment(out, result.get("next_experiment") or [])
@@ -152,7 +162,7 @@ def evidence(out: Console, found: list[dict[str, Any]]) -> None:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
 
 
-def unexplained(out: Console, left: dict[str, Any] | None) -> None:
+def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
     """Print the variable on which the misfit depends, formulas for it, and text for the study file.
 
     Parameters

@@ -43,7 +43,6 @@ MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
 N_CANDIDATES_WITH_RIVALS = 3  # the best ones
-MAX_PROBABILITY_FORMULA = 0.05  # that a formula is the cause instead; up to it an effect is named without a rival
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
 
 
@@ -211,7 +210,7 @@ class Conclusion:
             return found
         if told["decisive"]:
             return replace(found, verdict="unexplained", missing=[], unexplained=told)
-        doubtful = told["probability"] > MAX_PROBABILITY_FORMULA and found.verdict == "missing"
+        doubtful = told["rival"] is not None and found.verdict == "missing"
         return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=told)
 
     def _formulas(self, min_advantage: float) -> dict[str, Any] | None:

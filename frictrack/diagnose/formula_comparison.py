@@ -21,7 +21,7 @@ from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
 
-MIN_PROBABILITY_STATED, MIN_PROBABILITY_DECISIVE = 0.01, 0.95
+MIN_PROBABILITY_STATED, MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.01, 0.05, 0.95
 MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
 
 
@@ -52,8 +52,8 @@ def compare_with_formulas(
     -------
     dict or None
         As `unexplained_force`, with `probability` that one of the formulas is the cause and the effects are not,
-        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is not, and `words`. None if
-        no formula explains as much.
+        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor
+        unlikely, and `words`. None if no formula explains as much.
 
     """
     start = forces.solution
@@ -72,7 +72,8 @@ def compare_with_formulas(
     probability = float(expit(log_odds))
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
-    told = {"probability": probability, "decisive": decisive, "rival": None if decisive else rival}
+    is_rival = MAX_PROBABILITY_UNLIKELY < probability <= MIN_PROBABILITY_DECISIVE
+    told = {"probability": probability, "decisive": decisive, "rival": rival if is_rival else None}
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
     return unexplained | told | {"words": _words(first, added, told)}
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.number_format import format_number
 from frictrack.records import Array
-from frictrack.verdicts import describe_formula, describe_unnamed
+from frictrack.verdicts import describe_formula, describe_unnamed, force_without_effect
 
 Embed = Callable[[Figure], Markup]
 
@@ -54,7 +54,7 @@ def unexplained_force(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, An
         another form is. None if nothing is unexplained.
 
     """
-    left = diagnosis.get("unexplained")
+    left = force_without_effect(diagnosis)
     if not left:
         return None
     rows = [

@@ -22,7 +22,7 @@ from frictrack.report.candidate_text import (
 )
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
-from frictrack.verdicts import certain_effects, indistinguishable_effects
+from frictrack.verdicts import certain_effects, describe_alternatives, indistinguishable_effects
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -232,6 +232,11 @@ def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Ma
         yield Markup("In place of <b>{}</b>, <b>{}</b> would predict the same data within the noise.").format(
             first, join_words(others, "or")
         )
+    for words in describe_alternatives(diagnosis):
+        yield Markup("{}.").format(_capitalised(words))
+    left = diagnosis.get("unexplained") or {}
+    if left.get("rival"):
+        yield Markup("{}.").format(_capitalised(left["words"]))
 
 
 def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:

@@ -13,7 +13,7 @@ from frictrack.report import held_out_change, mark_code, study_verdict
 from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import Study
-from frictrack.verdicts import describe_formula, describe_verdict
+from frictrack.verdicts import describe_formula, describe_verdict, force_without_effect
 from frictrack.workbench.plot_data import RESIDUAL_TITLES
 from frictrack.workbench.summaries.candidates import error_change
 from frictrack.workbench.summaries.repairs import rests_on_repairs
@@ -78,7 +78,7 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
         return None
     found = results.diagnosis
     verdict = study_verdict(results)
-    left = found.get("unexplained") or {}
+    left = force_without_effect(found) or {}
     summary: DiagnosisSummary = to_builtins(
         DiagnosisSummary(
             verdict=found["verdict"],
