@@ -2,7 +2,8 @@
 
 Formulas are fitted where a smooth force over one variable is more likely than the effects found, or where effects with
 parameters of their own in every run, which imitate much, were found though the misfit repeats over one axis. Both are
-compared by their evidence, the formulas with a penalty for the number of forms that were tried.
+compared by their evidence. Every form has a smaller prior probability than an effect of the library, because there are
+more of them and a cause outside of the library is rarer.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
 
+PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
 MIN_PROBABILITY_STATED, MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.01, 0.05, 0.95
 MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
 
@@ -67,8 +70,7 @@ def compare_with_formulas(
     advantage = first["delta_bic"] - evidence
     if advantage < -MAX_DELTA_BIC_EQUAL:
         return None
-    penalty = _search_penalty(unexplained["axes"])
-    log_odds = (advantage - penalty) / 2 - np.log(first["probability"])
+    log_odds = advantage / 2 - np.log(first["probability"]) + _log_prior_odds(unexplained["axes"])
     probability = float(expit(log_odds))
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
@@ -92,9 +94,10 @@ def _is_worth_searching(
     return smooth_forces(forces.compressed, formula_axes(forces.compressed))[0].gain > evidence
 
 
-def _search_penalty(axes: int) -> float:
-    """Penalty for the best of many forms, axes and multipliers (Bonferroni)."""
-    return 2 * float(np.log(len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)))
+def _log_prior_odds(axes: int) -> float:
+    """Logarithm of the prior probability of one form over that of one effect; all of a kind are as likely."""
+    forms = len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)
+    return float(np.log(PRIOR_NONE / forms) - np.log((1 - PRIOR_NONE) / len(LIBRARY)))
 
 
 def _words(first: Mapping[str, Any], added: int, told: Mapping[str, Any]) -> str:

@@ -19,6 +19,11 @@ from frictrack.effects import definitions, read_settings
 
 LAW = ["coulomb", "viscous"]
 MAX_DEVIATIONS = 3.0
+SAME_EFFECT = {  # effects of the library that are a cause
+    "logarithm of speed": "log_velocity",
+    "decay with speed": "stribeck",
+    "fraction of speed": "flash_weakening",
+}
 BINS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 
 
@@ -31,10 +36,11 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
     sealed = draw(seed, names[seed % len(names)])
     fit = ft.fit(LAW, sealed.runs)
     begin = time.process_time()
-    verdict, missing = "", []
+    verdict, missing, told = "", [], {}
     if full:
         found = ft.diagnose(fit)
         verdict, missing, left = found.verdict, found.missing, found.unexplained
+        told = _told(sealed, found)
     else:
         left = unexplained_force(fit.solution)
     seconds = time.process_time() - begin
@@ -48,6 +54,7 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
         "cpu_s": seconds,
         **({} if gplearn is None else {"compared": compared(sealed, fit, formulas, seconds, gplearn)}),
         **_judged(sealed, formulas),
+        **told,
         **(_values(sealed, fit, formulas[0]) if formulas and _is_right(sealed, formulas[0]) else {}),
         "formulas": [
             {k: f.get(k) for k in ("formula", "probability", "delta_bic", "equivalents")}
@@ -55,6 +62,18 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
             for f in formulas
         ],
     }
+
+
+def _told(sealed: Sealed, found: ft.Diagnosis) -> dict[str, Any]:
+    """Whether the diagnosis states the right form, also as an effect of the library, or a wrong one without doubt."""
+    effects = {
+        *found.missing,
+        *(r for c in found.candidates if c.effect in found.missing for r in c.indistinguishable_from),
+    }
+    left = found.unexplained or {}
+    shown = left.get("formulas", []) if found.verdict == "unexplained" or left.get("rival") else []
+    right = SAME_EFFECT.get(sealed.name) in effects or _judged(sealed, shown)["group"]
+    return {"stated": right, "wrong_without_doubt": found.verdict == "missing" and not right}
 
 
 def _is_right(sealed: Sealed, formula: dict[str, Any]) -> bool:
@@ -113,6 +132,8 @@ def score(hidden: list[dict[str, Any]], empty: list[dict[str, Any]]) -> dict[str
         "hidden": len(hidden),
         "first": sum(one["first"] for one in hidden) / n,
         "first_or_group": sum(one["group"] for one in hidden) / n,
+        "stated": sum(one.get("stated", one["group"]) for one in hidden) / n,
+        "wrong_without_doubt": sum(one.get("wrong_without_doubt", False) for one in hidden),
         "listed": sum(one["listed"] for one in hidden) / n,
         "group_size_median": float(np.median([one["group_size"] for one in hidden])) if hidden else None,
         "without_formula": sum(not one["formulas"] for one in hidden) / n,
