@@ -1,8 +1,8 @@
 """Exchange several effects at once: what was found one by one may imitate a set of other effects.
 
 Effects are fitted together along the measured motion, where a set takes milliseconds: one effect in place of each
-found, then two of those that did best in place of one, two or three. Sets that explain as much as the effects found are
-simulated.
+found while that explains more, then two of those that did best in place of one, two or three. Sets that explain as much
+as the effects found are simulated.
 
 References
 ----------
@@ -33,6 +33,7 @@ from frictrack.fit.stepwise import CandidateTrial, remove_effect, simulate_trial
 from frictrack.records import Array
 
 N_EXCHANGED = 10  # effects of which pairs are tried
+MAX_EXCHANGES = 4  # of one effect for another, one after the other
 MAX_SETS_SIMULATED = 6
 MAX_DELTA_BIC_SIMULATED = 2 * MIN_CHI2_SEPARATED  # behind the effects found, along the measured motion
 
@@ -132,16 +133,32 @@ class _SetSearch:
 
     def best(self, found: Names) -> list[Names]:
         """The sets that are near the effects found, or better; best first."""
-        others = [name for name in self.effects if name not in found]
-        rank = {name: min(self.criterion(found - {out} | {name}) for out in found) for name in others}
-        near = sorted(others, key=rank.__getitem__)[:N_EXCHANGED]
-        for out in _subsets(found):
-            if out < found:
-                self.criterion(found - out)
+        centre = self._descend(found)
+        near = sorted(self._others(centre), key=lambda name: self._rank(centre, name))[:N_EXCHANGED]
+        for out in _subsets(centre):
+            if out < centre:
+                self.criterion(centre - out)
             for pair in combinations(near, 2):
-                self.criterion(found - out | frozenset(pair))
+                self.criterion(centre - out | frozenset(pair))
         limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
         return [one for one in sorted(self.trials, key=self.criterion) if one != found and self.criterion(one) < limit]
+
+    def _descend(self, names: Names) -> Names:
+        """Exchange one effect after the other while that explains more."""
+        for _ in range(MAX_EXCHANGES):
+            exchanged = [names - {out} | {name} for out in names for name in self._others(names)]
+            best = min([names, *exchanged], key=self.criterion)
+            if best == names:
+                break
+            names = best
+        return names
+
+    def _others(self, names: Names) -> list[str]:
+        return [name for name in self.effects if name not in names]
+
+    def _rank(self, names: Names, other: str) -> float:
+        """BIC of the best set in which another effect stands in place of one."""
+        return min(self.criterion(names - {out} | {other}) for out in names)
 
 
 def _subsets(found: Names) -> Iterator[Names]:

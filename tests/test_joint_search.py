@@ -1,0 +1,56 @@
+"""Effects that were added one by one and imitate a pair of others are exchanged for that pair, or both are named.
+
+The motions come from SciPy's integrator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from runs import MASS, measured
+from scipy.integrate import solve_ivp
+
+import frictrack as ft
+from frictrack.diagnose.joint_search import exchange_effects
+from frictrack.diagnose.rounds import RefinedCandidate, run_round
+from frictrack.effects import LIBRARY
+
+LAW = ["coulomb", "viscous"]
+PLAN = ((2.5, 1), (4.0, 1), (6.0, 1), (4.0, 2), (-2.5, 1), (-5.5, 1))  # start speed m/s, mass over the reference
+FRAMES, FPS = 260, 4000.0
+
+
+def slides(slope: float, drag: float) -> list[ft.Run]:
+    """Runs with a constant force on the course and an air drag, N and N s^2/m^2."""
+    out = []
+    for k, (speed, ratio) in enumerate(PLAN):
+        t, mass, s = np.arange(FRAMES) / FPS, ratio * MASS, np.sign(speed)
+
+        def motion(_: float, y: np.ndarray, mass: float = mass, ratio: float = ratio, s: float = s) -> list[float]:
+            force = 4.0 * ratio * s + 0.5 * y[1] + slope + drag * y[1] * abs(y[1])
+            return [y[1], -force / mass]
+
+        x = solve_ivp(motion, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13).y[0]
+        noise = np.random.default_rng(k)
+        out.append(measured(t, x, sigma=3e-6, mass=mass, name=f"r{k}", rng=noise))
+    return out
+
+
+def diagnosed_as(wrong: list[str], runs: list[ft.Run]) -> tuple[list[str], list[frozenset[str]]]:
+    """The effects and the other sets that remain of a wrong pair of effects."""
+    bare, rng = ft.fit(LAW, runs).solution, np.random.default_rng(0)
+    first = run_round(bare, [], rng, lambda what: None)
+    law = ft.fit([*LAW, *wrong], runs).solution
+    found = [RefinedCandidate(LIBRARY[name], law, 100.0, 0.001) for name in wrong]
+    kept, others = exchange_effects(first, [first.tested], found)
+    return [t.effect.name for t in kept], [frozenset(one.effects) for one in others]
+
+
+def test_a_pair_that_explains_less_gives_way_to_the_pair_that_is_true():
+    named, others = diagnosed_as(["asymmetry", "spring"], slides(0.4, 0.06))
+    assert {"slope", "drag"} in [set(named), *map(set, others)]
+    assert set(named) != {"asymmetry", "spring"}
+
+
+def test_the_true_pair_stays():
+    named, _ = diagnosed_as(["slope", "drag"], slides(0.4, 0.06))
+    assert set(named) == {"slope", "drag"}
