@@ -205,13 +205,13 @@ class Conclusion:
 
     def _judge_formulas(self, found: Diagnosis) -> Diagnosis:
         """Return the verdict after comparing the effects found with formulas that may describe the cause as well."""
-        told = self._formulas(0.0)
-        if told is None or (found.verdict == "unexplained" and not told["decisive"]):
+        formulas = self._formulas(0.0)
+        if formulas is None or (found.verdict == "unexplained" and not formulas["decisive"]):
             return found
-        if told["decisive"]:
-            return replace(found, verdict="unexplained", missing=[], unexplained=told)
-        doubtful = told["rival"] is not None and found.verdict == "missing"
-        return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=told)
+        if formulas["decisive"]:
+            return replace(found, verdict="unexplained", missing=[], unexplained=formulas)
+        doubtful = formulas["rival"] is not None and found.verdict == "missing"
+        return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=formulas)
 
     def _formulas(self, min_advantage: float) -> dict[str, Any] | None:
         """Formulas that explain as much as the effects found."""

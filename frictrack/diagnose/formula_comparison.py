@@ -75,9 +75,9 @@ def compare_with_formulas(
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
     is_rival = MAX_PROBABILITY_UNLIKELY < probability <= MIN_PROBABILITY_DECISIVE
-    told = {"probability": probability, "decisive": decisive, "rival": rival if is_rival else None}
+    compared = {"probability": probability, "decisive": decisive, "rival": rival if is_rival else None}
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
-    return unexplained | told | {"words": _words(first, added, told)}
+    return unexplained | compared | {"words": _words(first, added, compared)}
 
 
 def _is_worth_searching(
@@ -100,12 +100,14 @@ def _log_prior_odds(axes: int) -> float:
     return float(np.log(PRIOR_NONE / forms) - np.log((1 - PRIOR_NONE) / len(LIBRARY)))
 
 
-def _words(first: Mapping[str, Any], added: int, told: Mapping[str, Any]) -> str:
-    much, than = ("more", "than") if told["decisive"] else ("as much", "as")
+def _words(first: Mapping[str, Any], added: int, compared: Mapping[str, Any]) -> str:
+    much, than = ("more", "than") if compared["decisive"] else ("as much", "as")
     count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
     variables = " and ".join(AXES[name].name for name in first["variables"])
-    chance = f"{100 * told['probability']:.0f} %" if told["probability"] >= MIN_PROBABILITY_STATED else "below 1 %"
-    instead = "" if told["decisive"] else f"; the probability that it is the cause instead is {chance}"
+    chance = (
+        f"{100 * compared['probability']:.0f} %" if compared["probability"] >= MIN_PROBABILITY_STATED else "below 1 %"
+    )
+    instead = "" if compared["decisive"] else f"; the probability that it is the cause instead is {chance}"
     return (
         f"a force that depends only on {variables} explains {much} with {count}, common to all runs, "
         f"{than} the effects found with {added}: {first['formula']}{instead}"

@@ -192,8 +192,11 @@ def _fitted_effects(
     data: Array = first.draws.series.coordinates[:, 0]
     law = first.draws.law
     trials = [try_effect(law, s.effect, s.scans, data) for s in first.tests.scanned if is_allowed(s.effect)]
-    later = [t for outcome in tested for t in outcome.tried if is_allowed(t.effect) and not t.objection]
     fits: list[tuple[str, ParameterLayout, Array]] = [(t.effect.name, t.layout, t.p) for t in trials]
+    names = {
+        effect.name for effect in (*(t.effect for t in trials), *(t.effect for t in found))
+    }  # without a second effect of a kind that was found
+    later = [t for outcome in tested for t in outcome.tried if t.effect.name in names and not t.objection]
     for t in later:
         if t.solution is not None:
             fits.append((t.effect.name, t.solution.problem.layout, t.solution.p))
