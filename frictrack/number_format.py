@@ -16,6 +16,7 @@ MINUS, TIMES, PLUS_MINUS = "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}", "\N{PLUS
 DASH, THIN_SPACE = "\N{EN DASH}", "\N{NARROW NO-BREAK SPACE}"
 NOT_DETERMINED = "not determined"
 PREFIXED_UNITS = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common in friction measurements
+MIN_PROBABILITY_STATED = 0.01
 MAX_LEADING_ONE = 1.95  # a standard deviation of 1.0 to 1.95 keeps a second digit
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -77,6 +78,18 @@ def format_share(share: float) -> str:
 
     """
     return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
+def format_probability(probability: float) -> str:
+    """Format a probability in percent.
+
+    Examples
+    --------
+    >>> format_probability(0.873), format_probability(0.002)
+    ('87 %', 'below 1 %')
+
+    """
+    return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
 
 
 def format_change(value: float) -> str:

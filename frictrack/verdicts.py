@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from frictrack.number_format import format_probability
+
 VERDICTS = {
     "complete": "complete: no further effect is detectable in these runs",
     "undetermined": "undetermined: these runs cannot show whether something is missing",
@@ -13,7 +15,6 @@ VERDICTS = {
     "unexplained": "something is missing that no effect of the library explains",
 }
 
-MIN_PROBABILITY_STATED = 0.01
 MAX_EQUIVALENTS_NAMED = 4
 
 VERDICT_ONLY = (
@@ -157,6 +158,7 @@ def force_without_effect(diagnosis: Mapping[str, Any]) -> Mapping[str, Any] | No
 
     """
     left = diagnosis.get("unexplained")
+    # a diagnosis that was stored before "rival" existed has "words" where a formula explains as much
     return left if left and (left.get("rival", "words" in left) or diagnosis["verdict"] == "unexplained") else None
 
 
@@ -196,7 +198,7 @@ def describe_formula(formula: Mapping[str, Any]) -> list[str]:
 
     """
     probability = formula.get("probability")
-    said = [] if probability is None else [f"probability of this form {_percent(probability)}"]
+    said = [] if probability is None else [f"probability of this form {format_probability(probability)}"]
     equal = formula.get("equivalents") or []
     if not equal:
         return said
@@ -207,11 +209,11 @@ def describe_formula(formula: Mapping[str, Any]) -> list[str]:
 def describe_unnamed(unexplained: Mapping[str, Any]) -> str:
     """Describe the probability that none of the formulas listed has the right form; "" if it is not known."""
     probability = unexplained.get("probability_none")
-    return "" if probability is None else f"Probability that none of these forms is right: {_percent(probability)}."
-
-
-def _percent(probability: float) -> str:
-    return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
+    return (
+        ""
+        if probability is None
+        else f"Probability that none of these forms is right: {format_probability(probability)}."
+    )
 
 
 def describe_no_run(diagnosis: Mapping[str, Any]) -> str:

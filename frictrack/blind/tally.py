@@ -70,8 +70,13 @@ def _equivalent_set(row: Outcome) -> tuple[str, ...]:
 
 def are_all_named(row: Outcome) -> bool:
     """Whether as many named effects are the hidden ones or equivalents of them."""
-    sets = [set(row.equivalents.get(h, (h,))) | {h} for h in row.hidden]
-    return any(all(n in s for n, s in zip(pair, sets, strict=True)) for pair in permutations(row.named, len(sets)))
+    return _are_named(row, row.hidden)
+
+
+def _are_named(row: Outcome, hidden: Sequence[str]) -> bool:
+    """Whether as many named effects are these hidden ones or equivalents of them."""
+    sets = [set(row.equivalents.get(h, (h,))) | {h} for h in hidden]
+    return any(all(n in s for n, s in zip(order, sets, strict=True)) for order in permutations(row.named, len(sets)))
 
 
 def are_all_stated(row: Outcome) -> bool:
@@ -80,13 +85,9 @@ def are_all_stated(row: Outcome) -> bool:
 
 
 def is_wrong_without_doubt(row: Outcome) -> bool:
-    """Whether effects are named without a rival although an equivalent of each is not hidden."""
+    """Whether the effects named without a rival are not exactly the hidden ones, or equivalents of them."""
     left = [h for h in row.hidden if h not in row.noted]
-    sets = [set(row.equivalents.get(h, (h,))) | {h} for h in left]
-    right = len(row.named) == len(left) and any(
-        all(n in s for n, s in zip(order, sets, strict=True)) for order in permutations(row.named)
-    )
-    return row.verdict == "missing" and not right
+    return row.verdict == "missing" and not (len(row.named) == len(left) and _are_named(row, left))
 
 
 def is_reproduced(row: Outcome) -> bool:

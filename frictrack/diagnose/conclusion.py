@@ -174,9 +174,7 @@ class Conclusion:
             unexplained=None,
             detection_limits=limits,
             undetermined=undetermined,
-            alternatives=[vars(one) | {"effects": list(one.effects)} for one in self.search.alternatives]
-            if named
-            else [],
+            alternatives=[one.summary() for one in self.search.alternatives] if named else [],
             remarks=[*_remarks(self.fit, first.excluded), *self.remarks],
             figures=curves,
             complete=False,

@@ -22,9 +22,10 @@ from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
+from frictrack.number_format import format_probability
 
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
-MIN_PROBABILITY_STATED, MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.01, 0.05, 0.95
+MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.05, 0.95
 MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
 
 
@@ -104,9 +105,7 @@ def _words(first: Mapping[str, Any], added: int, compared: Mapping[str, Any]) ->
     much, than = ("more", "than") if compared["decisive"] else ("as much", "as")
     count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
     variables = " and ".join(AXES[name].name for name in first["variables"])
-    chance = (
-        f"{100 * compared['probability']:.0f} %" if compared["probability"] >= MIN_PROBABILITY_STATED else "below 1 %"
-    )
+    chance = format_probability(compared["probability"])
     instead = "" if compared["decisive"] else f"; the probability that it is the cause instead is {chance}"
     return (
         f"a force that depends only on {variables} explains {much} with {count}, common to all runs, "

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.model_selection import (
@@ -46,6 +47,10 @@ class AlternativeSet:
 
     effects: tuple[str, ...]
     delta_bic: float
+
+    def summary(self) -> dict[str, Any]:
+        """Return the entry of the JSON of `frictrack diagnose`."""
+        return {"effects": list(self.effects), "delta_bic": self.delta_bic}
 
 
 def exchange_effects(
@@ -190,25 +195,26 @@ def _fitted_effects(
 ) -> dict[str, _FittedEffect]:
     """Every effect of the library with the values of its latest fit; a clock error is no force along the motion."""
     data: Array = first.draws.series.coordinates[:, 0]
-    law = first.draws.law
-    trials = [try_effect(law, s.effect, s.scans, data) for s in first.tests.scanned if is_allowed(s.effect)]
-    fits: list[tuple[str, ParameterLayout, Array]] = [(t.effect.name, t.layout, t.p) for t in trials]
-    names = {
-        effect.name for effect in (*(t.effect for t in trials), *(t.effect for t in found))
-    }  # without a second effect of a kind that was found
-    later = [t for outcome in tested for t in outcome.tried if t.effect.name in names and not t.objection]
-    for t in later:
+    latest: dict[str, tuple[ParameterLayout, Array]] = {}
+    for t in (t for outcome in tested for t in outcome.tried if not t.objection):
         if t.solution is not None:
-            fits.append((t.effect.name, t.solution.problem.layout, t.solution.p))
+            latest[t.effect.name] = t.solution.problem.layout, t.solution.p
         elif t.linear_trial is not None:
-            fits.append((t.effect.name, t.linear_trial[1].layout, t.linear_trial[1].p))
+            latest[t.effect.name] = t.linear_trial[1].layout, t.linear_trial[1].p
     whole = found[-1].law
-    fits += [(t.effect.name, whole.problem.layout, whole.p) for t in found]
+    latest |= {t.effect.name: (whole.problem.layout, whole.p) for t in found}
+    for s in first.tests.scanned:
+        if s.effect.name not in latest and is_allowed(s.effect):
+            trial = try_effect(first.draws.law, s.effect, s.scans, data)
+            latest[s.effect.name] = trial.layout, trial.p
+    added = {t.effect.name for t in found}
+    allowed = [s.effect.name for s in first.tests.scanned if is_allowed(s.effect)]
     out: dict[str, _FittedEffect] = {}
-    for name, layout, p in fits:
+    for name in dict.fromkeys((*allowed, *(t.effect.name for t in found))):  # no second effect of a kind that was found
+        layout, p = latest[name]
         effect = next(e for e in layout.model.effects if e.name == name)
         values = {key: value for key, value in _values(layout, p).items() if key[0] == name}
-        if effect.clock is None or any(t.effect.name == name for t in found):
+        if effect.clock is None or name in added:
             out[name] = _FittedEffect(effect, values, frozenset(a for a in layout.absent if a[0] == name))
     return out
 

@@ -36,11 +36,11 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
     sealed = draw(seed, names[seed % len(names)])
     fit = ft.fit(LAW, sealed.runs)
     begin = time.process_time()
-    verdict, missing, told = "", [], {}
+    verdict, missing, stated = "", [], {}
     if full:
         found = ft.diagnose(fit)
         verdict, missing, left = found.verdict, found.missing, found.unexplained
-        told = _told(sealed, found)
+        stated = _stated(sealed, found)
     else:
         left = unexplained_force(fit.solution)
     seconds = time.process_time() - begin
@@ -54,7 +54,7 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
         "cpu_s": seconds,
         **({} if gplearn is None else {"compared": compared(sealed, fit, formulas, seconds, gplearn)}),
         **_judged(sealed, formulas),
-        **told,
+        **stated,
         **(_values(sealed, fit, formulas[0]) if formulas and _is_right(sealed, formulas[0]) else {}),
         "formulas": [
             {k: f.get(k) for k in ("formula", "probability", "delta_bic", "equivalents")}
@@ -64,7 +64,7 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
     }
 
 
-def _told(sealed: Sealed, found: ft.Diagnosis) -> dict[str, Any]:
+def _stated(sealed: Sealed, found: ft.Diagnosis) -> dict[str, Any]:
     """Whether the diagnosis states the right form, also as an effect of the library, or a wrong one without doubt."""
     effects = {
         *found.missing,
