@@ -75,7 +75,7 @@ def exchange_effects(
     Returns
     -------
     found : list of RefinedCandidate
-        The best set; the effects of other sets are rivals of those in whose place they stand.
+        The best set.
     alternatives : list of AlternativeSet
         The other sets that these runs cannot exclude, best first.
 
@@ -98,7 +98,19 @@ def exchange_effects(
     near = [one for one in near if not _contains(search, one - best, best - one)]
     chosen = found if best == names else _with_set(search, found, laws[best])
     alternatives = [AlternativeSet(tuple(sorted(one)), criteria[one] - criteria[best]) for one in near]
-    return [_with_rivals(t, near, best) for t in chosen], alternatives
+    return chosen, alternatives
+
+
+def with_rivals_of_sets(
+    found: Sequence[RefinedCandidate], alternatives: Sequence[AlternativeSet]
+) -> list[RefinedCandidate]:
+    """Return the effects found, with the effects that stand in their place in other sets as rivals."""
+    names, out = {t.effect.name for t in found}, []
+    for t in found:
+        others = [one.effects for one in alternatives if t.effect.name not in one.effects]
+        rivals = [name for one in others for name in one if name not in names]
+        out.append(replace(t, indistinguishable_from=tuple(dict.fromkeys((*t.indistinguishable_from, *rivals)))))
+    return out
 
 
 @dataclass(frozen=True)
@@ -244,9 +256,3 @@ def _with_set(search: _SetSearch, found: Sequence[RefinedCandidate], law: Soluti
                 evidence = 0.0
             out.append(RefinedCandidate(search.effects[name].effect, law, evidence, p))
     return out
-
-
-def _with_rivals(candidate: RefinedCandidate, sets: Sequence[Names], best: Names) -> RefinedCandidate:
-    """The candidate with the effects that stand in its place in other sets as rivals."""
-    rivals = [name for one in sets if candidate.effect.name not in one for name in sorted(one - best)]
-    return replace(candidate, indistinguishable_from=tuple(dict.fromkeys((*candidate.indistinguishable_from, *rivals))))

@@ -17,7 +17,7 @@ from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.formulas import Shape, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
-from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects
+from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.residual_kinds import residual_kind
@@ -189,6 +189,7 @@ def _search(
         law = found[-1].law if found else start
         last = run_later_round(kind.before_round(law), own, rng, notify_round, level)
         tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
+    found = with_rivals_of_sets(found, alternatives)  # at the end: a review names its own rivals
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     cut = describe_cut(budget, unrefined, found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
