@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import multiprocessing
 import os
@@ -340,6 +341,29 @@ def test_readers_see_whole_versions_while_a_writer_works(tmp_path: Path) -> None
         assert np.all(kept["a/x"][:] == 0)
     assert [process.exitcode for process in (*readers, writer)] == [0, 0, 0]
     assert [out.get(timeout=5) for _ in readers] == [10, 10]
+
+
+def test_a_file_that_is_replaced_at_every_opening_is_never_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The worst luck of the test above: another version, of another size, is there whenever a reader looks again."""
+    path, opened, generations = tmp_path / "study.h5", Path.open, itertools.count(1)
+    store.write(path, {"a": GroupContent({"n": 0})})
+
+    def replaced_after(self: Path, *args: Any, **kwargs: Any) -> Any:
+        file = opened(self, *args, **kwargs)
+        if self == path:
+            with monkeypatch.context() as quiet:
+                quiet.setattr(Path, "open", opened)
+                n = next(generations)
+                store.write(path, {"a": GroupContent({"n": n, "x": np.zeros(n)})})
+        return file
+
+    monkeypatch.setattr(Path, "open", replaced_after)
+    for _ in range(3):
+        assert store.check(path) == []
+        assert store.read(path, "a")["n"] > 0
+    assert next(generations) > 6
 
 
 def test_a_viewer_that_has_the_file_open_for_writing_stops_nobody(tmp_path: Path) -> None:

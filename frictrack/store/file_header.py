@@ -48,17 +48,15 @@ def read_header(path: Path) -> tuple[int, str] | None:
     return None if match is None else (int(match[1]), match[2])
 
 
-def read_signature(path: Path) -> str:
-    """Return the signature in a file header; empty if there is none."""
-    match = _FIRST_LINE.fullmatch(_first_line(path))
-    return "" if match is None else match[3] or ""
+def read_signed(path: Path) -> tuple[str, bytes]:
+    """Return the signature of a file, empty if there is none, and the bytes that it signs.
 
-
-def signed_bytes(path: Path) -> bytes:
-    """Return the bytes that the checksum and the signature cover."""
+    Both come from one version of the file, even if it is replaced meanwhile.
+    """
     with path.open("rb") as file:
+        match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
         file.seek(CHECKSUM_START)
-        return file.read()
+        return "" if match is None else match[3] or "", file.read()
 
 
 def lacks_header(path: Path) -> bool:
@@ -90,10 +88,10 @@ def file_state(path: Path) -> tuple[int, int, int]:
 
 @lru_cache(maxsize=4096)
 def _is_intact(path: Path, *_: int) -> bool:
-    """Check one state of a file."""
-    first = _first_line(path)
+    """Check one state of a file. It is opened once: between two calls of `open`, another version may replace it."""
     with path.open("rb") as file:
         room = file.read(HEADER_BYTES)
+        first = _first_line_of(room)
         file.seek(CHECKSUM_START)
         digest = hashlib.file_digest(file, lambda: hashlib.sha256(f"{first}\n".encode()))
         return _FIRST_LINE.fullmatch(first) is not None and room == _header_bytes(first, digest.hexdigest())
@@ -102,7 +100,11 @@ def _is_intact(path: Path, *_: int) -> bool:
 def _first_line(path: Path) -> str:
     """Return the first line of a file."""
     with path.open("rb") as file:
-        return file.read(HEADER_BYTES).split(b"\n")[0].decode(errors="replace")
+        return _first_line_of(file.read(HEADER_BYTES))
+
+
+def _first_line_of(header: bytes) -> str:
+    return header.split(b"\n")[0].decode(errors="replace")
 
 
 def _header_bytes(first: str, digest: str) -> bytes:

@@ -16,7 +16,7 @@ from platformdirs import user_data_path
 
 from frictrack.errors import FrictrackError
 from frictrack.files import atomic_write
-from frictrack.store.file_header import file_state, read_signature, signed_bytes
+from frictrack.store.file_header import file_state, read_signed
 
 _BYTES = 32
 _Buffer = bytes | memoryview
@@ -42,8 +42,8 @@ def is_signed_by_user(path: Path) -> bool:
 @lru_cache(maxsize=4096)
 def _is_signed_by_user(path: Path, *_: int) -> bool:
     """Check one state of a file."""
-    signature = read_signature(path)
-    return signature != "" and hmac.compare_digest(signature, sign(signed_bytes(path)))
+    signature, signed = read_signed(path)
+    return signature != "" and hmac.compare_digest(signature, sign(signed))
 
 
 @cache
