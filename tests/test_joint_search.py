@@ -6,10 +6,12 @@ The motions come from SciPy's integrator.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
+from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.joint_search import exchange_effects
 from frictrack.diagnose.rounds import RefinedCandidate, run_round
 from frictrack.effects import LIBRARY
@@ -54,3 +56,18 @@ def test_a_pair_that_explains_less_gives_way_to_the_pair_that_is_true():
 def test_the_true_pair_stays():
     named, _ = diagnosed_as(["slope", "drag"], slides(0.4, 0.06))
     assert set(named) == {"slope", "drag"}
+
+
+@pytest.mark.parametrize(("together", "verdict"), [(0.5, "missing"), (2.0, "unexplained")])
+def test_effects_are_named_if_the_model_with_all_of_them_predicts_better(together: float, verdict: str):
+    """The first effect alone may predict worse, while the others are still missing."""
+    runs = slides(0.4, 0.06)
+    fit = ft.fit(LAW, runs)
+    alone, whole = (ft.fit([*LAW, *names], runs).solution for names in (["slope"], ["slope", "drag"]))
+    first, last = (run_round(law, [], np.random.default_rng(0), lambda what: None) for law in (fit.solution, whole))
+    found = [RefinedCandidate(LIBRARY[n], law, 100.0, 0.001) for n, law in (("slope", alone), ("drag", whole))]
+    generators = np.random.default_rng(0).spawn(2)
+    conclusion = Conclusion(fit, FinishedSearch(fit.solution, first, last, found, generators))
+    vars(conclusion)["_heldout"] = lambda law: (1.0, together if law is whole else 2.0, "run by run")
+    assert conclusion.verdict.candidates[0].heldout_after == 2.0
+    assert conclusion.verdict.verdict == verdict

@@ -40,6 +40,7 @@ MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
     0.01,
     6,
 )  # share of the misfit, and number, of further effects in the table of importance
+MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
 N_CANDIDATES_WITH_RIVALS = 3  # the best ones
@@ -188,12 +189,26 @@ class Conclusion:
         last, found = self.search.last, self.search.found
         if self._nothing_missing:
             return ("undetermined" if gaps else "complete"), gaps
-        if last.leaves_misfit or not found or not listed[0].helps or any(t.objection for t in found):
+        ratio = self._error_ratio(listed)
+        if last.leaves_misfit or not found or ratio >= MAX_ERROR_RATIO or any(t.objection for t in found):
             verdict = "unexplained"
         else:
             verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
-        unclear = misfit < 1 or (verdict != "unexplained" and not _is_decisive(listed[0], gaps))
+        decisive = ratio < MAX_ERROR_RATIO_DECISIVE or all(gap.uncertainty is None for gap in gaps)
+        unclear = misfit < 1 or (verdict != "unexplained" and not decisive)
         return ("undetermined", gaps) if gaps and unclear else (verdict, [])
+
+    def _error_ratio(self, listed: Sequence[Candidate]) -> float:
+        """Held-out error with all effects found over that of the model without them; 0 if it was not computed.
+
+        An effect alone need not lower the error where others are missing too.
+        """
+        found = self.search.found
+        if len(found) == 1:
+            before, after = listed[0].heldout_before, listed[0].heldout_after
+        else:
+            before, after, _ = self._heldout(found[-1].law) if found else (None, None, "")
+        return 0.0 if before is None or after is None else after / before
 
     @property
     def _may_be_a_formula(self) -> bool:
@@ -266,17 +281,6 @@ class Conclusion:
         passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
         return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
-
-
-def _is_decisive(best: Candidate, undetermined: Sequence[Undetermined]) -> bool:
-    """Whether the best effect lowers the held-out error enough to be named beside an undetermined model."""
-    if (
-        all(gap.uncertainty is None for gap in undetermined)
-        or best.heldout_after is None
-        or best.heldout_before is None
-    ):
-        return True
-    return best.heldout_after < MAX_ERROR_RATIO_DECISIVE * best.heldout_before
 
 
 def _importance(

@@ -15,7 +15,6 @@ from frictrack.records import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,13 +69,6 @@ class Candidate:
             f", indistinguishable from {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else ""
         )
         return f"<Candidate {self.effect}: p = {self.p:.3g}, delta BIC {self.delta_bic:.4g}{alike}>"
-
-    @property
-    def helps(self) -> bool:
-        """Whether the held-out error falls or stays; a level per run hides what only the runs together show."""
-        if self.heldout_after is None or self.heldout_before is None:
-            return True
-        return self.heldout_after < MAX_ERROR_RATIO * self.heldout_before
 
     def summary(self) -> dict[str, Any]:
         """Return the entry of the JSON of `frictrack diagnose`."""

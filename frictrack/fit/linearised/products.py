@@ -169,7 +169,8 @@ class _Piece:
             rows = self.strip.whitened_rows(samples[part], self.key[1] == "measurement")
             left[part], coordinates[part] = self.strip.split(rows)
         gram = left @ left.T
-        size = np.maximum(np.sqrt(gram.diagonal()), np.finfo(float).tiny)
+        squares = gram.diagonal() + np.einsum("cd,cd->c", coordinates, coordinates)  # a wave may leave no remainder
+        size = np.maximum(np.sqrt(squares), np.finfo(float).tiny)
         products = self.with_series(left, coordinates, size)
         return NodeProducts(nodes, gram, coordinates, left @ self.measured, products, size)
 
