@@ -17,9 +17,9 @@ from urllib.parse import urlsplit
 
 from platformdirs import user_cache_path
 
+from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.errors import FrictrackError
 
-CACHE_VARIABLE = "FRICTRACK_CACHE"  # environment: folder of fetched recordings
 MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted
 CACHE_INDEX = "cache"  # file in which fsspec lists what it has fetched
 COMPANION_ENDINGS = {".cih": (".mraw",), ".cihx": (".mraw",)}  # header -> files with the frames

@@ -268,6 +268,7 @@ MEANINGS = {
     "studies": "number of studies",
     "faults": "what is damaged or out of date",
     "without_checksums": "files of an older schema",
+    "partly_hashed": "results of an earlier version, whose film is identified by the hash of some of its bytes",
     "at_work": "folders in which a command is working",
     "parameters[].name": "name of the parameter",
     "parameters[].unit": "its unit",

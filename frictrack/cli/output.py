@@ -181,6 +181,9 @@ def verify(out: Console, result: dict[str, Any]) -> None:
         out.print(f"{fault['kind']}: {fault['words']}", soft_wrap=True, markup=False)
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
+    if old := result["partly_hashed"]:
+        words = "identify their film by the hash of 3 MB of it; a new track hashes all of it"
+        out.print(f"{len(old)} results of an earlier version {words}")
     for folder in result["at_work"]:
         out.print(f"another frictrack process is writing in {folder}", soft_wrap=True, markup=False)
     if result["sound"]:

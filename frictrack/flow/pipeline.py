@@ -14,9 +14,11 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from frictrack import store
+from frictrack.content_hash import hash_file
 from frictrack.errors import FrictrackError
 from frictrack.records import Displacement, Motion, Run, Track
 from frictrack.remote import RemoteFile, local_path
@@ -243,7 +245,9 @@ class RunPipeline:
             groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
             if name in STAGES_FROM_FIRST_FILM and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
-            files = [(self.as_written(path), self.content_hash(path)) for path in self.input_files(stage)]
+            stored = self._provenance(name)
+            known = dict(json.loads(stored.inputs or "[]")) if stored else {}
+            files = [(self.as_written(path), self.content_hash(path, known)) for path in self.input_files(stage)]
             self._inputs[name] = groups + files
         return self._inputs[name]
 
@@ -260,8 +264,20 @@ class RunPipeline:
             return None
         return RunPipeline(self.study, first, self.stages, self._progress, stored_only=self.stored_only)
 
-    def content_hash(self, path: Path | RemoteFile) -> str:
+    def content_hash(
+        self, path: Path | RemoteFile, known: Mapping[str, str] = MappingProxyType({}), *, reread: bool = False
+    ) -> str:
         """Return the hash of a file, or of the files of a folder.
+
+        Parameters
+        ----------
+        path
+            The file or folder.
+        known
+            Hashes that stored results have, by path as written. A film's hash of an earlier version, which covers some
+            of its bytes, is returned as it is if these bytes are unchanged, so that the results remain valid.
+        reread
+            Read the files even if the hash of their present state is known.
 
         Raises
         ------
@@ -270,9 +286,10 @@ class RunPipeline:
 
         """
         if path == self.run.video:
-            return self.recording.hash
+            found, before = self.recording.read_hash(reread=reread), known.get(self.as_written(path), "")
+            return before if before not in ("", found) and before == self.recording.sampled_hash else found
         try:
-            return hash_path(local_path(path))
+            return hash_path(local_path(path), reread=reread)
         except OSError as e:
             raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
@@ -331,13 +348,10 @@ def stage_key(name: str, version: str, settings: dict[str, Any], hashes: list[st
     return digest([name, version, settings, hashes])
 
 
-def hash_path(path: Path) -> str:
+def hash_path(path: Path, *, reread: bool = False) -> str:
     """Return the SHA-256 of a file, or of the hashes of the files in a folder. Raise OSError if one cannot be read."""
     files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    found = []
-    for one in files:
-        with one.open("rb") as file:
-            found.append(hashlib.file_digest(file, "sha256").hexdigest())
+    found = [hash_file(one, reread=reread) for one in files]
     return found[0] if found == found[:1] else digest(found)
 
 

@@ -184,6 +184,8 @@ class Verification(TypedDict):
         "file", "group", "what", "do", "kind" and "words" of every fault.
     without_checksums
         Files of an earlier schema.
+    partly_hashed
+        Results whose film is identified by the hash of some of its bytes, as earlier versions did.
     at_work
         Folders in which another process is writing.
 
@@ -194,4 +196,5 @@ class Verification(TypedDict):
     studies: int
     faults: list[dict[str, Any]]
     without_checksums: list[str]
+    partly_hashed: list[str]
     at_work: list[str]

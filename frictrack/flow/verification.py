@@ -84,6 +84,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verificat
         "studies": len(studies),
         "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
         "without_checksums": [str(files[path]) for path in sound if store.read_header(path) is None],
+        "partly_hashed": [str(film) for group in pipelines for film in _partly_hashed(group)],
         "at_work": [str(folder) for folder in folders if is_busy(folder)],
     }
 
@@ -162,7 +163,7 @@ def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> I
     then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
         now = {
-            str(pipeline.as_written(path)): pipeline.content_hash(path)
+            str(pipeline.as_written(path)): pipeline.content_hash(path, then, reread=True)
             for path in pipeline.input_files(pipeline.stages[name])
         }
     except (FrictrackError, OSError) as e:
@@ -175,6 +176,15 @@ def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> I
     if other:
         words = f"was made from {' and '.join(other)} as it was then, which has changed since; the results are sound"
         yield Fault(pipeline.path, f"/{name}", words, f"put the old one back, or {RUN_AGAIN}", "changed")
+
+
+def _partly_hashed(pipelines: list[RunPipeline]) -> Iterator[Path]:
+    """Find results whose film was identified by some of its bytes, as earlier versions did."""
+    for pipeline in pipelines:
+        with suppress(FrictrackError, OSError):  # files that cannot be read are faults of their own
+            provenance = store.provenance(pipeline.path, "recording")
+            if provenance is not None and pipeline.recording.sampled_hash in provenance.inputs:
+                yield pipeline.path
 
 
 def _model_faults(study: Study, pipelines: list[RunPipeline]) -> Iterator[Fault]:

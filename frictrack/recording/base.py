@@ -5,19 +5,21 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.content_hash import hash_files
 from frictrack.errors import FrictrackError
 from frictrack.recording.header import Header
 from frictrack.recording.timebase import audit
 
 Frame = NDArray[np.unsignedinteger[Any]]  # (h, w) grey values, uint8 or uint16
 
-_HASHED_BYTES = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a file
+_SAMPLED_BYTES = 1 << 20  # bytes of the head, the middle and the tail of a file in `sampled_hash`
 
 
 class Recording(ABC):
@@ -208,27 +210,52 @@ class Recording(ABC):
 
     @property
     def hash(self) -> str:
-        """SHA-256 over names, sizes and the first, middle and last megabyte of the recording's files.
+        """SHA-256 over every byte of the recording's files; see `frictrack.content_hash.hash_files`.
 
         Raises `FrictrackError` where a file has vanished since it was opened, or cannot be read.
         """
+        return self.read_hash()
+
+    def read_hash(self, *, reread: bool = False) -> str:
+        """Compute `hash`.
+
+        Parameters
+        ----------
+        reread : bool
+            Read the files even if the hash of their present state is known.
+
+        """
+        with self._still_there():
+            return hash_files(self.files, reread=reread)
+
+    @property
+    def sampled_hash(self) -> str:
+        """SHA-256 over names, sizes and the first, middle and last megabyte: what results up to November 2026 hold."""
         digest = hashlib.sha256()
-        try:
-            for file in self._files():
+        with self._still_there():
+            for file in self.files:
                 size = file.stat().st_size
                 digest.update(f"{file.name}:{size}\n".encode())
                 with file.open("rb") as stream:
-                    for at in sorted({0, max(0, size // 2 - _HASHED_BYTES // 2), max(0, size - _HASHED_BYTES)}):
+                    for at in sorted({0, max(0, size // 2 - _SAMPLED_BYTES // 2), max(0, size - _SAMPLED_BYTES)}):
                         stream.seek(at)
-                        digest.update(stream.read(_HASHED_BYTES))
+                        digest.update(stream.read(_SAMPLED_BYTES))
+        return digest.hexdigest()
+
+    @contextmanager
+    def _still_there(self) -> Iterator[None]:
+        """Turn an `OSError` into a `FrictrackError`."""
+        try:
+            yield
         except OSError as e:
             raise FrictrackError(
                 f"{self.path.name}: expected the recording that was opened but it cannot be read any more "
                 f"({e.strerror or e}); is the disk still there?"
             ) from e
-        return digest.hexdigest()
 
-    def _files(self) -> list[Path]:
+    @property
+    def files(self) -> list[Path]:
+        """The files of the recording, in their order."""
         return [self.path]
 
     def _check(self, header: Header) -> None:

@@ -49,7 +49,9 @@ class Folder(Recording):
                 )
             yield frame
 
-    def _files(self) -> list[Path]:
+    @property
+    def files(self) -> list[Path]:
+        """See `Recording.files`."""
         return self._pictures
 
 

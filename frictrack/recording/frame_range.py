@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,9 +34,9 @@ class FrameRange(Recording):
         self.stamps = None if source.stamps is None else source.stamps[start:stop]
 
     @property
-    def hash(self) -> str:
-        """Hash of the whole recording."""
-        return self._source.hash
+    def files(self) -> list[Path]:
+        """See `Recording.files`."""
+        return self._source.files
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """Cut boxes out of frames; see `Recording.cut`."""

@@ -103,7 +103,9 @@ class Photron(DirectRecording):
             return None
         return round(((_number(facts.get("trigger", "")) or 0) - start) / _step(facts))
 
-    def _files(self) -> list[Path]:
+    @property
+    def files(self) -> list[Path]:
+        """See `Recording.files`."""
         return [self._head, self._data]
 
 

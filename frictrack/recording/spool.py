@@ -83,9 +83,9 @@ class Spool(Recording):
         self._decoder.start()
 
     @property
-    def hash(self) -> str:
-        """Hash of the decoded recording."""
-        return self._source.hash
+    def files(self) -> list[Path]:
+        """See `Recording.files`."""
+        return self._source.files
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """Wait for the frames and cut boxes out of them; see `Recording.cut`."""

@@ -24,6 +24,7 @@ from frictrack.tracking.target_model import TargetModel
 # of noise.
 SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
 MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
+MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, na
     _, _, w, h = rectangle
     fit, at, found = measured.fit, measured.position, np.flatnonzero(measured.found)
     nan_where_lost = np.where(measured.found, 0.0, np.nan)
+    sigma = np.maximum(fit.sigma, MIN_SIGMA)
     locking_error, size = peak_locking_correction(found, at[found])
     at[found] -= locking_error
     return Track(
@@ -78,9 +80,9 @@ def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, na
         x_px=at[:, 0] + (w - 1) / 2 + nan_where_lost,
         y_px=at[:, 1] + (h - 1) / 2 + nan_where_lost,
         angle=fit.angle + nan_where_lost,
-        sigma_px=fit.sigma[:, 0] + nan_where_lost,
-        sigma_y_px=fit.sigma[:, 1] + nan_where_lost,
-        sigma_angle=fit.sigma[:, 2] + nan_where_lost,
+        sigma_px=sigma[:, 0] + nan_where_lost,
+        sigma_y_px=sigma[:, 1] + nan_where_lost,
+        sigma_angle=sigma[:, 2] + nan_where_lost,
         score=fit.score,
         reason=measured.reason.astype(str),
         name=name,
