@@ -12,8 +12,10 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 import pytest
 from campaigns import campaign, results, slide
 from rich.console import Console
@@ -22,6 +24,7 @@ from scipy import stats
 from frictrack import workers
 from frictrack.batch import batch, find_studies
 from frictrack.batch.journal import Journal
+from frictrack.batch.run_table import write_table
 from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends, fit_slope
@@ -151,6 +154,30 @@ def test_the_tables_say_the_same(tmp_path: Path, inline: Inline) -> None:
     pd.testing.assert_frame_equal(left[NUMBERS], right[NUMBERS])
     assert left["study"].tolist() == right["study"].tolist()
     assert right["coulomb.F_c"].dtype == np.float64
+
+
+def test_other_programs_open_the_table_of_100_000_runs(tmp_path: Path) -> None:
+    force = np.random.default_rng(0).normal(1.2, 0.01, size=20_000)
+    shared = {"verdict": "complete", "missing": "", "model": "coulomb", "domain": "displacement"}
+    rows: list[dict[str, Any]] = []
+    for i, one in enumerate(force.tolist()):
+        law = shared | {"study": f"lab/{i}/study.toml", "coulomb.F_c": one, "coulomb.F_c std": 0.01}
+        rows += [law | {"run": f"r{k}", "role": "fit", "level": 1.0 + 0.1 * k, "segments": None} for k in range(5)]
+    rows[17] = {"study": "lab/3/study.toml", "run": "r2", "reason": "displacement: v3.csv is empty"}
+    paths = write_table(rows, tmp_path / "lab", {"coulomb.F_c": "N"})
+    table = duckdb.sql(f"""
+        select count(*), count("coulomb.F_c"), avg("coulomb.F_c"), sum(level), count(reason) from '{paths[1]}'
+    """).fetchall()[0]
+    whole = np.repeat(force, 5)
+    assert table[:2] == (100_000, 99_999)
+    assert table[2] == pytest.approx(np.delete(whole, 17).mean(), rel=1e-12)
+    assert table[3:] == (pytest.approx(120_000 - 1.2), 1)
+    fields = {one.name: one.metadata for one in pyarrow.parquet.read_schema(paths[1])}
+    assert fields["coulomb.F_c"] == fields["coulomb.F_c std"] == {b"unit": b"N"}
+    assert fields["run"] is None
+    left, right = pd.read_parquet(paths[1]), pd.read_csv(paths[0], low_memory=False)
+    np.testing.assert_array_equal(left["coulomb.F_c"], right["coulomb.F_c"])
+    assert paths[1].stat().st_size < 2_000_000
 
 
 def test_the_journal_bears_a_line_that_was_cut_off(tmp_path: Path) -> None:

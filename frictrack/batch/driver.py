@@ -97,13 +97,13 @@ class _BatchOutput:
         """Write the table of the finished studies, unless it was written shortly before."""
         start = time.monotonic()
         if start >= self._next:
-            write_table(self._rows(), self.stem)
+            self._write_table()
             end = time.monotonic()
             self._next = end + max(MIN_TABLE_INTERVAL_S, (end - start) / MAX_TABLE_TIME_SHARE)
 
     def write_all(self, state: BatchState) -> dict[str, Any]:
         """Write tables and page; return the JSON of `batch`."""
-        files = write_table(self._rows(), self.stem)
+        files = self._write_table()
         kept = [(label, self.outcomes[path]) for path, label in self.labels.items() if path in self.outcomes]
         studies = [{"study": str(label), **one.summary} for label, one in kept]
         found = find_trends([one for _, one in kept])
@@ -123,6 +123,10 @@ class _BatchOutput:
         plots = [trend.to_plot() for trend in found]
         output = write_campaign(result, plots, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
         return result | {"output": str(output)}
+
+    def _write_table(self) -> list[Path]:
+        units = {name: unit for one in self.outcomes.values() for name, unit in one.units.items()}
+        return write_table(self._rows(), self.stem, units)
 
     def _rows(self) -> list[dict[str, Any]]:
         kept = ((label, self.outcomes.get(path)) for path, label in self.labels.items())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +26,8 @@ def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     return table
 
 
-def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
-    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``.
+def write_table(rows: Sequence[dict[str, Any]], stem: Path, units: Mapping[str, str]) -> list[Path]:
+    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``, where the fields of parameters have a `unit`.
 
     Parameters
     ----------
@@ -35,6 +35,8 @@ def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
         One dictionary per run.
     stem
         Path without suffix.
+    units
+        Units of the parameters.
 
     Returns
     -------
@@ -54,5 +56,15 @@ def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
     if find_spec("pyarrow") is not None:
         paths.append(stem.with_name(f"{stem.name}.parquet"))
         with atomic_write(paths[1]) as part:
-            table.to_parquet(part, index=False, engine="pyarrow")
+            _write_parquet(table, part, units)
     return paths
+
+
+def _write_parquet(table: pd.DataFrame, path: Path, units: Mapping[str, str]) -> None:
+    import pyarrow as pa  # noqa: PLC0415 - optional
+    import pyarrow.parquet  # noqa: PLC0415
+
+    whole = pa.Table.from_pandas(table, preserve_index=False)
+    known = {f"{name}{kind}": unit for name, unit in units.items() for kind in ("", " std", " std_misfit")}
+    fields = [one.with_metadata({"unit": known[one.name]}) if one.name in known else one for one in whole.schema]
+    pa.parquet.write_table(whole.cast(pa.schema(fields, whole.schema.metadata)), path)
