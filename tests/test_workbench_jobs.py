@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from pathlib import Path
@@ -10,6 +11,8 @@ import psutil
 from browser import Server
 from conftest import Clients
 from page_client import wait_for
+
+from frictrack.workbench.job_follower import JobFollower
 
 # --- jobs and the end of the server
 
@@ -121,3 +124,20 @@ def _works_for(process: psutil.Process, study: Path) -> bool:
         return False
     name = str(study.parent / "study_results/.frictrack/jobs")
     return any(name in one for one in files) and "job_process" in " ".join(process.cmdline())
+
+
+def test_a_job_that_is_looked_at_in_the_moment_of_its_start_is_followed(tmp_path: Path) -> None:
+    """Its folder is made before its file is written; another process may look between the two."""
+    follower, folder = JobFollower(), tmp_path / ".frictrack" / "jobs" / "0001"
+    folder.mkdir(parents=True)
+    assert follower.look(tmp_path).running is None
+    spec = {"do": "report", "told": {}, "study": "study.toml", "seen": 1, "who": "page", "at": time.time()}
+    (folder / "spec.json").write_text(json.dumps(spec))
+    running = follower.look(tmp_path).running
+    assert running is not None
+    assert (running["id"], running["do"]) == ("0001", "report")
+    (folder / "result.json").write_text('{"done": {}}')
+    ended = follower.look(tmp_path)
+    assert ended.running is None
+    assert ended.last is not None
+    assert ended.last["state"] == "done"

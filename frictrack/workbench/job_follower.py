@@ -43,7 +43,7 @@ class JobFollower:
             self._output, self._ended, self._last = output, set(), None
         running = None
         for name in self._names(output):
-            if name in self._ended:
+            if name in self._ended or not self._is_written(output, name):
                 continue
             try:
                 found = self._summary(output, name)
@@ -56,6 +56,10 @@ class JobFollower:
                 self._ended.add(name)
                 self._last = found if found["state"] == "interrupted" or self._is_new(output, name) else None
         return JobsNow(running, self._last)
+
+    def _is_written(self, output: Path, name: str) -> bool:
+        """Whether a job is there, not only the folder for it, which is made a moment before."""
+        return (output / INTERNAL_FOLDER / "jobs" / name / "spec.json").exists()
 
     def _is_new(self, output: Path, name: str) -> bool:
         """Whether a job ended since the server started."""
