@@ -211,7 +211,8 @@ def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
     for track in table.tracks:
         if find_header(columns.get("x", track.columns["x"]).lstrip("-"), [track.columns["x"]]) is not None:
             return replace(track, columns={**track.columns, **columns})
-    return TrackColumns(columns)
+    clock = {"t": table.tracks[0].columns["t"]} if table.tracks else {}  # the same for all
+    return TrackColumns(clock | dict(columns))
 
 
 def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> None:

@@ -69,7 +69,8 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
             raise ValueError("the file is empty")
         if (tracks := find_track_format(path)) is not None:
             expected = f"tracks of {tracks.programs}"
-            return tracks.read(path)
+            with np.errstate(all="ignore"):  # a number that is too large is refused with its row
+                return tracks.read(path)
         if path.is_dir():
             raise ValueError("a folder without solutions of DICe")
         if path.suffix.lower() in (".xlsx", ".xls"):

@@ -45,7 +45,10 @@ def read_deeplabcut_text(path: Path) -> TableFile:
 
     levels = _levels(path) or LEVELS[0]
     with path.open(encoding="utf-8-sig", newline="") as file:
-        head = [row[1:] for row in islice(csv.reader(file), len(levels))]
+        try:
+            head = [row[1:] for row in islice(csv.reader(file), len(levels))]
+        except csv.Error as e:
+            raise ValueError(str(e)) from e
         cells = pd.read_csv(file, header=None)
     names = list(zip(*head[1:], strict=False))  # without the scorer
     if len(names) != len(cells.columns) - 1:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def is_dice_folder(path: Path) -> bool:
 
 def is_dice_file(path: Path) -> bool:
     """Return whether a text is a solution of DICe."""
-    return bool(_header(path)[1])
+    return bool(_header(path).names)
 
 
 def read_dice(path: Path) -> TableFile:
@@ -70,28 +70,37 @@ def _solution(path: Path) -> pd.DataFrame:
     """Return the rows of one file, with the number of the frame and of the subset."""
     import pandas as pd  # noqa: PLC0415
 
-    skipped, names = _header(path)
-    if not names:
+    header = _header(path)
+    if not (names := header.names):
         raise ValueError(f"{path.name} has no column {FRAME} or {SUBSET}")
     if missing := [name for name in COLUMNS_READ if name not in names]:
         raise ValueError(f"{path.name} lacks {', '.join(missing)}; add them to the output_spec of DICe")
-    separator = "," if "," in path.read_text(errors="replace").splitlines()[skipped] else r"\s+"
-    rows = pd.read_csv(path, sep=separator, skiprows=skipped + 1, header=None, names=names, index_col=False)
+    how: dict[str, Any] = {"sep": header.separator, "skiprows": header.lines_above + 1, "header": None}
+    rows = pd.read_csv(path, names=names, index_col=False, encoding_errors="replace", **how)
     rows = rows.apply(pd.to_numeric, errors="raise")
     if names[0] == SUBSET:
         return rows.assign(**{FRAME: _number_in(path)})
     return rows.assign(**{SUBSET: _number_in(path)})
 
 
-def _header(path: Path) -> tuple[int, list[str]]:
-    """Return the number of lines above the names of the columns, and the names; none if DICe did not write it."""
+class _Header(NamedTuple):
+    """The names of the columns of a solution, none if DICe did not write it, and how they stand in the file."""
+
+    names: list[str]
+    lines_above: int = 0
+    separator: str = ","
+
+
+def _header(path: Path) -> _Header:
+    """Find the names of the columns."""
     with path.open(encoding="utf-8", errors="replace") as file:
         for i in range(MAX_HEAD_LINES):
             line = file.readline(MAX_LINE)
             if not line.startswith("***"):
                 names = line.replace(",", " ").split()
-                return i, names if names[:1] in ([FRAME], [SUBSET]) and "COORDINATE_X" in names else []
-    return MAX_HEAD_LINES, []
+                known = names[:1] in ([FRAME], [SUBSET]) and "COORDINATE_X" in names
+                return _Header(names if known else [], i, "," if "," in line else r"\s+")
+    return _Header([])
 
 
 def _number_in(path: Path) -> int:

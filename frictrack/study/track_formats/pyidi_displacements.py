@@ -32,7 +32,10 @@ def read_pyidi_displacements(path: Path) -> TableFile:
     """
     if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB; save fewer points")
-    found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
+    try:
+        found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
+    except Exception as e:  # damaged headers make NumPy fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
     if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind != "f":
         raise ValueError(f"expected displacements (points, frames, 2) but got {found.dtype} {found.shape}")
     frames = np.arange(found.shape[1], dtype=float)

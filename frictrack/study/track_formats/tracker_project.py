@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +32,7 @@ POINT_MASS = "org.opensourcephysics.cabrillo.tracker.PointMass"
 COORDINATES = {"xorigin": 0.0, "yorigin": 0.0, "angle": 0.0, "xscale": 1.0, "yscale": 1.0}  # of a frame, with defaults
 DEFAULT_UNIT = "m"  # that of Tracker, if the file states none
 MAX_FRAMES = 1 << 24
+ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # RuntimeError: a password, or unknown packing
 _INDEX = re.compile(r"\[(\d{1,8})\]")
 
 
@@ -49,6 +51,10 @@ def read_tracker_project(path: Path) -> TableFile:
 
     """
     panel = read_xml(_project(path))
+    if moving := _text(panel, "referenceframe"):
+        raise ValueError(
+            f'its coordinates move with the track "{moving}"; choose the default ones in Tracker, and save'
+        )
     parts = {name: _object(panel, name) for name in ("videoclip", "clipcontrol", "coords")}
     clip, control = _numbers(parts["videoclip"]), _numbers(parts["clipcontrol"])
     interval = control.get("delta_t", np.nan) / 1000.0
@@ -74,15 +80,15 @@ def _project(path: Path) -> bytes:
     if not zipfile.is_zipfile(path):
         with path.open("rb") as file:
             return read_limited(file)
-    with zipfile.ZipFile(path) as packed:
-        names = [name for name in packed.namelist() if name.lower().endswith(".trk")]
-        if len(names) != 1:
-            raise ValueError(f"expected one .trk in it but got {len(names)}")
-        try:
+    try:
+        with zipfile.ZipFile(path) as packed:
+            names = [name for name in packed.namelist() if name.lower().endswith(".trk")]
+            if len(names) != 1:
+                raise ValueError(f"expected one .trk in it but got {len(names)}")
             with packed.open(names[0]) as file:
                 return read_limited(file)
-        except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as e:  # RuntimeError: with a password
-            raise ValueError(str(e)) from e
+    except ZIP_FAULTS as e:
+        raise ValueError(str(e)) from e
 
 
 def _object(parent: Element, name: str) -> Element | None:
