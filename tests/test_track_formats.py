@@ -18,6 +18,7 @@ import pytest
 from frictrack.errors import FrictrackError
 from frictrack.flow import open_study
 from frictrack.flow.pipeline import hash_path
+from frictrack.flow.stages import run_pipeline
 from frictrack.flow.survey import survey_recording
 from frictrack.study import find_recordings, open_table, read_table, table_headers
 from frictrack.study import xml_files as xml_limits
@@ -506,13 +507,23 @@ def write_dice_study(folder: Path, sigma: float = 0.01) -> Path:
 def test_standard_deviations_and_notes_reach_the_displacement(tmp_path) -> None:
     (run,) = open_study(write_dice_study(tmp_path)).runs
     found = open_study(tmp_path / "study.toml")
-    from frictrack.flow.stages import run_pipeline  # noqa: PLC0415
-
     displacement = run_pipeline(found, run).get("displacement")
     np.testing.assert_allclose(displacement.sigma_x, 0.01 * 0.5e-3)
     np.testing.assert_allclose(displacement.t, np.arange(200) / 240)
     fitted = np.polyfit(displacement.t, displacement.x, 2)
     np.testing.assert_allclose(2 * fitted[0], -ACCELERATION, rtol=1e-3)
+
+
+def test_a_track_that_does_not_move_across_is_measured(tmp_path) -> None:
+    path = write_dice_study(tmp_path)
+    points = np.zeros((1, 200, 2))
+    points[0, :, 1] = pd.read_csv(tmp_path / "DICe_solution_0.txt").DISPLACEMENT_X
+    np.save(tmp_path / "d.npy", points)
+    path.write_text(path.read_text().replace("DICe_solution_0.txt", "d.npy"))
+    study = open_study(path)
+    motion = run_pipeline(study, study.runs[0]).get("motion")
+    assert np.median(motion.a) == pytest.approx(-ACCELERATION, rel=0.02)
+    assert np.isnan(motion.a_y).all()
 
 
 def test_a_study_is_begun_with_the_files_of_other_programs(tmp_path) -> None:

@@ -112,7 +112,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         Displacement(
             t=data.t,
             x=data.x + x_offset,
-            y=nan if data.y is None else data.y,
+            y=nan if data.y is None or not np.any(data.y) else data.y,  # a column of zeros was not measured
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,
             sigma_y=nan,
