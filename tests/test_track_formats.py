@@ -19,7 +19,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow import open_study
 from frictrack.flow.pipeline import hash_path
 from frictrack.flow.stages import run_pipeline
-from frictrack.flow.survey import survey_recording
+from frictrack.flow.survey import expand_folders, survey_recording
 from frictrack.study import find_recordings, open_table, read_table, table_headers
 from frictrack.study import xml_files as xml_limits
 
@@ -320,8 +320,8 @@ def test_annotations_of_kinovea_that_cannot_be_used_are_refused(tmp_path) -> Non
         ("dlc.h5", "slider x (px)", "DeepLabCut"),
         ("dlc_multi.csv", "left slider x (px)", "DeepLabCut"),
         ("dlc_multi.h5", "left slider x (px)", "DeepLabCut"),
-        ("movement.nc", "slider x (px)", "DeepLabCut"),
-        ("movement_frames.nc", "slider x (px)", "DeepLabCut"),
+        ("movement.nc", "slider x (px)", "movement"),
+        ("movement_frames.nc", "slider x (px)", "movement"),
         ("sleap.h5", "left x (px)", "SLEAP"),
     ],
 )
@@ -330,12 +330,12 @@ def test_a_point_of_a_pose_file_is_chosen_by_its_name(tmp_path, name, header, pr
     assert open_table(path).program == program
     assert f'columns = {{x = "{header}"}}' in refused(path)
     data = read_table(path, {"x": header}, pixel=1e-3, fps=240)
-    seen = SEEN if program == "DeepLabCut" else np.ones(len(N), dtype=bool)  # SLEAP has another scale of scores
+    seen = np.ones(len(N), dtype=bool) if program == "SLEAP" else SEEN  # SLEAP has another scale of scores
     np.testing.assert_allclose(data.t, N[seen] / 240)
     np.testing.assert_allclose(data.x, 1e-3 * X[seen])
     np.testing.assert_allclose(data.y, -1e-3 * Y[seen])  # up is positive
     noted = "1 of 24 frames have a likelihood below 0.6, the pcutoff of DeepLabCut; they count as missing"
-    assert data.notes == ((noted,) if program == "DeepLabCut" else ())
+    assert data.notes == (() if program == "SLEAP" else (noted,))
 
 
 def test_positions_equal_those_that_pandas_and_xarray_read(tmp_path) -> None:
@@ -536,6 +536,7 @@ def test_a_study_is_begun_with_the_files_of_other_programs(tmp_path) -> None:
         file["rates"] = np.ones(3)
     names = [path.name for path in find_recordings(tmp_path)]
     assert names == ["a.trk", "b.kva", "c.npy", "dice", "movement.nc"]
+    assert expand_folders([tmp_path / "dice"]) == [tmp_path / "dice"]
     seen = {name: survey_recording(tmp_path / name) for name in names}
     assert all(one.is_table and not one.problem for one in seen.values())
     assert seen["a.trk"].words == "2 rows, 0.00833 s of a Tracker export"

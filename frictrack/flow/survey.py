@@ -16,7 +16,7 @@ RATE_IN_NAME = re.compile(
 FROM_FILE, FROM_NAME = "stated by the file", "from its name"
 STANDARD = ("t_s", "x_m")
 CAMERA_KEYS = {"scale": "px", "fps": "frames"}  # key of the camera -> unit of a table that needs it
-MAX_WORDS = 200  # letters of a list of tracks
+MAX_TRACKS_SHOWN = 6  # names in a list of tracks
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,9 @@ def _survey_table(path: Path) -> Surveyed:
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:
     """Propose the first of several tracks; the user chooses."""
     headers = [track.columns["x"] for track in table.tracks]
-    words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {', '.join(headers)[:MAX_WORDS]}"
+    more = f" and {len(headers) - MAX_TRACKS_SHOWN} more" if len(headers) > MAX_TRACKS_SHOWN else ""
+    shown = ", ".join(headers[:MAX_TRACKS_SHOWN]) + more
+    words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {shown}"
     line = columns_line({"x": headers[0]})
     needed = _camera_keys(table.tracks[0].columns)
     return Surveyed(path, words, columns_to_confirm=line, left_open="track", camera_keys=needed)
@@ -174,7 +176,7 @@ def _unknown_units(table: TableFile) -> str:
 
 
 def expand_folders(paths: Sequence[Path]) -> list[Path]:
-    """Replace folders that hold films or tables by what they hold; a folder of pictures is a recording itself.
+    """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself.
 
     Parameters
     ----------
@@ -192,7 +194,8 @@ def expand_folders(paths: Sequence[Path]) -> list[Path]:
     missing = [f"expected a recording {p} but there is no such file" for p in paths if not p.exists()]
     found: list[Path] = []
     for path in () if missing else paths:
-        found += find_recordings(path) if path.is_dir() and not is_picture_folder(path) else [path]
+        alone = not path.is_dir() or is_picture_folder(path) or is_table(path)
+        found += [path] if alone else find_recordings(path)
     places = [path.resolve() for path in found]
     twice = [
         f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]

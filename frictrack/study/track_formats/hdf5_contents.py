@@ -56,8 +56,9 @@ def contents(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to ndarray
-        Of DeepLabCut "names" (k, levels), "frames" (n,) and "values" (n, k); of others "program", "names" (m, 2) of
-        individual and keypoint, "at" (n,), "in_seconds", "x", "y" and "confidence", (m, n), NaN where not known.
+        Of DeepLabCut "names" (k, levels), "frames" (n,) and "values" (n, k); of others "program", "source" (the program
+        that tracked), "names" (m, 2) of individual and keypoint, "at" (n,), "in_seconds", "x", "y" and "confidence",
+        (m, n), NaN where not known.
 
     Raises
     ------
@@ -179,7 +180,8 @@ def _movement(file: h5py.File) -> dict[str, Any]:
     x, y = (_by_track(np.take(position, labels["space"].index(axis), axis=1)) for axis in "xy")
     individuals, keypoints = (labels.get(kind, [""]) for kind in TRACK_DIMENSIONS)
     return {
-        "program": _text(file.attrs.get("source_software", "")),
+        "program": "movement",
+        "source": _text(file.attrs.get("source_software", "")),
         "names": np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals]),
         "at": _numbers(file, "time"),
         "in_seconds": _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames")) == "seconds",
@@ -218,6 +220,7 @@ def _sleap(file: h5py.File) -> dict[str, Any]:
     x, y = (tracks[:, axis].reshape(-1, tracks.shape[3]) for axis in (0, 1))
     return {
         "program": "SLEAP",
+        "source": "SLEAP",
         "names": np.array([(individual, keypoint) for individual in individuals for keypoint in keypoints]),
         "at": np.arange(tracks.shape[3], dtype=float),
         "in_seconds": False,

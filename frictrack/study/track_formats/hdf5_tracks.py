@@ -55,14 +55,14 @@ def read_hdf5_tracks(path: Path) -> TableFile:
         raise ValueError(str(found["error"]))
     if "frames" in found:
         return deeplabcut_table([tuple(map(str, name)) for name in found["names"]], found["frames"], found["values"])
-    at, program = found["at"], str(found["program"])
+    at, source = found["at"], str(found["source"])
     alone = [len(set(names)) == 1 for names in found["names"].T]
     tracks = []
     for name, x, y, confidence in zip(found["names"], found["x"], found["y"], found["confidence"], strict=True):
         shown = " ".join(str(part) for part, same in zip(name, alone, strict=True) if not same)
         track = TargetPositions(shown, at, x, y)
-        tracks.append(with_likely_points(track, confidence) if program == "DeepLabCut" else track)
-    return table_of_tracks(program or "movement", tracks, SECONDS if found["in_seconds"] else FRAMES)
+        tracks.append(with_likely_points(track, confidence) if source == "DeepLabCut" else track)
+    return table_of_tracks(str(found["program"]), tracks, SECONDS if found["in_seconds"] else FRAMES)
 
 
 def _contents(path: Path) -> Mapping[str, Any]:
