@@ -187,15 +187,16 @@ def test_coordinates_that_change_hold_from_their_frame_on(tmp_path) -> None:
 def test_one_of_several_masses_is_chosen_and_frames_without_a_mark_are_missing(tmp_path) -> None:
     path = tmp_path / "run.trk"
     marked = {n: (300.0 + n, 200.0) for n in range(10, 50, 2) if n != 20}
-    masses = {"mass A": {10: (1.0, 2.0), 48: (3.0, 4.0)}, "mass (2)": marked}
+    masses = {"-A": {10: (1.0, 2.0), 48: (3.0, 4.0)}, "mass (2)": marked}
     path.write_text(tracker_project(masses, {0: COORDS | {"angle": 0.0}}, unit="m"))
     said = refused(path)
     assert "expected the name of a track, as Tracker has 2; choose one in its [[run]] with columns = {x = " in said
-    assert '"mass A x (m)"};' in said
+    assert '"-A x (m)"};' in said
+    assert len(read_table(path, {"x": "-A x (m)"}).t) == len(read_table(path, {"x": "--A x (m)"}).t) == 2
     data = read_table(path, {"x": "mass (2) x (m)"})
     np.testing.assert_allclose(data.x, [n / 2500 for n in marked])
     np.testing.assert_allclose(data.t, [0.5 + (n - 10) / 240 for n in marked])
-    assert "mass A x (m)" in table_headers(path)
+    assert "-A x (m)" in table_headers(path)
 
 
 def test_a_film_without_calibration_has_positions_in_px(tmp_path) -> None:
@@ -270,7 +271,7 @@ def test_annotations_of_kinovea_give_calibrated_coordinates_and_times(tmp_path, 
         calibration, unit, pixels = "", "Pixels", np.array([320.0, 240.0]) + world * [1, -1]
     abbreviation = {"Centimeters": "cm", "Pixels": "px"}[unit]
     text = f'<Calibration>{calibration}<Unit Abbreviation="{abbreviation}">{unit}</Unit></Calibration>'
-    path = tmp_path / "run.kva"
+    path = tmp_path / ("run.xml" if kind == "scale" else "run.kva")
     path.write_text(kinovea_project({"hand": np.c_[pixels, [1024, 1536, 2560]]}, text))
     data = read_table(path, pixel=0.01)
     np.testing.assert_allclose(np.c_[data.x, data.y], world / 100, atol=1e-12)
@@ -306,6 +307,9 @@ def test_annotations_of_kinovea_that_cannot_be_used_are_refused(tmp_path) -> Non
     assert "it corrects the distortion of the lens; export a spreadsheet" in refused(path)
     path.write_text(kinovea_project(points, "<Calibration><CalibrationPlane/></Calibration>"))
     assert "expected 2 numbers separated by ; but got ''" in refused(path)
+    path.write_text(kinovea_project({"a": points["a"]}).replace("CaptureFramerate", "Other"))
+    assert "expected the frame rate of" in refused(path, pixel=1.0)
+    np.testing.assert_allclose(read_table(path, pixel=1.0, fps=100).t, [0, 0.01])
     path.write_text("<html/>")
     assert "but got <html>" in refused(path)
 

@@ -209,10 +209,15 @@ def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
     if not columns and len(table.tracks) != 1:
         return TrackColumns(table.columns)
     for track in table.tracks:
-        if find_header(columns.get("x", track.columns["x"]).lstrip("-"), [track.columns["x"]]) is not None:
+        if _header_of_x(columns, [track.columns["x"]], track.columns["x"]) is not None:
             return replace(track, columns={**track.columns, **columns})
     clock = {"t": table.tracks[0].columns["t"]} if table.tracks else {}  # the same for all
     return TrackColumns(clock | dict(columns))
+
+
+def _header_of_x(columns: Mapping[str, str], present: Sequence[str], default: str = "") -> str | None:
+    """Return the header among those present that the study file means by x."""
+    return find_header(_unsigned(columns.get("x", default), present)[0], present)
 
 
 def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> None:
@@ -228,7 +233,7 @@ def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> No
 
 def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> TableFile:
     """Return the frames of a video program in which the track has a position; a table of rows stays as it is."""
-    header = find_header(columns.get("x", "").lstrip("-"), list(table.frame.columns)) if table.tracks else None
+    header = _header_of_x(columns, list(table.frame.columns)) if table.tracks else None
     return table if header is None else replace(table, frame=table.frame[table.frame[header].notna()])
 
 

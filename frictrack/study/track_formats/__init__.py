@@ -21,7 +21,7 @@ from frictrack.study.table_cells import TableFile
 from frictrack.study.track_formats.deeplabcut import is_deeplabcut_text, read_deeplabcut_text
 from frictrack.study.track_formats.dice_solution import is_dice_file, is_dice_folder, read_dice
 from frictrack.study.track_formats.hdf5_tracks import is_hdf5, read_hdf5_tracks
-from frictrack.study.track_formats.kinovea_project import read_kinovea_project
+from frictrack.study.track_formats.kinovea_project import is_kinovea_project, read_kinovea_project
 from frictrack.study.track_formats.pyidi_displacements import read_pyidi_displacements, refuse_pickle
 from frictrack.study.track_formats.tracker_project import read_tracker_project
 
@@ -54,6 +54,7 @@ class TrackFormat:
 FORMATS = (
     TrackFormat("Tracker", (".trk", ".trz"), read_tracker_project),
     TrackFormat("Kinovea", (".kva",), read_kinovea_project),
+    TrackFormat("Kinovea", (".xml",), read_kinovea_project, is_kinovea_project),
     TrackFormat("DeepLabCut", (".csv",), read_deeplabcut_text, is_deeplabcut_text),
     TrackFormat("DICe", (".txt", ".csv"), read_dice, is_dice_file),
     TrackFormat("DICe", (FOLDER,), read_dice, is_dice_folder),

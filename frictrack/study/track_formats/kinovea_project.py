@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.study.table_cells import TableFile
-from frictrack.study.track_formats.track_table import SECONDS, TargetPositions, table_of_tracks
+from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
 from frictrack.study.xml_files import read_limited, read_xml
 
 if TYPE_CHECKING:
@@ -24,9 +24,16 @@ if TYPE_CHECKING:
 
 ROOT = "KinoveaVideoAnalysis"
 MIN_VERSION = 2.0
+MAX_HEAD_BYTES = 4096  # in which the root element begins
 TIME_ORIGINS = ("TimeOrigin", "SelectionStart", "FirstTimeStamp")  # the first one that is there
 DEFAULT_LINE_PX = 100.0  # length of the line that stands for a calibration that states only a scale
 Points = NDArray[np.float64]  # (n, 2)
+
+
+def is_kinovea_project(path: Path) -> bool:
+    """Return whether a file holds annotations of Kinovea, which may also be saved as .xml."""
+    with path.open("rb") as file:
+        return f"<{ROOT}".encode() in file.read(MAX_HEAD_BYTES).replace(b"\0", b"")
 
 
 def read_kinovea_project(path: Path) -> TableFile:
@@ -35,7 +42,7 @@ def read_kinovea_project(path: Path) -> TableFile:
     Parameters
     ----------
     path
-        A .kva file.
+        A .kva file, or .xml.
 
     Raises
     ------
@@ -51,9 +58,9 @@ def read_kinovea_project(path: Path) -> TableFile:
     calibration = root.find("Calibration")
     if calibration is not None and calibration.find("CameraCalibration") is not None:
         raise ValueError("it corrects the distortion of the lens; export a spreadsheet from Kinovea")
-    stamps, rate = _number(root, "AverageTimeStampsPerFrame"), _number(root, "CaptureFramerate")
-    if not (stamps > 0 and rate > 0):
-        raise ValueError(f"expected time stamps per frame and a frame rate above 0 but got {stamps:g} and {rate:g}")
+    stamps, rate = _number(root, "AverageTimeStampsPerFrame"), _number(root, "CaptureFramerate", 0.0)
+    if not stamps > 0:
+        raise ValueError(f"expected time stamps per frame above 0 but got {stamps:g}")
     origin = next((_number(root, key) for key in TIME_ORIGINS if root.find(key) is not None), 0.0)
     tracks = []
     for one in root.iterfind("./Tracks/Track"):
@@ -61,9 +68,9 @@ def read_kinovea_project(path: Path) -> TableFile:
         if len(points):
             _, first = np.unique(points[:, 2], return_index=True)
             x, y = _world(points[first, :2], root, calibration).T
-            at = np.round((points[first, 2] - origin) / stamps) / rate
+            at = np.round((points[first, 2] - origin) / stamps) / (rate if rate > 0 else 1.0)
             tracks.append(TargetPositions(_name(one), at, x, y, unit=_unit(calibration), y_down=False))
-    return table_of_tracks("Kinovea", tracks, SECONDS)
+    return table_of_tracks("Kinovea", tracks, SECONDS if rate > 0 else FRAMES)
 
 
 def _name(track: Element) -> str:
