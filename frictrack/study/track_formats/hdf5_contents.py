@@ -108,7 +108,7 @@ def _text(value: Any) -> str:
 
 def _deeplabcut(file: h5py.File) -> dict[str, Any]:
     group = file[DEEPLABCUT_KEY]
-    if not isinstance(group, h5py.Group) or "table" not in group:
+    if not isinstance(group, h5py.Group) or "table" not in group or group.file.filename != file.filename:
         raise ValueError('expected a table that pandas wrote with format="table"; use the .csv that DeepLabCut writes')
     table = _dataset(group, "table")
     names = _names_in_pickle(bytes(table.attrs["values_block_0_kind"]))
