@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
@@ -150,6 +150,24 @@ def run_parallel(work: Mapping[str, Callable[[], Any]], workers: int | None = No
             done, _ = wait(names, return_when=FIRST_COMPLETED)
             for future in done:
                 yield names.pop(future), future.result()
+
+
+def limit_memory(size: int) -> None:
+    """Limit the memory of this process, so that a greedy file fails here and does not exhaust the machine.
+
+    Parameters
+    ----------
+    size
+        Bytes that the process may take in addition to what it has; not on Windows.
+
+    """
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+    except ModuleNotFoundError:
+        return
+    with suppress(OSError, ValueError):
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + size, used + size))
 
 
 def max_parallel(free: float, taken: float, need: float) -> int:

@@ -112,14 +112,14 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         Displacement(
             t=data.t,
             x=data.x + x_offset,
-            y=nan if data.y is None else data.y,
+            y=nan if data.y is None or not np.any(data.y) else data.y,  # a column of zeros was not measured
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,
             sigma_y=nan,
             valid=table.valid,
             pixel_pitch=pitch,
             relative_scale_error=relative,
-            notes=table.notes,
+            notes=(*data.notes, *table.notes),
         ),
         table.numbers,
     )
@@ -266,7 +266,7 @@ def _fill_corrupt_ticks(ticks: Rows) -> Rows:
 
 def _at_clock(data: TableData, clock: EvenClock) -> TableData:
     """Return a table at the times of a clock; positions are shifted by the delay of their samples."""
-    moved = {
+    moved: dict[str, Any] = {
         name: column - robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
         for name, column in (("x", data.x), ("y", data.y))
         if column is not None
@@ -277,8 +277,8 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
 def _select_rows(data: TableData, rows: Rows) -> TableData:
     """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
-    taken: dict[str, Any] = {name: None if column is None else column[rows] for name, column in columns.items()}
-    return TableData(**taken)
+    taken: dict[str, Any] = {n: column[rows] for n, column in columns.items() if isinstance(column, np.ndarray)}
+    return replace(data, **taken)
 
 
 def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:

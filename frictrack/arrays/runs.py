@@ -39,7 +39,7 @@ def run_of_arrays(
         For `Run`.
 
     """
-    columns: dict[str, Array] = {}
+    columns: dict[str, Any] = {}
     faults: list[str] = []
     for name, values in {"t": t, "x": x, **optional}.items():
         if values is not None:

@@ -75,9 +75,9 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     if one.is_dir() and not given:
         raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
     from frictrack.flow import check_entered, describe_keys, start_study  # noqa: PLC0415
-    from frictrack.study import TABLES  # noqa: PLC0415
+    from frictrack.study import is_table  # noqa: PLC0415
 
-    filmed = any(path.suffix.lower() not in TABLES for path in paths)
+    filmed = any(not is_table(path) for path in paths)
     lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ("mass",)) if key not in given]
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"

@@ -20,6 +20,7 @@ from frictrack.study import NewRun, Study, list_files, refuse_existing, write_st
 from frictrack.units import lacks_unit, parse_quantity
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
+LEFT_OPEN = {"units": "with the units of the file in the brackets", "track": "with the name of the track"}
 _KEY = re.compile(r'\b(mass|scale|fps) = (?="?[\d.])')
 
 
@@ -173,7 +174,7 @@ def start_study(
 def _to_confirm(one: Surveyed) -> str:
     return (
         f"{one.words}; `frictrack init {one.path.parent}` writes a study file, in which its columns are to be named: "
-        f"{one.columns_to_confirm}, with the units of the file in the brackets"
+        f"{one.columns_to_confirm}, {LEFT_OPEN[one.left_open]}"
     )
 
 
@@ -184,7 +185,7 @@ def _new_run(one: Surveyed, keys: Mapping[str, Any]) -> NewRun:
         entry["fps"] = _whole(one.fps)
     if one.columns:
         entry["columns"] = one.columns
-    confirm = f"FILL IN the units: {one.columns_to_confirm}" if one.columns_to_confirm else ""
+    confirm = f"FILL IN the {one.left_open}: {one.columns_to_confirm}" if one.columns_to_confirm else ""
     return NewRun(one.path, entry, confirm)
 
 
@@ -245,7 +246,8 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
     """Return words before the explanation of a key: that it is to be filled in, or where its value comes from."""
     films = [one for one in found if not one.is_table]
-    remarks = {key: FILL_IN for key in ("mass", "scale") if key not in known and (films or key == "mass")}
+    needed = {"mass", *(("scale",) if films else ()), *(key for one in found for key in one.camera_keys)}
+    remarks = {key: FILL_IN for key in ("mass", "scale", "fps") if key not in known and key in needed}
     unknown = ", ".join(one.path.name for one in films if one.fps is None)
     if unknown and "fps" not in known:
         remarks["fps"] = f"{FILL_IN}(not stated by {unknown}; an .avi or .mp4 often states the speed of showing) "

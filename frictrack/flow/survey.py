@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
-from frictrack.study import TABLES, TableFile, columns_line, has_units, open_table, propose_columns, read_table
+from frictrack.study import TableFile, columns_line, has_units, is_table, open_table, propose_columns, read_table
 
 RATE_IN_NAME = re.compile(
     r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE
 )  # "4000fps", "4 kHz"
 FROM_FILE, FROM_NAME = "stated by the file", "from its name"
 STANDARD = ("t_s", "x_m")
+CAMERA_KEYS = {"scale": "px", "fps": "frames"}  # key of the camera -> unit of a table that needs it
+MAX_TRACKS_SHOWN = 6  # names in a list of tracks
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,12 @@ class Surveyed:
     columns
         Columns of a table by short name, if the headers tell them with their units.
     columns_to_confirm
-        Line of the study file that names the columns, if the units are missing.
+        Line of the study file that names the columns, if the units are missing or one of several tracks is to be
+        chosen.
+    left_open
+        What that line leaves open: "units" or "track".
+    camera_keys
+        Keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames.
     n_frames, shape
         Number of frames of a film, and height and width of its pictures, px; 0 for a table.
 
@@ -47,6 +54,8 @@ class Surveyed:
     fps_source: str = ""
     columns: Mapping[str, str] = field(default_factory=dict)
     columns_to_confirm: str = ""
+    left_open: str = "units"
+    camera_keys: tuple[str, ...] = ()
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
 
@@ -58,7 +67,7 @@ class Surveyed:
     @property
     def is_table(self) -> bool:
         """Whether it is a table."""
-        return self.path.suffix.lower() in TABLES and not self.path.is_dir()
+        return is_table(self.path)
 
 
 def survey_recording(path: Path) -> Surveyed:
@@ -70,7 +79,7 @@ def survey_recording(path: Path) -> Surveyed:
         A film, a table, or a folder of pictures.
 
     """
-    if path.suffix.lower() in TABLES and not path.is_dir():
+    if is_table(path):
         return _survey_table(path)
     return _survey_film(path)
 
@@ -113,20 +122,40 @@ def rate_in_name(name: str) -> float | None:
 def _survey_table(path: Path) -> Surveyed:
     try:
         table = open_table(path, STANDARD)
+        if len(table.tracks) > 1:
+            return _several_tracks(path, table)
         columns = _columns(table)
         if columns is not None and not has_units(columns) and columns:
             return Surveyed(path, _unknown_units(table), columns_to_confirm=columns_line(columns))
         if columns is None:
             heads = ", ".join(map(str, table.frame.columns))
             return Surveyed(path, problem=f"no column of times and no column of positions in it, but {heads[:60]}")
-        data = read_table(path, columns)
+        data = read_table(path, columns, pixel=1.0, fps=1.0)
     except FrictrackError as e:
         return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
-    words = f"{len(data.t)} rows, {data.t[-1] - data.t[0]:.3g} s"
+    needed = _camera_keys(columns or table.columns)
+    length = f"{data.t[-1] - data.t[0] + 1:.0f} frames" if "fps" in needed else f"{data.t[-1] - data.t[0]:.3g} s"
+    words = f"{len(data.t)} rows, {length}"
     named = f" of a {table.program} export" if table.program else ""
     if columns:
         named += "; " + ", ".join(f'{key} is "{header}"' for key, header in columns.items())
-    return Surveyed(path, words + named, columns=columns)
+    return Surveyed(path, words + named, columns=columns, camera_keys=needed)
+
+
+def _several_tracks(path: Path, table: TableFile) -> Surveyed:
+    """Propose the first of several tracks; the user chooses."""
+    headers = [track.columns["x"] for track in table.tracks]
+    more = f" and {len(headers) - MAX_TRACKS_SHOWN} more" if len(headers) > MAX_TRACKS_SHOWN else ""
+    shown = ", ".join(headers[:MAX_TRACKS_SHOWN]) + more
+    words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {shown}"
+    line = columns_line({"x": headers[0]})
+    needed = _camera_keys(table.tracks[0].columns)
+    return Surveyed(path, words, columns_to_confirm=line, left_open="track", camera_keys=needed)
+
+
+def _camera_keys(columns: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the keys of the camera that some headers need."""
+    return tuple(key for key, unit in CAMERA_KEYS.items() if any(h.endswith(f"({unit})") for h in columns.values()))
 
 
 def _columns(table: TableFile) -> dict[str, str] | None:
@@ -147,7 +176,7 @@ def _unknown_units(table: TableFile) -> str:
 
 
 def expand_folders(paths: Sequence[Path]) -> list[Path]:
-    """Replace folders that hold films or tables by what they hold; a folder of pictures is a recording itself.
+    """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself.
 
     Parameters
     ----------
@@ -165,7 +194,8 @@ def expand_folders(paths: Sequence[Path]) -> list[Path]:
     missing = [f"expected a recording {p} but there is no such file" for p in paths if not p.exists()]
     found: list[Path] = []
     for path in () if missing else paths:
-        found += find_recordings(path) if path.is_dir() and not is_picture_folder(path) else [path]
+        alone = not path.is_dir() or is_picture_folder(path) or is_table(path)
+        found += [path] if alone else find_recordings(path)
     places = [path.resolve() for path in found]
     twice = [
         f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]

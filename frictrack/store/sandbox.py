@@ -16,6 +16,7 @@ from typing import Any
 
 from frictrack.errors import FrictrackError
 from frictrack.store.file_header import file_state
+from frictrack.workers import limit_memory
 
 MIN_TIMEOUT_S = 5.0  # for one file, and one second more for every `BYTES_PER_EXTRA_SECOND`
 BYTES_PER_EXTRA_SECOND = 2e6
@@ -98,7 +99,7 @@ def run_sandbox_process(found: Callable[[Path], Any]) -> None:
         Returns the faults of a file as an object for JSON.
 
     """
-    _limit_memory()
+    limit_memory(MAX_MEMORY_BYTES)
     sys.stdout.write(READY)
     sys.stdout.flush()
     for line in sys.stdin:
@@ -118,14 +119,3 @@ def _exit_after(seconds: float) -> None:
     """End this process after so many seconds, 0 for never: the parent may have been killed meanwhile."""
     if hasattr(signal, "setitimer"):  # not on Windows
         signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends a process also within HDF5
-
-
-def _limit_memory() -> None:
-    """Limit the memory of this process, so that a greedy file fails here and does not exhaust the machine."""
-    try:
-        import resource  # noqa: PLC0415 - not on Windows
-    except ModuleNotFoundError:
-        return
-    with suppress(OSError, ValueError):
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + MAX_MEMORY_BYTES, used + MAX_MEMORY_BYTES))

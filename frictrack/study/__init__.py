@@ -8,6 +8,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
     writing          a new study file from recordings
     reading_tables   tables -> columns in SI units
     table_files      text, Excel, exports of Tracker and Kinovea -> cells; `table_layout` finds header and units
+    track_formats    tracks in the own files of Tracker, Kinovea, DeepLabCut, movement, SLEAP, DICe, pyidi -> cells
     column_names     names of columns: exact, with a unit, or proposed
 """
 
@@ -30,12 +31,13 @@ if TYPE_CHECKING:
         read_table,
     )
     from frictrack.study.schema import COLUMNS, EffectTable, RunTable, needs_film, read_frame_rate, suggest, to_si
-    from frictrack.study.table_files import TableFile, open_table, table_headers
+    from frictrack.study.table_cells import TableFile
+    from frictrack.study.table_files import open_table, table_headers
     from frictrack.study.writing import (
-        TABLES,
         NewRun,
         find_recordings,
         is_picture_folder,
+        is_table,
         list_files,
         refuse_existing,
         write_study,
@@ -49,6 +51,7 @@ _MODULE_OF = {
     "find_recordings": "writing",
     "has_units": "column_names",
     "is_picture_folder": "writing",
+    "is_table": "writing",
     "list_files": "writing",
     "load": "loading",
     "needs_film": "schema",
@@ -70,8 +73,7 @@ _MODULE_OF = {
     "suggest": "schema",
     "TableData": "reading_tables",
     "table_headers": "table_files",
-    "TableFile": "table_files",
-    "TABLES": "writing",
+    "TableFile": "table_cells",
     "to_si": "schema",
     "with_effect": "editing",
     "with_key": "editing",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,8 @@ from frictrack.records import GRAVITY, Array
 from frictrack.remote import local_path
 from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns
 from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
-from frictrack.study.table_files import TableFile, open_table
+from frictrack.study.table_cells import TableFile, TrackColumns
+from frictrack.study.table_files import open_table
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
@@ -25,7 +26,12 @@ MIN_INTERVAL_S = 1e-9  # between rows
 MAX_REPEATED_SHARE = 0.9  # of the time stamps that may repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
+MAX_NAMES_SHOWN = 12  # headers in a message
 NO_COLUMNS: Mapping[str, str] = {}
+CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
+    ("px", "m"): ("pixel", "scale", 'scale = "0.5 mm/px"'),
+    ("frames", "s"): ("interval", "frame rate", "fps = 240"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,8 @@ class TableData:
         Acceleration, m/s^2.
     pressure
         Pressure of a drive, Pa.
+    notes
+        What the program that tracked the positions says about them.
 
     """
 
@@ -57,20 +65,50 @@ class TableData:
     a: Array | None = None
     friction: Array | None = None
     pressure: Array | None = None
+    notes: tuple[str, ...] = ()
 
 
-def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS, *, pixel: float | None = None) -> TableData:
+@dataclass(frozen=True)
+class CameraUnits:
+    """What the camera's own units of a table are in SI units.
+
+    Parameters
+    ----------
+    pixel
+        Size of a pixel, m; None if it is not known.
+    interval
+        Time from frame to frame, s; None if it is not known.
+
+    """
+
+    pixel: float | None = None
+    interval: float | None = None
+
+
+UNKNOWN_CAMERA = CameraUnits()
+
+
+def read_table(
+    path: Path,
+    columns: Mapping[str, str] = NO_COLUMNS,
+    *,
+    pixel: float | None = None,
+    fps: float | None = None,
+) -> TableData:
     """Read the table of a run: columns t_s and x_m, and sigma_m, y_m, drive_N, a_m_s2, friction_N if they are there.
 
     Parameters
     ----------
     path
-        A text or Excel file with a header line, or an export of Tracker or Kinovea; see `frictrack.study.table_files`.
+        A text or Excel file with a header line, or tracks of another program; see `frictrack.study.table_files` and
+        `frictrack.study.track_formats`.
     columns
         Other headers by short name: ``{"t": "Time (ms)", "friction": "-F (uN)"}``. The unit stands in parentheses (SI
         without them), in the file or only here; a leading minus flips the sign.
     pixel
         Size of a pixel, m, for positions in px.
+    fps
+        Frame rate, 1/s, for times that are numbers of frames.
 
     Returns
     -------
@@ -84,7 +122,11 @@ def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS, *, pixel: fl
 
     """
     table = open_table(path, _wanted(columns))
-    return TableData(**_read(table, path.name, columns or table.columns, pixel=pixel))
+    _check_choice(table, columns, path.name)
+    chosen = chosen_track(table, columns)
+    camera = CameraUnits(pixel, 1.0 / fps if fps else None)
+    values = _read(_without_gaps(table, chosen.columns), path.name, chosen.columns, camera=camera)
+    return TableData(**values, notes=(chosen.note,) if chosen.note else ())
 
 
 def read_run_table(run: RunTable) -> TableData:
@@ -100,7 +142,7 @@ def read_run_table(run: RunTable) -> TableData:
     pixel = (
         None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
     )
-    return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None)
+    return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None, fps=run.fps)
 
 
 def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, name: str = "table") -> TableData:
@@ -153,6 +195,48 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
     return TableData(**values)
 
 
+def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
+    """Return the headers of a table by short name: those given, and the others of the track whose x they name.
+
+    Parameters
+    ----------
+    table
+        The table.
+    columns
+        Headers that the study file gives; without any, those that the table knows.
+
+    """
+    if not columns and len(table.tracks) != 1:
+        return TrackColumns(table.columns)
+    for track in table.tracks:
+        if _header_of_x(columns, [track.columns["x"]], track.columns["x"]) is not None:
+            return replace(track, columns={**track.columns, **columns})
+    clock = {"t": table.tracks[0].columns["t"]} if table.tracks else {}  # the same for all
+    return TrackColumns(clock | dict(columns))
+
+
+def _header_of_x(columns: Mapping[str, str], present: Sequence[str], default: str = "") -> str | None:
+    """Return the header among those present that the study file means by x."""
+    return find_header(_unsigned(columns.get("x", default), present)[0], present)
+
+
+def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> None:
+    """Raise an error that names the tracks if there are several and the study file chooses none."""
+    if len(table.tracks) < 2 or "x" in columns:
+        return
+    headers = [track.columns["x"] for track in table.tracks]
+    raise FrictrackError(
+        f"{name}: expected the name of a track, as {table.program} has {len(headers)}; choose one in its [[run]] with "
+        f"{columns_line({'x': headers[0]})}; known are {_listed(headers)}"
+    )
+
+
+def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> TableFile:
+    """Return the frames of a video program in which the track has a position; a table of rows stays as it is."""
+    header = _header_of_x(columns, list(table.frame.columns)) if table.tracks else None
+    return table if header is None else replace(table, frame=table.frame[table.frame[header].notna()])
+
+
 def _wanted(columns: Mapping[str, str], known: Mapping[str, tuple[str, str]] = COLUMNS) -> set[str]:
     """Return names that only stand in a header."""
     return {header for header, _ in known.values()} | {header.lstrip("-") for header in columns.values()}
@@ -164,8 +248,8 @@ def _read(
     columns: Mapping[str, str],
     known: Mapping[str, tuple[str, str]] = COLUMNS,
     *,
-    pixel: float | None = None,
-) -> dict[str, Array]:
+    camera: CameraUnits = UNKNOWN_CAMERA,
+) -> dict[str, Any]:
     """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
     frame = table.frame
     present = [str(header).strip() for header in frame.columns]
@@ -178,14 +262,14 @@ def _read(
         written, sign = _unsigned(columns.get(key, standard), present)
         header = find_header(written, present)
         if header is None and key in columns:
-            faults.append(f'expected a column "{written}" but got {", ".join(present)}; {suggest(written, present)}')
+            faults.append(f'expected a column "{written}" but got {_listed(present)}; {suggest(written, present)}')
         elif header is None and key in required:
             missing.append(key)
         elif header is not None and present.count(header) > 1:
             faults.append(f'expected one column "{header}" but got {present.count(header)}')
         elif header is not None:
             gaps = known is not COLUMNS and key not in required
-            factor = sign * _factor(written, header, standard, unit, pixel)
+            factor = sign * _factor(written, header, standard, unit, camera)
             values[key], found = _column(frame[header], factor, gaps=gaps)
             faults += found
     if missing:
@@ -198,11 +282,17 @@ def _read(
     return values
 
 
+def _listed(names: Sequence[str]) -> str:
+    """Return names for a message; the first ones of very many."""
+    more = len(names) - MAX_NAMES_SHOWN
+    return ", ".join(names[:MAX_NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
     """Say which columns are missing, which are there, and the line of the study file that names them."""
     present = list(frame.columns)
     wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
-    expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {', '.join(present)}"
+    expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {_listed(present)}"
     proposed = propose_columns(frame, columns)
     line = columns_line({key: header for key, header in proposed.items() if key in missing or not sensor})
     if not proposed.keys() >= set(missing):
@@ -249,19 +339,21 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
     return written, 1.0
 
 
-def _factor(written: str, header: str, standard: str, unit: str, pixel: float | None) -> float:
+def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
     named = UNIT.search(written) or UNIT.search(header)
     if named is None or header == standard == written:
         return 1.0
     if (named[1], unit) == ("g", "m/s^2"):
         return GRAVITY
-    if (named[1], unit) == ("px", "m"):
-        if pixel is None:
+    if (named[1], unit) in CAMERA_UNITS:
+        key, what, example = CAMERA_UNITS[named[1], unit]
+        size: float | None = getattr(camera, key)
+        if size is None:
             raise FrictrackError(
-                f'expected the scale of "{header}" in px but got none; give scale = "0.5 mm/px" in [camera]'
+                f'expected the {what} of "{header}" in {named[1]} but got none; give {example} in [camera]'
             )
-        return pixel
+        return size
     return parse_quantity(f"1 {named[1]}", unit, header)[0]
 
 

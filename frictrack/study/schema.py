@@ -572,7 +572,7 @@ class RunTable(Keys):
     video
         Film, or a folder of pictures; a path relative to the study file, or an address.
     table
-        Table of measured positions or friction instead of a film, CSV or Excel.
+        Table of measured positions or friction instead of a film: CSV, Excel, or the tracks of another program.
     mass
         Sliding mass, where it differs from that of the study, or "fit" where the drive is measured.
     fps, scale, lens

@@ -1,5 +1,7 @@
 """Open files with tables: text, Excel, and the exports of the video programs Tracker and Kinovea.
 
+Files in which video programs keep their tracks are opened by `frictrack.study.track_formats`.
+
 Tracker (Open Source Physics) writes text: the name of the track, then the names of the columns (t in s; x and y in the
 unit of its calibration, m unless it was changed), then the rows, separated by tabs, commas, semicolons or spaces;
 several tracks share a table, with their names above the columns and ``#multi:`` in the first line. Source:
@@ -18,8 +20,8 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +29,14 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.study.schema import COLUMNS
+from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile
 from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row, text_encoding
+from frictrack.study.track_formats import find_track_format
+from frictrack.study.xml_files import read_limited, read_xml
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_UNPACKED_BYTES = 256 << 20  # of a workbook, or of an XML file
 MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 KINOVEA_TEXT = "#Kinovea Trajectory"  # first line of its text export
 KINOVEA_COLUMNS = ("T", "X", "Y")
@@ -42,33 +46,14 @@ _TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
 _STANDARD_UNITS = {header: unit for header, unit in COLUMNS.values()}
 
 
-@dataclass(frozen=True, eq=False)
-class TableFile:
-    """The cells of a table, and what the format of the file says about its columns.
-
-    Parameters
-    ----------
-    frame
-        The cells, with the headers of the file; a unit below a header stands in parentheses behind it.
-    columns
-        Headers by short name, of a program whose columns are known; empty for others.
-    program
-        The program that wrote it: "Tracker", "Kinovea" or "".
-
-    """
-
-    frame: pd.DataFrame
-    columns: Mapping[str, str] = field(default_factory=dict)
-    program: str = ""
-
-
 def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
     """Open a table.
 
     Parameters
     ----------
     path
-        A text file (.csv, .txt, .tsv, .dat), an Excel workbook, or an XML spreadsheet.
+        A text file (.csv, .txt, .tsv, .dat), an Excel workbook, an XML spreadsheet, or tracks of another program; see
+        `frictrack.study.track_formats`.
     wanted
         Names that only stand in a header.
 
@@ -78,9 +63,16 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
         If it cannot be read as a table.
 
     """
+    expected = "a table with a header line"
     try:
-        if path.stat().st_size == 0:
+        if path.is_file() and path.stat().st_size == 0:
             raise ValueError("the file is empty")
+        if (tracks := find_track_format(path)) is not None:
+            expected = f"tracks of {tracks.programs}"
+            with np.errstate(all="ignore"):  # a number that is too large is refused with its row
+                return tracks.read(path)
+        if path.is_dir():
+            raise ValueError("a folder without solutions of DICe")
         if path.suffix.lower() in (".xlsx", ".xls"):
             return _table_of_rows(_workbook_rows(path), wanted)
         if path.suffix.lower() == ".xml":
@@ -93,7 +85,7 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
         raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
     except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
+        raise FrictrackError(f"{path.name}: expected {expected} but cannot read it ({reason})") from e
 
 
 def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
@@ -112,7 +104,7 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
         If it cannot be read as a table.
 
     """
-    if path.suffix.lower() in (".xlsx", ".xls", ".xml"):
+    if path.suffix.lower() in (".xlsx", ".xls", ".xml") or _has_tracks(path):
         return tuple(map(str, open_table(path, wanted).frame.columns))
     try:
         with path.open(encoding=text_encoding(path)) as file:
@@ -121,6 +113,13 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
         return find_layout(path, wanted).header
     except (OSError, ValueError) as e:
         raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
+
+
+def _has_tracks(path: Path) -> bool:
+    """Return whether another program wrote its tracks into a file; a fault is reported when it is read."""
+    with suppress(OSError):
+        return find_track_format(path) is not None
+    return False
 
 
 def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
@@ -206,17 +205,8 @@ def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: st
 
 def _xml_rows(path: Path) -> list[tuple[Any, ...]]:
     """Return the rows of an XML spreadsheet (Excel 2003)."""
-    from xml.etree import ElementTree  # noqa: PLC0415
-
-    if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
-        raise ValueError(f"{size / 1e6:.0f} MB")
-    content = path.read_bytes()
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise ValueError("it defines entities")
-    try:
-        root = ElementTree.fromstring(content)  # without entities it cannot grow
-    except ElementTree.ParseError as e:
-        raise ValueError(str(e)) from e
+    with path.open("rb") as file:
+        root = read_xml(read_limited(file))
     rows = [tuple(data.text for data in row.iter(f"{SHEET_XML}Data")) for row in root.iter(f"{SHEET_XML}Row")]
     return [row for row in rows if any(row)]
 

@@ -14,7 +14,8 @@ from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
-TABLES = (*SURE_TABLES, ".txt", ".dat", ".xml")  # the last may hold anything else
+TRACKS = (".trk", ".trz", ".kva")  # of other programs
+TABLES = (*SURE_TABLES, *TRACKS, ".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy")  # from .txt on: perhaps others
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -125,13 +126,22 @@ def list_files(folder: Path) -> list[Path]:
 
     """
     visible = (p for p in folder.iterdir() if not p.name.startswith("."))
-    return sorted(p for p in visible if _is_recording(p) or (p.is_file() and p.suffix.lower() in TABLES))
+    return sorted(p for p in visible if _is_recording(p) or (p.is_file() and is_table(p)))
 
 
 def is_picture_folder(path: Path) -> bool:
     """Return whether a folder holds several pictures, which are the frames of a film; results of a study are none."""
     pictures = [p for p in path.iterdir() if p.suffix.lower() in PICTURES]
     return len(pictures) > 1 and not path.name.endswith("_results")
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a path is that of a table, by its name, or a folder of tracks that another program wrote."""
+    if not path.is_dir():
+        return path.suffix.lower() in TABLES
+    from frictrack.study.track_formats import find_track_format  # noqa: PLC0415 - only for folders
+
+    return not is_picture_folder(path) and find_track_format(path) is not None
 
 
 def write_study(
@@ -215,22 +225,25 @@ def toml_item(value: Any) -> Any:
 
 def _is_recording(path: Path) -> bool:
     if path.is_dir():
-        return is_picture_folder(path)
+        return is_picture_folder(path) or is_table(path)
     if path.name.startswith(".") or path.suffix.lower() not in (*FILMS, *TABLES):
         return False
-    if path.suffix.lower() in TABLES and path.suffix.lower() not in SURE_TABLES:
+    if path.suffix.lower() in TABLES and path.suffix.lower() not in (*SURE_TABLES, *TRACKS):
         return _holds_times_and_positions(path)
     return path.suffix.lower() not in (".tif", ".tiff") or _many_pages(path)
 
 
 def _holds_times_and_positions(path: Path) -> bool:
-    """Return whether the headers of a text or an XML spreadsheet name times and positions."""
+    """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
     from frictrack.study.column_names import REQUIRED, guess_columns  # noqa: PLC0415 - only for such files
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
     from frictrack.study.table_files import table_headers  # noqa: PLC0415
+    from frictrack.study.track_formats import find_track_format  # noqa: PLC0415
 
     try:
         headers = table_headers(path)
+        if find_track_format(path) is not None:
+            return True
     except FrictrackError:
         return False
     standard = {key for key in REQUIRED if COLUMNS[key][0] in headers}
@@ -282,7 +295,7 @@ def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = 
     return [
         {
             "name": p.stem if stems.count(p.stem.casefold()) == 1 else p.name,
-            "table" if p.suffix.lower() in TABLES else "video": Path(os.path.relpath(p, folder)).as_posix(),
+            "table" if is_table(p) else "video": Path(os.path.relpath(p, folder)).as_posix(),
         }
         for p in recordings
     ]

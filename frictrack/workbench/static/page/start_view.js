@@ -7,7 +7,7 @@ import { count } from "./format.js";
 import { Icon } from "./icons.js";
 import { useStore } from "./store.js";
 
-const KINDS = ".avi,.mp4,.mov,.mkv,.m4v,.mpg,.mpeg,.webm,.tif,.tiff,.cine,.csv,.txt,.tsv,.xlsx,.npz,.h5,.hdf5";
+const KINDS = ".avi,.mp4,.mov,.mkv,.m4v,.mpg,.mpeg,.webm,.tif,.tiff,.cine,.csv,.txt,.tsv,.xlsx,.npz,.h5,.hdf5,.trk,.trz,.kva,.nc,.npy";
 
 /** An area on which files can be dropped; it is also a button that opens a file dialog. */
 export function DropZone({ compact }) {
