@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ class Sensors(FrameTable):
     only if it agrees with the camera.
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("friction_N", "a", "drive")
     t: Array = column("s")
     drive: Array | None = column("N", default=None)
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run

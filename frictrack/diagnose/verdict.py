@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-
 @dataclass(frozen=True, repr=False)
 class Candidate:
     """One effect tried on top of the model, refined, with its evidence.

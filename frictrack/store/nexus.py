@@ -1,0 +1,96 @@
+"""Mark groups by the NeXus standard, so that a viewer (silx, h5web, NeXpy) draws the right curve at a double click.
+
+A group with one row per frame becomes an NXdata: `signal` names the column that is drawn, `axes` that of the time. From
+the root of the file on, `default` names the group that leads to the curve that tells most. The attributes are only for
+viewers: nothing here is read back.
+
+References
+----------
+NeXus manual, classes NXdata and NXroot, https://manual.nexusformat.org.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frictrack.store.checksums import drop_checksums
+
+NX_CLASS = "NX_class"
+ATTRIBUTES = frozenset({NX_CLASS, "default", "signal", "axes", "auxiliary_signals"})  # of a group that is marked
+UNITS = "units"  # of a dataset
+AXIS = "t"
+STAGES = ("friction", "motion", "displacement", "track")  # of a run, the most telling first
+
+
+def mark_data(group: h5py.Group, kind: Any) -> None:
+    """Mark a group that holds a record with one row per frame as NXdata.
+
+    Parameters
+    ----------
+    group
+        The group with its datasets, before its checksum is written.
+    kind
+        Type of the record; its `signals` are the columns to draw. Those that were not measured are left out.
+
+    """
+    signals = [name for name in getattr(kind, "signals", ()) if isinstance(group.get(name), h5py.Dataset)]
+    if AXIS not in group or not signals:
+        return
+    group.attrs.update({NX_CLASS: "NXdata", "signal": signals[0], "axes": _names(AXIS)})
+    others = [name for name in signals[1:] if group[name].attrs[UNITS] == group[signals[0]].attrs[UNITS]]
+    if others:  # they are drawn in one plot
+        group.attrs["auxiliary_signals"] = _names(*others)
+
+
+def mark_default(file: h5py.File) -> None:
+    """Let `default` lead from the root of a file to a curve: of the last stage of a run, or of the current model.
+
+    Checksums of the groups that change are removed.
+    """
+    file.attrs[NX_CLASS] = "NXroot"
+    file.attrs.pop("default", None)
+    inside: h5py.Group = file
+    for name, kind in _path_to_curve(file):
+        if inside.attrs.get("default") != name:
+            drop_checksums(file, inside.name)
+            inside.attrs["default"] = name
+        inside = inside[name]
+        if inside.attrs.get(NX_CLASS) != kind:
+            drop_checksums(file, inside.name)
+            inside.attrs[NX_CLASS] = kind
+
+
+def without_marks(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of a group without those of NeXus."""
+    is_marked = NX_CLASS in attributes
+    return {name: value for name, value in attributes.items() if not (is_marked and name in ATTRIBUTES)}
+
+
+def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
+    """Return the names of the groups that lead to the curve, each with its class; empty if there is no curve."""
+    stage = next((name for name in STAGES if _is_data(file, name)), None)
+    if stage is not None:
+        return [(stage, "NXdata")]
+    if not isinstance(file.get("models", getlink=True), h5py.HardLink):
+        return []
+    model = next((name for name in reversed(file["models"]) if file["models"][name].attrs.get("current")), "")
+    inside = f"models/{model}/curves"
+    curve = next((name for name in file.get(inside, ()) if _is_data(file, f"{inside}/{name}")), None)
+    kinds = ("NXentry", "NXsubentry", "NXcollection", "NXdata")
+    return [] if not model or curve is None else list(zip(("models", model, "curves", curve), kinds, strict=True))
+
+
+def _is_data(file: h5py.File, name: str) -> bool:
+    """Return whether a group of this file is marked as NXdata."""
+    is_own = isinstance(file.get(name, getlink=True), h5py.HardLink)
+    return is_own and file[name].attrs.get(NX_CLASS) == "NXdata"
+
+
+def _names(*names: str) -> Any:
+    """Return names as NeXus lists them: an array of texts; their length is fixed, so that they lie in the attribute."""
+    return np.array([name.encode() for name in names], dtype=h5py.string_dtype("utf-8", max(map(len, names))))
