@@ -10,20 +10,20 @@ from frictrack.errors import FrictrackError
 _DIAGNOSIS = "diagnosis and comparison of the models, which are in the report and in study.h5"
 _PICTURES = "first frame of the film and picture of the target"
 _SMOOTHER = "the smoother itself and its trade-off, which are in the HDF5 files"
-_PLAIN = (
+_NOT_IN_TABLES = (
     "tracks in pixels, standard deviations of the measured displacement, and sensors",
     "models that are not the current one, except their parameters and errors",
     "settings, versions and hashes of the inputs",
     _DIAGNOSIS,
     _SMOOTHER,
 )
-_TRACKER = (
+_NOT_IN_TRACKER = (
     "all standard deviations, because Tracker has none",
     "velocity, acceleration and friction force, because Tracker computes its own from the positions",
     "angle of the target, match score, and why it was lost in a frame",
     f"models, settings, {_DIAGNOSIS}",
 )
-_FIGURES = ("all that is not drawn: the figures and their CSV files show a part of the results",)
+_NOT_IN_FIGURES = ("all that is not drawn: the figures and their CSV files show a part of the results",)
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,13 @@ FORMATS = {
         "a CSV file per run with its curves, and parameters, errors and error budgets; units in the headers",
         'pandas.read_csv("csv/v3.csv")',
         "frictrack.export.text_tables:write_csv",
-        _PLAIN,
+        _NOT_IN_TABLES,
     ),
     "xlsx": ExportFormat(
         "the same as one Excel workbook, a sheet per table",
         'pandas.read_excel("study.xlsx", sheet_name="v3")',
         "frictrack.export.workbook:write_xlsx",
-        _PLAIN,
+        _NOT_IN_TABLES,
     ),
     "netcdf": ExportFormat(
         "one netCDF file: a group per run, track and model, with units and settings as attributes",
@@ -109,25 +109,25 @@ FORMATS = {
         "a project of the video program Tracker per film: the film, the scale and axes, and a point mass per target",
         "Tracker: File, Open",
         "frictrack.export.tracker_project:write_trk",
-        _TRACKER,
+        _NOT_IN_TRACKER,
     ),
     "txt": ExportFormat(
         "a text per run as Tracker exports it: t in s, x and y in m; frictrack reads it as a table, too",
         "Tracker, or any program that reads columns",
         "frictrack.export.tracker_text:write_txt",
-        _TRACKER,
+        _NOT_IN_TRACKER,
     ),
     "svg": ExportFormat(
         "every figure as SVG, and the plotted data as CSV",
         "Inkscape, or a browser",
         "frictrack.export.figure_files:write_svg",
-        _FIGURES,
+        _NOT_IN_FIGURES,
     ),
     "pdf": ExportFormat(
         "every figure as PDF, and the plotted data as CSV",
         "LaTeX: \\includegraphics{figures/history.pdf}",
         "frictrack.export.figure_files:write_pdf",
-        _FIGURES,
+        _NOT_IN_FIGURES,
     ),
 }
 
