@@ -28,6 +28,8 @@ from frictrack.records import (
     scalar,
 )
 
+BACKWARD = "backward"  # name of the track of the target from the last frame to the first, which is a check
+
 
 @dataclass(frozen=True, eq=False)
 class RecordingInfo(FrameTable):

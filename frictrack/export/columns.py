@@ -135,6 +135,11 @@ def track_columns(track: Track) -> list[Column]:
     return [Column("t", track.t, "s"), *_columns_of(track, _RENAMED_TRACK)]
 
 
+def tracks_of(run: RunResults) -> dict[str, Track]:
+    """Return all tracks of a film by name, that of the target first; none for a table."""
+    return {} if run.track is None else {run.track.name: run.track, **run.tracks}
+
+
 def motion_columns(motion: ModelledMotion) -> list[Column]:
     """Return the motion of a run by one model, at the frames that were fitted or predicted."""
     return [Column("t", motion.t, "s"), *_columns_of(motion)]

@@ -20,6 +20,7 @@ _NOT_IN_TABLES = (
 _NOT_IN_TRACKER = (
     "all standard deviations, because Tracker has none",
     "velocity, acceleration and friction force, because Tracker computes its own from the positions",
+    "the track from the last frame to the first, which is a check",
     "angle of the target, match score, and why it was lost in a frame",
     f"models, settings, {_DIAGNOSIS}",
 )

@@ -26,6 +26,7 @@ from frictrack.export.columns import (
     run_attributes,
     study_attributes,
     track_columns,
+    tracks_of,
 )
 from frictrack.export.formats import ExportedFiles
 from frictrack.export.tables import budget_table, parameters_table
@@ -61,13 +62,12 @@ def write_mat(results: Results) -> ExportedFiles:
 
 def _run(run: RunResults, own: Any) -> dict[str, Any]:
     """Return the struct of a run: its columns, their units, its description and its tracks."""
-    tracks = {} if run.track is None else {run.track.name: run.track, **run.tracks}
-    targets = [{"name": name, **_columns(track_columns(track))} for name, track in tracks.items()]
+    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in tracks_of(run).items()]
     return {
         "name": run.name,
         **_columns(all_columns(run, own)),
         "attributes": run_attributes(run),
-        "targets": _array_of(targets),
+        "tracks": _array_of(tracks),
         "budget": _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY,
     }
 

@@ -28,6 +28,7 @@ from frictrack.export.columns import (
     run_attributes,
     study_attributes,
     track_columns,
+    tracks_of,
 )
 from frictrack.export.formats import ExportedFiles
 from frictrack.export.tables import budget_table, parameters_table
@@ -67,8 +68,9 @@ def _groups(results: Results) -> dict[str, xr.Dataset]:
         groups[f"runs/{run.name}"] = _dataset(columns, run_attributes(run))
         if run.budget.get("rows"):
             groups[f"budgets/{run.name}"] = _table_dataset(budget_table([run]).drop(columns="run"), "source")
-        tracks = {} if run.track is None else {run.track.name: run.track, **run.tracks}
-        groups |= {f"tracks/{run.name}/{name}": _dataset(track_columns(track), {}) for name, track in tracks.items()}
+        groups |= {
+            f"tracks/{run.name}/{name}": _dataset(track_columns(track), {}) for name, track in tracks_of(run).items()
+        }
     for model in results.models:
         groups[f"models/{model.name}"] = _model_dataset(model)
         groups |= {f"models/{model.name}/{one.run}": _dataset(motion_columns(one), {}) for one in model.motion}

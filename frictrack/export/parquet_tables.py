@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from frictrack.errors import FrictrackError
-from frictrack.export.columns import Column, all_columns, motion_columns, own_motion, track_columns
+from frictrack.export.columns import Column, all_columns, motion_columns, own_motion, track_columns, tracks_of
 from frictrack.export.formats import ExportedFiles
 from frictrack.export.tables import summary_tables
 from frictrack.files import atomic_write, make_subfolder
@@ -49,8 +49,7 @@ def _parts(results: Results) -> dict[str, Iterator[Rows]]:
     tracks = (
         ({"run": run.name, "target": name}, track_columns(track))
         for run in results.runs
-        if run.track is not None
-        for name, track in {run.track.name: run.track, **run.tracks}.items()
+        for name, track in tracks_of(run).items()
     )
     motion = (({"model": m.name, "run": one.run}, motion_columns(one)) for m in results.models for one in m.motion)
     return {

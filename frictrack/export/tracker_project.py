@@ -18,12 +18,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.export.columns import tracks_of
 from frictrack.export.formats import ExportedFiles
 from frictrack.export.tracker_axes import PIXEL_CENTRE, TrackerAxes, tracker_axes
 from frictrack.export.tracker_text import FOLDER
 from frictrack.files import make_subfolder, replace_text
 from frictrack.records import Track
-from frictrack.results import RecordingInfo, Results, RunResults
+from frictrack.results import BACKWARD, RecordingInfo, Results, RunResults
 
 HEADER = '<?xml version="1.0" encoding="UTF-8"?>'
 VERSION = "5.0.0"  # of Tracker: every later one opens it without a warning
@@ -69,7 +70,7 @@ def _project(run: RunResults, study: Path, folder: Path) -> tuple[ET.Element, li
     assert track is not None
     axes = tracker_axes(track, run.displacement)
     video = _video(study / run.source, folder, film.fps)
-    targets = {track.name: track, **run.tracks}
+    targets = {name: one for name, one in tracks_of(run).items() if name != BACKWARD}
     masses = [_point_mass(one, run.mass if one is track else None, k) for k, one in enumerate(targets.values())]
     height, width = film.picture.shape
     about = f"{run.source}, tracked by frictrack"

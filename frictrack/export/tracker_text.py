@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.export.formats import ExportedFiles
 from frictrack.files import make_subfolder, replace_text
 from frictrack.records import Displacement
-from frictrack.results import Results, RunResults
+from frictrack.results import BACKWARD, Results, RunResults
 
 FOLDER = "tracker"
 
@@ -26,8 +26,9 @@ def write_txt(results: Results) -> ExportedFiles:
         left_out = len(run.displacement) - int(np.count_nonzero(run.displacement.known))
         if left_out:
             lost.append(f"{left_out} frames of {run.name} without a valid position, which are left out")
-        if run.tracks:
-            lost.append(f"further targets of {run.name} ({', '.join(run.tracks)}), whose positions --to trk writes")
+        further = [name for name in run.tracks if name != BACKWARD]
+        if further:
+            lost.append(f"further targets of {run.name} ({', '.join(further)}), whose positions --to trk writes")
     return ExportedFiles(tuple(paths), tuple(lost))
 
 
