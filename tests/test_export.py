@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from tracker_program import read_project, world_positions
 
 from frictrack import export
 from frictrack.errors import FrictrackError
-from frictrack.export import FORMATS, export_results
+from frictrack.export import FORMATS, ExportedFiles, export_results
 from frictrack.export.columns import all_columns, describe, motion_columns, own_motion, track_columns
 from frictrack.export.tracker_axes import PIXEL_CENTRE, tracker_axes
 from frictrack.export.workbook import sheet_names
@@ -100,8 +101,14 @@ def exact(cell: str) -> float:
     return float(cell or "nan")
 
 
+@cache
+def exported(results: Results, to: str) -> ExportedFiles:
+    """The files of a format, written once for all tests."""
+    return export_results(results, to)
+
+
 def files(results: Results, to: str) -> dict[str, Path]:
-    return {path.name: path for path in export.write(results, to)}
+    return {path.name: path for path in exported(results, to).files}
 
 
 # --- the table of formats
@@ -109,8 +116,8 @@ def files(results: Results, to: str) -> dict[str, Path]:
 
 @pytest.mark.parametrize("to", FORMATS)
 def test_every_format_writes_into_the_results_and_says_what_it_loses(results: Results, to: str) -> None:
-    found = export_results(results, to)
-    assert found.files
+    found = exported(results, to)
+    assert list(found.files)
     assert all(path.is_file() and results.output in path.parents for path in found.files)
     assert set(FORMATS[to].lost) <= set(found.lost)
     assert len(set(found.files)) == len(found.files)
@@ -132,6 +139,13 @@ def test_every_column_has_a_meaning(results: Results) -> None:
     assert all(column.meaning for column in track_columns(results.runs[0].tracks["edge"]))
     assert all(column.meaning for motion in results.models[0].motion for column in motion_columns(motion))
     assert describe("sigma_F_model") == "standard deviation of friction force by the current model"
+
+
+@pytest.mark.parametrize("to", [to for to in FORMATS if to not in ("svg", "pdf")])
+def test_runs_without_force_and_model_are_exported(results: Results, tmp_path: Path, to: str) -> None:
+    runs = tuple(replace(run, friction=None, budget={}, settings={}) for run in results.runs)
+    bare = replace(results, runs=runs, models=(), output=tmp_path)
+    assert all(path.stat().st_size for path in export.write(bare, to))
 
 
 # --- tables
@@ -278,7 +292,7 @@ def test_a_text_of_tracker_is_read_again_as_the_table_of_a_run(results: Results,
 def test_tracker_opens_the_film_with_its_scale_and_its_targets(results: Results) -> None:
     written = files(results, "trk")
     assert list(written) == ["film.trk"]
-    assert "table, which has no film (--to txt writes it)" in export_results(results, "trk").lost
+    assert "table, which has no film (--to txt writes it)" in exported(results, "trk").lost
     project = read_project(written["film.trk"].read_text(encoding="utf-8"))
     assert project["class"] == "org.opensourcephysics.cabrillo.tracker.TrackerPanel"
     clip = project["videoclip"]
@@ -349,6 +363,26 @@ def test_axes_say_how_far_off_they_are_and_need_motion() -> None:
     assert tracker_axes(track, displacement) is None
 
 
+def test_what_tracker_cannot_hold_is_named(results: Results, tmp_path: Path) -> None:
+    run = results.runs[0]
+    assert run.film is not None
+    assert run.track is not None
+    t, x = run.film.t.copy(), run.track.x_px.copy()
+    t[80:] += 1e-4
+    x[100] = 300.0
+    repaired = np.zeros(len(x), dtype=np.int8)
+    repaired[100] = 2
+    changed = replace(run, film=replace(run.film, t=t), track=replace(run.track, x_px=x, repaired=repaired))
+    changed = replace(changed, settings={})
+    found = export_results(replace(results, runs=(changed,), output=tmp_path), "trk")
+    assert "uneven times of the frames of film, up to 0.1 ms from one frame rate" in found.lost
+    assert "1 interpolated positions of film, which are left out" in found.lost
+    assert "mass of film, which is unknown; Tracker shows 1 kg" in found.lost
+    assert any(line.startswith("corrections of lens, perspective, shake or rotation in film") for line in found.lost)
+    project = read_project(found.files[0].read_text(encoding="utf-8"))
+    assert project["tracks"][1]["framedata"][100] is None
+
+
 def test_tables_alone_have_no_project(results: Results, tmp_path: Path) -> None:
     with pytest.raises(FrictrackError, match="expected a run with a film for --to trk but all runs are tables"):
         export_results(replace(results, runs=results.runs[1:], output=tmp_path), "trk")
@@ -360,7 +394,7 @@ def test_tables_alone_have_no_project(results: Results, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["svg", "pdf"])
 def test_figures_are_the_same_bytes_again_and_have_their_data(results: Results, form: str) -> None:
     first = {name: path.read_bytes() for name, path in files(results, form).items()}
-    again = {name: path.read_bytes() for name, path in files(results, form).items()}
+    again = {path.name: path.read_bytes() for path in export.write(results, form)}
     assert first == again
     figures = {name for name in first if name.endswith(form)}
     assert {Path(name).with_suffix(".csv").name for name in figures} == first.keys() - figures

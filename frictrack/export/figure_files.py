@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 from frictrack.export.formats import ExportedFiles
 from frictrack.files import atomic_write, make_subfolder
 from frictrack.results import Results
+
+NOT_IN_FILE_NAMES = re.compile(r'[<>:"/\\|?*]')  # of Windows; names of effects may have them
 
 
 def write_svg(results: Results) -> ExportedFiles:
@@ -23,8 +27,8 @@ def _write(results: Results, form: str) -> ExportedFiles:
 
     folder = make_subfolder(results.output, "figures")
     paths, has_pictures = [], False
-    for name, draw in plots.study_figures(results):
-        figure = draw()
+    for title, draw in plots.study_figures(results):
+        name, figure = NOT_IN_FILE_NAMES.sub("_", title), draw()
         data = plots.plotted_data(figure)
         has_pictures = has_pictures or any(ax.images for ax in figure.axes)
         content = plots.svg_file(figure).encode() if form == "svg" else plots.pdf(figure)
