@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -130,6 +131,19 @@ def test_an_unknown_format_or_option_is_refused(results: Results) -> None:
         export_results(results, "doc")
     with pytest.raises(FrictrackError, match="expected no option with the format csv but got output"):
         export_results(results, "csv", output=Path("x"))
+
+
+@pytest.mark.parametrize(
+    ("to", "library", "extra"),
+    [("netcdf", "h5netcdf", "xarray"), ("parquet", "pyarrow", "parquet"), ("xlsx", "openpyxl", "xlsx")],
+)
+def test_a_missing_library_is_named(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, library: str, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(FrictrackError, match=rf"needs {library}; pip install frictrack\[{extra}\]"):
+        export_results(replace(results, output=tmp_path), to)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_every_column_has_a_meaning(results: Results) -> None:

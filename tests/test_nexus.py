@@ -50,13 +50,14 @@ def check_data(group: h5py.Group) -> None:
     assert {group[name].attrs["units"] for name in others} <= {signal.attrs["units"]}
 
 
-def test_default_leads_to_the_friction_force_of_a_run(results: Path) -> None:
+def test_default_leads_to_the_displacement_of_a_run(results: Path) -> None:
     with h5py.File(results / "slow.h5", locking=False) as file:
         assert file.attrs["NX_class"] == "NXroot"
         group = default_of(file)
-        assert (group.name, group.attrs["signal"], group["F"].attrs["units"]) == ("/friction", "F", "N")
+        assert (group.name, group.attrs["signal"], group["x"].attrs["units"]) == ("/displacement", "x", "m")
         marked = [name for name, item in file.items() if item.attrs.get("NX_class") == "NXdata"]
         assert marked == ["displacement", "filtered", "friction", "motion"]
+        assert [file[name].attrs["signal"] for name in marked] == ["x", "x", "F", "v"]
         for name in marked:
             check_data(file[name])
 
@@ -103,7 +104,7 @@ def test_files_without_marks_stay_current_and_are_marked_when_written(
     assert path.read_bytes() == old
     run.get("friction")
     with h5py.File(path, locking=False) as file:
-        assert default_of(file).name == "/friction"
-        assert "NX_class" not in file["motion"].attrs
+        assert [name for name, group in file.items() if "NX_class" in group.attrs] == ["friction"]
+        assert "default" not in file.attrs
     assert store.check(path) == []
     np.testing.assert_array_equal(store.read(path, "motion")["v"], store.read(results / "slow.h5", "motion")["v"])

@@ -78,6 +78,7 @@ def _project(run: RunResults, study: Path, folder: Path) -> tuple[ET.Element, li
         ("semantic_version", VERSION),
         ("width", float(width)),
         ("height", float(height)),
+        ("magnification", -1.0),  # as large as fits
         ("hide_description", True),
         ("description", about),
         ("videoclip", _clip(video, film)),

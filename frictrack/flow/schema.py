@@ -74,8 +74,8 @@ marks and never reads them; a file written before they existed gets them when it
 
 - A group with one value per frame has `NX_class` = NXdata, `signal` (the column that is drawn), `axes` (`t`) and, if
   another column belongs into the same plot, `auxiliary_signals`.
-- `default` leads from the root to one curve. In a run it is the friction force, or else the last stage before it. In
-  `study.h5` it is the first run with the current model: measured and modelled displacement.
+- `default` leads from the root to one curve. In a run it is the measured displacement, in `study.h5` the measured and
+  the modelled displacement of the first run by the current model.
 - A column with a unit has it twice: `unit`, and `units` as NeXus calls it.
 
 ## Checksums

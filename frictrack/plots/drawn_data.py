@@ -53,13 +53,15 @@ def plotted_data(figure: Figure) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - slow to load
 
     names = _legend_names(figure)
-    tables = []
+    tables = [pd.DataFrame(columns=list(COLUMNS))]
     for number, ax in enumerate(figure.axes, 1):
-        about = (number, _title(ax), _label(ax, "x"), _label(ax, "y"))
+        about = {"panel": number, "title": _title(ax), "x_axis": _label(ax, "x"), "y_axis": _label(ax, "y")}
         texts = [_names_at(axis) for axis in (ax.xaxis, ax.yaxis)]
         for k, (name, kind, points) in enumerate(_drawn(ax, names), 1):
-            tables += [(*about, k, name, kind, *point, _point_label(texts, point)) for point in points.tolist()]
-    return pd.DataFrame(tables, columns=list(COLUMNS))
+            labels = [_point_label(texts, point) for point in points.tolist()] if any(texts) else ""
+            curve = {"number": k, "curve": name, "kind": kind, "x": points[:, 0], "y": points[:, 1], "label": labels}
+            tables.append(pd.DataFrame(about | curve))
+    return pd.concat(tables[1:] or tables, ignore_index=True)
 
 
 def _drawn(ax: Axes, names: Names) -> Iterator[Drawn]:

@@ -24,7 +24,9 @@ NX_CLASS = "NX_class"
 ATTRIBUTES = frozenset({NX_CLASS, "default", "signal", "axes", "auxiliary_signals"})  # of a group that is marked
 UNITS = "units"  # of a dataset
 AXIS = "t"
-STAGES = ("friction", "motion", "displacement", "track")  # of a run, the most telling first
+# Of a run, the first one that is there is drawn. Not the friction force: outside of the free section, as during a push,
+# it is no friction, and so large that nothing else is seen.
+STAGES = ("displacement", "track")
 
 
 def mark_data(group: h5py.Group, kind: Any) -> None:
@@ -48,7 +50,7 @@ def mark_data(group: h5py.Group, kind: Any) -> None:
 
 
 def mark_default(file: h5py.File) -> None:
-    """Let `default` lead from the root of a file to a curve: of the last stage of a run, or of the current model.
+    """Let `default` lead from the root of a file to a curve: the displacement of a run, or that of the current model.
 
     Checksums of the groups that change are removed.
     """
