@@ -171,7 +171,7 @@ def test_csv_and_excel_hold_the_curves_with_units_in_the_header(results: Results
     sheet = pd.read_excel(files(results, "xlsx")["study.xlsx"], sheet_name=run)
     for header, name in CURVES.items():
         np.testing.assert_array_equal(text[header], stored(results, run, STORED[name])[0])
-        np.testing.assert_allclose(sheet[header], stored(results, run, STORED[name])[0], rtol=1e-14)
+        np.testing.assert_allclose(sheet[header], stored(results, run, STORED[name])[0], rtol=1e-15)
     parameters = pd.read_csv(files(results, "csv")["parameters.csv"], converters={"value": exact, "std": exact})
     _, summary, _ = stored_model(results)
     for row in parameters.to_dict("records"):

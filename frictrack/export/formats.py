@@ -81,7 +81,7 @@ FORMATS = {
         "the same as one Excel workbook, a sheet per table",
         'pandas.read_excel("study.xlsx", sheet_name="v3")',
         "frictrack.export.workbook:write_xlsx",
-        _NOT_IN_TABLES,
+        ("the 17th digit of numbers, which Excel does not store", *_NOT_IN_TABLES),
     ),
     "netcdf": ExportFormat(
         "one netCDF file: a group per run, track and model, with units and settings as attributes",
