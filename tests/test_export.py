@@ -134,8 +134,7 @@ def test_an_unknown_format_or_option_is_refused(results: Results) -> None:
 
 
 @pytest.mark.parametrize(
-    ("to", "library", "extra"),
-    [("netcdf", "h5netcdf", "xarray"), ("parquet", "pyarrow", "parquet"), ("xlsx", "openpyxl", "xlsx")],
+    ("to", "library", "extra"), [("netcdf", "h5netcdf", "xarray"), ("parquet", "pyarrow", "parquet")]
 )
 def test_a_missing_library_is_named(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, library: str, extra: str
