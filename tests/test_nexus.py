@@ -108,3 +108,15 @@ def test_files_without_marks_stay_current_and_are_marked_when_written(
         assert "default" not in file.attrs
     assert store.check(path) == []
     np.testing.assert_array_equal(store.read(path, "motion")["v"], store.read(results / "slow.h5", "motion")["v"])
+
+
+def test_links_are_not_followed(results: Path, tmp_path: Path) -> None:
+    """A model that is a link into another file is left alone, and so is that file."""
+    other, path = tmp_path / "other.h5", tmp_path / "study.h5"
+    shutil.copy(results / "study.h5", other)
+    with h5py.File(path, "w") as file:
+        file["models/9"] = h5py.ExternalLink("other.h5", "/models/2_coulomb")
+        file["displacement"] = h5py.ExternalLink("other.h5", "/models/2_coulomb/curves/000_slow")
+        nexus.mark_default(file)
+        assert {name: str(value) for name, value in file.attrs.items()} == {"NX_class": "NXroot"}
+    assert other.read_bytes() == (results / "study.h5").read_bytes()

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 
 from frictrack.store.checksums import drop_checksums
+from frictrack.store.size_checks import members
 
 NX_CLASS = "NX_class"
 ATTRIBUTES = frozenset({NX_CLASS, "default", "signal", "axes", "auxiliary_signals"})  # of a group that is marked
@@ -52,19 +53,22 @@ def mark_data(group: h5py.Group, kind: Any) -> None:
 def mark_default(file: h5py.File) -> None:
     """Let `default` lead from the root of a file to a curve: the displacement of a run, or that of the current model.
 
-    Checksums of the groups that change are removed.
+    Checksums of the groups that change are removed. No link is followed: it might lead into another file.
     """
     file.attrs[NX_CLASS] = "NXroot"
     file.attrs.pop("default", None)
     inside: h5py.Group = file
     for name, kind in _path_to_curve(file):
-        if inside.attrs.get("default") != name:
-            drop_checksums(file, inside.name)
-            inside.attrs["default"] = name
+        _set(file, inside, "default", name)
         inside = inside[name]
-        if inside.attrs.get(NX_CLASS) != kind:
-            drop_checksums(file, inside.name)
-            inside.attrs[NX_CLASS] = kind
+        _set(file, inside, NX_CLASS, kind)
+
+
+def _set(file: h5py.File, group: h5py.Group, name: str, value: str) -> None:
+    """Set an attribute of a group, and remove its checksum and those of its parents if it changes."""
+    if str(group.attrs.get(name)) != value:
+        drop_checksums(file, group.name)
+        group.attrs[name] = value
 
 
 def without_marks(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -75,22 +79,30 @@ def without_marks(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
     """Return the names of the groups that lead to the curve, each with its class; empty if there is no curve."""
-    stage = next((name for name in STAGES if _is_data(file, name)), None)
+    own = _subgroups(file)
+    stage = next((name for name in STAGES if name in own and _is_data(own[name])), None)
     if stage is not None:
         return [(stage, "NXdata")]
-    if not isinstance(file.get("models", getlink=True), h5py.HardLink):
-        return []
-    model = next((name for name in reversed(file["models"]) if file["models"][name].attrs.get("current")), "")
-    inside = f"models/{model}/curves"
-    curve = next((name for name in file.get(inside, ()) if _is_data(file, f"{inside}/{name}")), None)
+    models = _subgroups(own.get("models"))
+    model = next((name for name in reversed(models) if _is_current(models[name])), "")
+    curves = _subgroups(_subgroups(models.get(model)).get("curves"))
+    curve = next((name for name, group in curves.items() if _is_data(group)), "")
     kinds = ("NXentry", "NXsubentry", "NXcollection", "NXdata")
-    return [] if not model or curve is None else list(zip(("models", model, "curves", curve), kinds, strict=True))
+    return list(zip(("models", model, "curves", curve), kinds, strict=True)) if curve else []
 
 
-def _is_data(file: h5py.File, name: str) -> bool:
-    """Return whether a group of this file is marked as NXdata."""
-    is_own = isinstance(file.get(name, getlink=True), h5py.HardLink)
-    return is_own and file[name].attrs.get(NX_CLASS) == "NXdata"
+def _subgroups(group: h5py.Group | None) -> dict[str, h5py.Group]:
+    """Return the groups inside a group by name, without links."""
+    return {} if group is None else {name: item for name, item in members(group) if isinstance(item, h5py.Group)}
+
+
+def _is_current(model: h5py.Group) -> bool:
+    current = model.attrs.get("current")
+    return isinstance(current, np.bool_) and bool(current)
+
+
+def _is_data(group: h5py.Group) -> bool:
+    return str(group.attrs.get(NX_CLASS)) == "NXdata"
 
 
 def _names(*names: str) -> Any:
