@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ from frictrack.records import (
     column,
     scalar,
 )
+
+BACKWARD = "backward"  # name of the track of the target from the last frame to the first, which is a check
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,7 @@ class Sensors(FrameTable):
     only if it agrees with the camera.
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("friction_N", "a", "drive")
     t: Array = column("s")
     drive: Array | None = column("N", default=None)
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run

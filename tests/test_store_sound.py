@@ -262,7 +262,7 @@ def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pyte
     session.compare()
     for stage in session.runs[0].stages:
         session.runs[0].get(stage)
-    page, own = written.schema_page(), {*vars(Provenance()), "sha256"}
+    page, own = written.schema_page(), {*vars(Provenance()), "sha256", *store.NEXUS_ATTRIBUTES}
     results = study_file.parent / "study_results"
     with h5py.File(results / "slow.h5") as file:
         for stage, group in file.items():

@@ -26,7 +26,7 @@ EXAMPLES = {
     "history": ("frictrack history study.toml", "frictrack history study.toml --json > history.json"),
     "plan": ("frictrack plan study.toml", "frictrack plan study.toml --json > plan.json"),
     "report": ("frictrack report study.toml", "frictrack report study.toml --pdf"),
-    "export": ("frictrack export study.toml", "frictrack export study.toml --to prior -o a.prior.toml"),
+    "export": ("frictrack export study.toml --to netcdf", "frictrack export study.toml --to prior -o a.prior.toml"),
     "effects": ("frictrack effects", "frictrack effects study.toml"),
     "render": ("frictrack render scene.toml -o films", "frictrack render scene.toml -o films --seed 3"),
     "app": ("frictrack app study.toml", "frictrack app study.toml --port 8080 --no-browser"),

@@ -18,7 +18,7 @@ _TEXTS = {
     "frictrack diagnose {study} looks for a further one",
     "plan": "the first rows of the table; plan.html shows which pairs of effects each run separates",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
-    "export": "parameters and errors, with one row per model and parameter; one table per run holds the curves",
+    "export": "the files, opened by {opened_by}",
     "prior": "the deviations: they must be what you believe of the other set-up. There: prior = the file, in [study]",
     "batch": "the page: failures first, then verdicts and trends; frictrack_batch.csv has one row per run",
     "demo": "the first screen of the report; frictrack_demo/study.toml is a study file to copy from",

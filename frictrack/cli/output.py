@@ -67,6 +67,21 @@ def prior(out: Console, result: dict[str, Any]) -> None:
         out.print(f"left out: {escape(name)}, {escape(reason)}")
 
 
+def export(out: Console, result: dict[str, Any]) -> None:
+    """Print what the format could not hold.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack export`.
+
+    """
+    for what in result["lost"]:
+        out.print(f"not in these files: {what}", soft_wrap=True, markup=False)
+
+
 def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
     fit(out, result["fit"], motion=False)

@@ -26,9 +26,15 @@ from frictrack.cli.common import (
 )
 from frictrack.cli.look_at import after_diagnosis, after_run, look_at
 from frictrack.errors import FrictrackError
+from frictrack.export import FORMATS, export_results
 
+PRIOR = "prior"  # the format that the current model alone fills
 if TYPE_CHECKING:
     from frictrack.flow import Session
+
+    FormatName = str
+else:
+    FormatName = Literal[*FORMATS, PRIOR]
 
 Announce = Callable[[Mapping[str, Any]], None]
 
@@ -316,29 +322,33 @@ def report(
 @command()
 def export(
     study: Study,
-    to: Annotated[Literal["csv", "xlsx", "prior"], typer.Option(help="file format")] = "csv",
+    to: Annotated[FormatName, typer.Option(help="format; the guide on other tools says what each holds")] = "csv",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="path of the prior file (default: in the folder of results)")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Export curves, parameters and errors as plain tables, or the law as a prior for another study.
+    """Export the results to another tool, or the law as a prior for another study.
 
-    Reads all results; missing ones are computed first. Writes CSV files, one Excel workbook, or a prior file with the
-    values and covariance of the parameters that carry over to another set-up.
+    Reads all results; missing ones are computed first. Writes tables (csv, xlsx, parquet), one file for xarray or
+    MATLAB (netcdf, mat), projects or texts of the video program Tracker (trk, txt), figures with their data (svg, pdf),
+    or a prior file with the values and covariance of the parameters that carry over to another set-up. Shows what the
+    format cannot hold.
     """
-    if to == "prior":
+    if to == PRIOR:
         _export_prior(study, output, as_json)
         return
-    if output is not None:
-        raise FrictrackError("expected -o only with --to prior; tables go into the folder of the results", usage=True)
-    from frictrack.export import write  # noqa: PLC0415
-
+    options = {} if output is None else {"output": output}
+    if options.keys() - {*FORMATS[to].options}:
+        raise FrictrackError(
+            f"expected -o only with --to {PRIOR}; other files go into the folder of the results", usage=True
+        )
     with open_session(study) as session:
-        files = write(session.results(), to)
+        written = export_results(session.results(), to, **options)
+    files = written.files
     where = files[0].parent if len(files) > 1 else files[0]
-    result = {"files": [str(f) for f in files], "output": str(session.study.output)}
-    print_result(result, as_json, "", where, look_at("export"))
+    result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
+    print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
 
 
 def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:

@@ -16,7 +16,7 @@ from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
 from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
-from frictrack.results import RecordingInfo
+from frictrack.results import BACKWARD, RecordingInfo
 from frictrack.sampling import screened
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from frictrack.tracking import TargetModel
     from frictrack.workers import WorkerPool
 
-BACKWARD, REFERENCE = "backward", "reference"  # names of the tracks that frictrack adds
+REFERENCE = "reference"  # name of the track that frictrack adds, as it adds `BACKWARD`
 REASON_COVERED = "the target passes over it"
 # Shake that every reference found automatically can show, px rms. If less were subtracted in some films of a study, it
 # would remain in the others, where the diagnosis could not distinguish it from a vibration of the course.

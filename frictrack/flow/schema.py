@@ -67,6 +67,17 @@ are in SI units, pixels and grey values apart; NaN means "not measured in this f
   opens the file again to see the new one. Reading needs no lock; frictrack locks the folder
   (`.frictrack/lock`) to write.
 
+## Marks for viewers
+
+Viewers that know the NeXus standard (silx view, h5web, NeXpy) draw a curve at a double click. frictrack writes these
+marks and never reads them; a file written before they existed gets them when its groups are written again.
+
+- A group with one value per frame has `NX_class` = NXdata, `signal` (the column that is drawn), `axes` (`t`) and, if
+  another column belongs into the same plot, `auxiliary_signals`.
+- `default` leads from the root to one curve. In a run it is the measured displacement, in `study.h5` the measured and
+  the modelled displacement of the first run by the current model.
+- A column with a unit has it twice: `unit`, and `units` as NeXus calls it.
+
 ## Checksums
 
 - The file: its first {room} bytes are text, which HDF5 skips (a user block). The second line is the SHA-256 of the

@@ -7,7 +7,9 @@ from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates, held_out_order, passes
 from frictrack.plots.cutoff import cutoff, cutoffs
+from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.figure_list import study_figures
 from frictrack.plots.inputs import AnyModel as AnyModel
 from frictrack.plots.inputs import AnyRun as AnyRun
 from frictrack.plots.inputs import as_model, as_runs
@@ -20,7 +22,7 @@ from frictrack.plots.next_experiments import next_experiments
 from frictrack.plots.notebook import html
 from frictrack.plots.plan import pair_separation, remaining_pairs
 from frictrack.plots.profiles import profiles
-from frictrack.plots.style import numbered_name, plain_name, png, svg
+from frictrack.plots.style import numbered_name, pdf, plain_name, png, svg, svg_file
 from frictrack.plots.table import table
 from frictrack.plots.unexplained import correlated_signal, unexplained
 from frictrack.plots.verdict import verdict
@@ -62,7 +64,9 @@ __all__ = [
     "numbered_name",
     "pair_separation",
     "passes",
+    "pdf",
     "plain_name",
+    "plotted_data",
     "png",
     "profiles",
     "remaining_pairs",
@@ -70,7 +74,9 @@ __all__ = [
     "residuals",
     "routes",
     "scan",
+    "study_figures",
     "svg",
+    "svg_file",
     "table",
     "trends",
     "unexplained",

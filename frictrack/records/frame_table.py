@@ -76,6 +76,7 @@ class FrameTable(NotebookView):
     """
 
     min_rows: ClassVar[int] = 2
+    signals: ClassVar[tuple[str, ...]] = ()  # columns that a viewer draws against t, the first one above all
     drawn_by = "frictrack.plots:table"
 
     def __post_init__(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ class Track(FrameTable):
 
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("x_px",)
     t: Array = column("s")
     x_px: Array = column("px", nan=True)
     y_px: Array = column("px", nan=True)
@@ -101,6 +103,7 @@ class Displacement(FrameTable):
 
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("x",)
     t: Array = column("s")
     x: Array = column("m", nan=True)
     y: Array = column("m", nan=True)
@@ -142,6 +145,7 @@ class Filtered(FrameTable):
 
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("x",)
     t: Array = column("s")
     x: Array = column("m")
     y: Array = column("m", nan=True)
@@ -182,6 +186,7 @@ class Motion(FrameTable):
 
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("v",)
     t: Array = column("s")
     x: Array = column("m")
     v: Array = column("m/s")
@@ -208,6 +213,7 @@ class Friction(FrameTable):
     F > 0 resists motion toward +x. D is the drive force, m the mass, a the acceleration.
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("F",)
     t: Array = column("s")
     F: Array = column("N")
     sigma_F: Array = column("N")

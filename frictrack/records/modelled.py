@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from frictrack.records.frame_table import Array, FrameTable, Mask, column
 class Curve(FrameTable):
     """Measurement and fitted model of one run, at the frames that were fitted (or predicted)."""
 
+    signals: ClassVar[tuple[str, ...]] = ("x", "x_model")
     t: Array = column("s")
     x: Array = column("m")  # measured displacement
     sigma_x: Array = column("m")
@@ -42,6 +44,7 @@ class ModelledMotion(FrameTable):
     if the model is too far from the data to be linearised.
     """
 
+    signals: ClassVar[tuple[str, ...]] = ("v",)
     t: Array = column("s")
     x: Array = column("m")  # of the slider, without measurement effects
     v: Array = column("m/s")

@@ -5,6 +5,7 @@
     file_header  the checksum of a whole file, checked before HDF5 reads the file
     signatures   whether this user wrote a file
     sandbox      a separate process that opens files of other users first
+    nexus        marks by which viewers draw the right curve
     checksums    the checksum of every group and dataset, which locates a fault
     size_checks  limits on what a file declares, checked before memory is allocated
     migrations   files of earlier schemas
@@ -17,10 +18,12 @@ from frictrack.store.encoding import GroupContent, Provenance
 from frictrack.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, read_header
 from frictrack.store.hdf5_io import attributes, checksum, names, provenance, provenances, read, snapshot, write
 from frictrack.store.integrity import Fault, check
+from frictrack.store.nexus import ATTRIBUTES as NEXUS_ATTRIBUTES
 
 __all__ = [
     "CHECKSUM_START",
     "HEADER_BYTES",
+    "NEXUS_ATTRIBUTES",
     "SCHEMA",
     "Fault",
     "GroupContent",

@@ -1,8 +1,8 @@
 """Encode records and dictionaries as HDF5 groups that h5py, HDFView or MATLAB read without frictrack.
 
-A record becomes a group. Its columns are datasets with the attribute `unit`; its numbers and strings are attributes;
-its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a subgroup. Every group that a
-stage wrote has the attributes of its `Provenance`.
+A record becomes a group. Its columns are datasets with the attributes `unit` and, for viewers, `units`; its numbers and
+strings are attributes; its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a
+subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers; see `nexus`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from frictrack.results import to_builtins
 from frictrack.store.checksums import CHECKSUM, add_group_checksum, array_checksum
+from frictrack.store.nexus import UNITS, mark_data, without_marks
 from frictrack.store.size_checks import check_visited_once, members, read_array
 from frictrack.version import __version__
 
@@ -86,6 +87,7 @@ def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] =
         checksum = _write_value(group, name, value, unit)
         if checksum is not None:
             inside[name] = checksum
+    mark_data(group, type(content))
     return add_group_checksum(group, inside)
 
 
@@ -94,7 +96,7 @@ def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> 
     if isinstance(value, dict) or is_dataclass(value):
         return write_group(new_group(group, name), value)
     if isinstance(value, np.ndarray):
-        return write_array(group, name, value, unit=unit or "")
+        return write_array(group, name, value, unit=unit or "", **({UNITS: unit} if unit else {}))
     if isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
         return write_array(group, name, np.array(value))
     if value is None:
@@ -141,7 +143,8 @@ def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collec
     """
     met = set() if met is None else met
     check_visited_once(group, met)
-    content = {k: _listed(to_python(v)) for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    content = {k: _listed(to_python(v)) for k, v in without_marks(own).items()}
     for name, item in members(group):
         if name not in without:
             content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)

@@ -25,6 +25,7 @@ from frictrack.store.checksums import CHECKSUM, add_checksums, drop_checksums
 from frictrack.store.encoding import GroupContent, Provenance
 from frictrack.store.file_header import SCHEMA, file_state, is_intact, lacks_header, read_header, with_header
 from frictrack.store.migrations import empty_file_in_memory, migrate
+from frictrack.store.nexus import mark_default, without_marks
 from frictrack.store.sandbox import opens_in_sandbox
 from frictrack.store.signatures import is_signed_by_user, sign
 from frictrack.store.size_checks import members
@@ -140,7 +141,7 @@ def attributes(path: Path, group: str) -> dict[str, Any]:
     if not path.exists():
         return {}
     with _reading(path) as file:
-        return {k: v for k, v in _attributes(file, path, group).items() if k != CHECKSUM}
+        return without_marks({k: v for k, v in _attributes(file, path, group).items() if k != CHECKSUM})
 
 
 def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
@@ -309,6 +310,7 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             file.attrs.update(schema=SCHEMA, version=__version__)
             file.attrs.pop(CHECKSUM, None)
             yield file
+            mark_default(file)
             add_checksums(file)
             file.flush()
             whole = with_header(file.id.get_file_image(), __version__, sign)

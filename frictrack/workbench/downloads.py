@@ -102,7 +102,9 @@ def _script(study: Study, results: Results | None, form: str) -> Content:
 
 
 def _figures(study: Study, results: Results, form: str) -> Content:
-    return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in figures(results))
+    from frictrack import plots  # noqa: PLC0415 - loads Matplotlib
+
+    return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
 
 
 DOWNLOADS: dict[str, Callable[[Any, Any, str], Content]] = {
@@ -113,32 +115,6 @@ DOWNLOADS: dict[str, Callable[[Any, Any, str], Content]] = {
     "repeat.py": _script,
     "figures.zip": _figures,
 }
-
-
-def figures(results: Results) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """List every figure of a study; each is drawn when its function is called.
-
-    Yields
-    ------
-    tuple of (str, callable)
-        File name without suffix, and the function that draws the figure.
-
-    """
-    from frictrack import plots  # noqa: PLC0415 - loads Matplotlib
-
-    for run in results.runs:
-        yield f"motion {run.name}", lambda run=run: plots.motion(run)  # type: ignore[misc]
-        if run.film is not None:
-            yield f"film {run.name}", lambda run=run: plots.film(run)  # type: ignore[misc]
-    for model in results.models:
-        yield f"model {model.name}", lambda model=model: plots.fit(model, results.runs)  # type: ignore[misc]
-        if model.diagnosis:
-            found = model.diagnosis
-            fails = found["fails_at"]
-            yield f"fails {model.name}", lambda m=model, f=fails: plots.failing(m, results.runs, f)  # type: ignore[misc]
-            yield f"candidates {model.name}", lambda found=found: plots.candidates(found)  # type: ignore[misc]
-    if results.models:
-        yield "history", lambda: plots.history(results.models)
 
 
 def figure_bytes(made: Figure, form: str) -> bytes:
@@ -155,12 +131,8 @@ def figure_bytes(made: Figure, form: str) -> bytes:
     from frictrack import plots  # noqa: PLC0415
 
     if form == "svg":
-        return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
-    if form == "png":
-        return plots.png(made, dpi=200)
-    sheet = BytesIO()
-    made.savefig(sheet, format=form)
-    return sheet.getvalue()
+        return plots.svg_file(made).encode()
+    return plots.png(made, dpi=200) if form == "png" else plots.pdf(made)
 
 
 def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:

@@ -30,7 +30,7 @@ from frictrack.plots.style.drawing import (
     set_y_limits,
     unsmeared_frames,
 )
-from frictrack.plots.style.figures import PAGE_WIDTH_IN, new_figure, png, styled, svg
+from frictrack.plots.style.figures import PAGE_WIDTH_IN, new_figure, pdf, png, styled, svg, svg_file
 from frictrack.plots.style.model_names import joined_name, numbered_name, plain_name
 
 __all__ = [
@@ -60,6 +60,7 @@ __all__ = [
     "new_figure",
     "numbered_name",
     "panel_columns",
+    "pdf",
     "plain_name",
     "png",
     "repaired_handles",
@@ -67,5 +68,6 @@ __all__ = [
     "set_y_limits",
     "styled",
     "svg",
+    "svg_file",
     "unsmeared_frames",
 ]

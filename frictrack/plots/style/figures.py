@@ -1,4 +1,4 @@
-"""Create figures and write them as SVG or PNG, without changing the settings of matplotlib or using pyplot."""
+"""Create figures and write them as SVG, PDF or PNG, without changing the settings of matplotlib or using pyplot."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_mixed import MixedModeRenderer
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -72,6 +73,11 @@ def svg(figure: Figure) -> str:
             text = canvas.to_svg()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
+
+
+def svg_file(figure: Figure) -> str:
+    """Convert a figure to the text of an SVG file; see `svg`."""
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + svg(figure)
 
 
 class _SvgCanvas(FigureCanvasSVG):
@@ -137,4 +143,13 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
         figure.set_dpi(dpi)
         with _laid_out(figure):
             canvas.print_png(buffer)
+    return buffer.getvalue()
+
+
+def pdf(figure: Figure) -> bytes:
+    """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        buffer = io.BytesIO()
+        with _laid_out(figure):
+            FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return buffer.getvalue()

@@ -1,0 +1,65 @@
+"""Write the results of a study in one of the formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from frictrack.errors import FrictrackError
+from frictrack.export.formats import ExportedFiles, find_format
+from frictrack.lazy import imported
+
+if TYPE_CHECKING:
+    from frictrack.results import Results
+
+
+def export_results(results: Results, to: str, **options: Any) -> ExportedFiles:
+    """Write the results of a study for another tool, and say what its format cannot hold.
+
+    Parameters
+    ----------
+    results
+        Results of a study; the files are written into its folder of results.
+    to
+        Name of a format; one of `frictrack.export.FORMATS`.
+    **options
+        Further options of that format.
+
+    Returns
+    -------
+    ExportedFiles
+        The files, and what was lost.
+
+    Raises
+    ------
+    FrictrackError
+        If the format is unknown or has no such option, if its library is not installed, or if the results cannot be
+        written.
+
+    """
+    found = find_format(to)
+    unknown = [name for name in options if name not in found.options]
+    if unknown:
+        known = ", ".join(found.options) or "no option"
+        raise FrictrackError(f"expected {known} with the format {to} but got {', '.join(unknown)}", usage=True)
+    written: ExportedFiles = imported(found.writer)(results, **options)
+    return ExportedFiles(written.files, tuple(dict.fromkeys((*found.lost, *written.lost))))
+
+
+def write(results: Results, to: str) -> list[Path]:
+    """Write the results of a study for another tool; see `export_results`.
+
+    Parameters
+    ----------
+    results
+        Results of a study; the files are written into its folder of results.
+    to
+        Name of a format; one of `frictrack.export.FORMATS`.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    """
+    return list(export_results(results, to).files)
