@@ -329,6 +329,18 @@ def test_tracker_opens_the_film_with_its_scale_and_its_targets(results: Results)
     assert project["coords"]["framedata"][0]["xscale"] == pytest.approx(2000, rel=1e-12)
 
 
+def test_a_project_of_tracker_is_read_again_as_the_table_of_a_run(results: Results) -> None:
+    path = files(results, "trk")["film.trk"]
+    (t, _), (x, _), (y, _), (valid, _) = (
+        stored(results, "film", f"displacement/{name}") for name in ("t", "x", "y", "valid")
+    )
+    data = read_table(path, {"x": "target x (m)"})
+    assert data.x is not None
+    assert data.y is not None
+    np.testing.assert_allclose(data.t, t[valid], rtol=1e-12)
+    np.testing.assert_allclose(np.c_[data.x, data.y], np.c_[x, y][valid], atol=1e-12)
+
+
 def films(results: Results) -> Path:
     return (results.path.parent / "films/fast.avi").resolve()
 
