@@ -14,7 +14,7 @@
     significance_budget         how probable a false effect is, over all diagnoses of a study
     verdict_first, attempts                                     the verdict before all else, fits of candidates
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
-    stored_results, outdated                                    read stored results, find outdated ones
+    stored_results, result_values, outdated                     read stored results and values, find outdated ones
     run_summaries, run_budget, verification                     summarise and verify stored results
     summaries                   the shapes of the summaries that `Session` returns
     schema                      write the page that describes the HDF5 files
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from frictrack.flow.opening import open_study
     from frictrack.flow.pipeline import Progress, no_progress
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.flow.replay import replay_script
+    from frictrack.flow.replay import recorded_models, repeat_models, replay_script
     from frictrack.flow.run_plan import plan
     from frictrack.flow.sample_demo import demo
     from frictrack.flow.session import Session
@@ -49,11 +49,13 @@ if TYPE_CHECKING:
         read_attempt,
         read_results,
     )
+    from frictrack.flow.result_values import EXCLUDED, Values, stored_values
     from frictrack.flow.survey import Surveyed, survey_recording
     from frictrack.flow.verdict_first import change_and_diagnose, conclude, run_study
     from frictrack.flow.verification import verify
 
 _MODULE_OF = {
+    "EXCLUDED": "result_values",
     "AttemptsReader": "stored_results",
     "Change": "command_history",
     "change_and_diagnose": "verdict_first",
@@ -74,6 +76,8 @@ _MODULE_OF = {
     "propose_study": "new_study",
     "read_attempt": "stored_results",
     "read_results": "stored_results",
+    "recorded_models": "replay",
+    "repeat_models": "replay",
     "replay_script": "replay",
     "ResultsReader": "stored_results",
     "run_pipeline": "stages",
@@ -81,11 +85,13 @@ _MODULE_OF = {
     "Session": "session",
     "SignificanceBudget": "significance_budget",
     "start_study": "new_study",
+    "stored_values": "result_values",
     "survey_recording": "survey",
     "Surveyed": "survey",
     "table_needs_mass": "input_checks",
     "undo_stacks": "command_history",
     "user_effects": "fit_request",
+    "Values": "result_values",
     "verify": "verification",
 }
 
