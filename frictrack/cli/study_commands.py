@@ -314,24 +314,47 @@ def report(
 
 
 @command()
-def export(
+def export(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study,
-    to: Annotated[Literal["csv", "xlsx", "prior"], typer.Option(help="file format")] = "csv",
+    to: Annotated[Literal["csv", "xlsx", "prior", "crate"], typer.Option(help="file format")] = "csv",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="path of the prior file (default: in the folder of results)")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="path of the prior file or of the crate: .zip, or a new folder (default: in the folder of results)",
+        ),
+    ] = None,
+    recordings: Annotated[
+        bool, typer.Option("--include-recordings", help="crate: include films above 10 MB, too")
+    ] = False,
+    author: Annotated[
+        list[str] | None, typer.Option(metavar="NAME <ORCID>", help="crate: an author; may be repeated")
+    ] = None,
+    licence: Annotated[
+        str | None, typer.Option("--license", metavar="SPDX", help="crate: licence, as in CC-BY-4.0, or an address")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Export curves, parameters and errors as plain tables, or the law as a prior for another study.
+    """Export curves, parameters and errors as tables, the law as a prior, or everything as a research object.
 
-    Reads all results; missing ones are computed first. Writes CSV files, one Excel workbook, or a prior file with the
-    values and covariance of the parameters that carry over to another set-up.
+    Reads all results; missing ones are computed first. Writes CSV files, one Excel workbook, a prior file with the
+    values and covariance of the parameters that carry over to another set-up, or an RO-Crate with study file,
+    recordings, results and report, which `frictrack reproduce` computes again.
     """
+    if to == "crate":
+        options = {"include_recordings": recordings, "authors": author or (), "licence": licence}
+        _export_crate(study, output, options, as_json)
+        return
+    if recordings or author or licence is not None:
+        raise FrictrackError("expected --include-recordings, --author and --license only with --to crate", usage=True)
     if to == "prior":
         _export_prior(study, output, as_json)
         return
     if output is not None:
-        raise FrictrackError("expected -o only with --to prior; tables go into the folder of the results", usage=True)
+        raise FrictrackError(
+            "expected -o only with --to prior or crate; tables go into the folder of the results", usage=True
+        )
     from frictrack.export import write  # noqa: PLC0415
 
     with open_session(study) as session:
@@ -339,6 +362,15 @@ def export(
     where = files[0].parent if len(files) > 1 else files[0]
     result = {"files": [str(f) for f in files], "output": str(session.study.output)}
     print_result(result, as_json, "", where, look_at("export"))
+
+
+def _export_crate(study: Path, output: Path | None, options: dict[str, Any], as_json: bool) -> None:
+    """Write a study with all results as a research object."""
+    from frictrack.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+    with open_session(study) as session:
+        result = write_crate(session, output, CrateOptions(**options))
+    print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
 
 
 def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:

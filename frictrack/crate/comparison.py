@@ -105,17 +105,15 @@ def compare_files(
     """
     places = [(file, group) for files in (stored, computed) for file, groups in files.items() for group in groups]
     return [
-        _compare_group(
-            (file, group), stored.get(file, {}).get(group), computed.get(file, {}).get(group), tolerance
-        )
+        _compare_group((file, group), stored.get(file, {}).get(group), computed.get(file, {}).get(group), tolerance)
         for file, group in dict.fromkeys(places)
     ]
 
 
 def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, tolerance: float) -> GroupComparison:
     if old is None or new is None:
-        words = ["missing" if values is None else "there" for values in (old, new)]
-        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", *words),), 1)
+        stored, computed = ("missing" if values is None else "there" for values in (old, new))
+        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1)
     numbers, largest, found = 0, 0.0, []
     for name in dict.fromkeys([*old, *new]):
         count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)

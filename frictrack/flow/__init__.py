@@ -34,9 +34,10 @@ if TYPE_CHECKING:
     from frictrack.flow.input_checks import table_needs_mass
     from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
     from frictrack.flow.opening import open_study
-    from frictrack.flow.pipeline import Progress, no_progress
+    from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
     from frictrack.flow.replay import recorded_models, repeat_models, replay_script
+    from frictrack.flow.result_values import EXCLUDED, Values, stored_values
     from frictrack.flow.run_plan import plan
     from frictrack.flow.sample_demo import demo
     from frictrack.flow.session import Session
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
         read_attempt,
         read_results,
     )
-    from frictrack.flow.result_values import EXCLUDED, Values, stored_values
     from frictrack.flow.survey import Surveyed, survey_recording
     from frictrack.flow.verdict_first import change_and_diagnose, conclude, run_study
     from frictrack.flow.verification import verify
@@ -68,6 +68,7 @@ _MODULE_OF = {
     "effect_of_formula": "formula_effects",
     "Findings": "plausibility_checks",
     "FitRequest": "fit_request",
+    "hash_path": "pipeline",
     "no_progress": "pipeline",
     "open_study": "opening",
     "plan": "run_plan",
@@ -81,6 +82,7 @@ _MODULE_OF = {
     "replay_script": "replay",
     "ResultsReader": "stored_results",
     "run_pipeline": "stages",
+    "RunPipeline": "pipeline",
     "run_study": "verdict_first",
     "Session": "session",
     "SignificanceBudget": "significance_budget",

@@ -228,6 +228,11 @@ class Recording(ABC):
             ) from e
         return digest.hexdigest()
 
+    @property
+    def files(self) -> list[Path]:
+        """All files of the recording: header and frames of a camera's format, the pictures of a folder."""
+        return self._files()
+
     def _files(self) -> list[Path]:
         return [self.path]
 
