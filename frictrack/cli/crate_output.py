@@ -10,6 +10,7 @@ from rich.markup import escape
 from frictrack.cli.tables import table
 
 MAX_DIFFERENCES = 5  # printed of one group
+MISSING = {"license": "a licence, without which nobody may use the data", "author": "an author"}
 
 
 def crate(out: Console, result: dict[str, Any]) -> None:
@@ -31,7 +32,7 @@ def crate(out: Console, result: dict[str, Any]) -> None:
         out.print(rows)
         out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
     for name in result["missing"]:
-        out.print(f"missing: {name}; give --{name}", markup=False)
+        out.print(f"missing: {MISSING[name]}; give --{name}", markup=False)
 
 
 def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
@@ -56,6 +57,8 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
         for one in group["differences"][:MAX_DIFFERENCES]:
             where = f"{one['file']}:/{one['group']} {one['value']}".rstrip()
             out.print(f"{where}: {one['stored']} in the crate, {one['computed']} here", markup=False, soft_wrap=True)
+    for place in result["altered"]:
+        out.print(f"altered since the crate was written: {place}", markup=False, soft_wrap=True)
     for one in result["versions"]:
         out.print(f"{one['name']}: {one['crate']} in the crate, {one['here']} here", markup=False, soft_wrap=True)
     how = f"to a relative {result['tolerance']:g}, as versions differ" if result["versions"] else "bit for bit"

@@ -11,9 +11,8 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from frictrack.crate.reading import Crate, CrateFile
+from frictrack.crate.reading import Crate, has_same_bytes
 from frictrack.errors import FrictrackError
-from frictrack.flow import hash_path
 
 MAX_LISTED = 5  # files that a message names
 
@@ -58,7 +57,7 @@ def _find_inputs(crate: Crate, recordings: Path | None) -> dict[str, Path]:
     for one in (crate.study, *crate.inputs):
         here = [crate.folder / one.place] if one.is_included else candidates.get(PurePosixPath(one.place).name, [])
         here = [path for path in here if path.is_file()]
-        same = next((path for path in here if _is_same(path, one)), None)
+        same = next((path for path in here if has_same_bytes(path, one)), None)
         if same is not None:
             found[one.place] = same.absolute()
         elif one.is_included or not here:
@@ -87,13 +86,6 @@ def _files_by_name(folder: Path | None) -> dict[str, list[Path]]:
     for path in sorted(folder.rglob("*")):
         found.setdefault(path.name, []).append(path)
     return found
-
-
-def _is_same(path: Path, expected: CrateFile) -> bool:
-    try:
-        return path.stat().st_size == expected.size and hash_path(path) == expected.sha256
-    except OSError as e:
-        raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -40,12 +40,16 @@ MEDIA_TYPES = {
     ".avi": "video/x-msvideo",
 }
 OTHER_MEDIA_TYPE = "application/octet-stream"
+UNCERTAINTIES = {  # columns of `tables`
+    "standard_uncertainty": "standard uncertainty",
+    "standard_uncertainty_misfit": "standard uncertainty that includes the effect of the missing force",
+}
 MOVED = "path in the study file"  # `propertyID` of where the crate has what the study file names otherwise
 PYPI = "https://pypi.org/project"
 ADDRESSES = {  # of software that is not on PyPI under its name; the version follows
-    "python": "https://www.python.org/downloads/",
+    "python": "https://www.python.org/#",
     "opencv": f"{PYPI}/opencv-python-headless/",
-    "blas": "https://www.netlib.org/blas/",
+    "blas": "https://www.netlib.org/blas/#",
 }
 
 
@@ -177,7 +181,7 @@ def _software(versions: Mapping[str, str]) -> Iterator[Entity]:
 
 def _software_address(name: str, version: str) -> str:
     address = ADDRESSES.get(name, f"{PYPI}/{name}/")
-    return f"{address}{quote(version, safe='')}" if version else address
+    return f"{address}{quote(version, safe='')}" if version else address.rstrip("#")
 
 
 def _action(described: Described, moved: Sequence[Entity], software: Entity) -> Entity:
@@ -196,7 +200,7 @@ def _action(described: Described, moved: Sequence[Entity], software: Entity) -> 
         "startTime": described.started,
         "endTime": described.ended,
         "agent": _references(described.authorship.authors),
-        "actionStatus": {"@id": "http://schema.org/CompletedActionStatus"},
+        "actionStatus": "http://schema.org/CompletedActionStatus",
     }
 
 
@@ -207,9 +211,9 @@ def _parameters(results: Results) -> Iterator[Entity]:
         unit = {"unitText": row["ucum"] or row["unit"], "unitCode": row["qudt"] or None}
         number = {"@type": "PropertyValue", **unit}
         more: list[Entity] = []
-        if row["standard_uncertainty"] is not None:
-            value = {"name": "standard uncertainty", "value": row["standard_uncertainty"]}
-            more.append({"@id": f"#standard-uncertainty/{address}", **number, **value})
+        for key, name in UNCERTAINTIES.items():
+            if row[key] is not None:
+                more.append({"@id": f"#{key}/{address}", **number, "name": name, "value": row[key]})
         if row["interval_low"] is not None or row["interval_high"] is not None:
             limits = {"minValue": row["interval_low"], "maxValue": row["interval_high"]}
             more.append({"@id": f"#interval/{address}", **number, "name": "95 % interval", **limits})

@@ -13,6 +13,7 @@ from frictrack.crate.metadata import METADATA, MOVED
 from frictrack.crate.platform_versions import FRICTRACK, MACHINE
 from frictrack.crate.unpacking import safe_place
 from frictrack.errors import FrictrackError
+from frictrack.flow import hash_path
 
 MAX_METADATA_BYTES = 200_000_000  # of ro-crate-metadata.json
 ABSENT = "ni:"  # how the address of a file begins that the crate does not contain
@@ -85,16 +86,42 @@ def read_crate(folder: Path) -> Crate:
         if path.stat().st_size > MAX_METADATA_BYTES:
             raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
         raw = json.loads(path.read_text(encoding="utf-8"))
+    except FrictrackError:
+        raise
     except FileNotFoundError as e:
         raise FrictrackError(f"expected an RO-Crate but {folder} has no {METADATA}", usage=True) from e
     except (OSError, ValueError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
     try:
         return _crate(folder, {one["@id"]: one for one in raw["@graph"]})
+    except FrictrackError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as e:
         raise FrictrackError(
             f"expected a crate of `frictrack export --to crate` but {path} describes something else ({e!r})"
         ) from e
+
+
+def has_same_bytes(path: Path, described: CrateFile) -> bool:
+    """Return whether a file exists and has the bytes that a crate describes.
+
+    Parameters
+    ----------
+    path
+        The file.
+    described
+        Its description.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be read.
+
+    """
+    try:
+        return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
+    except OSError as e:
+        raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
 
 def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:

@@ -10,7 +10,7 @@ from typing import Any
 from frictrack.crate.comparison import RELATIVE_TOLERANCE, GroupComparison, compare_files
 from frictrack.crate.inputs import set_up_study
 from frictrack.crate.platform_versions import FRICTRACK, platform_versions
-from frictrack.crate.reading import Crate, read_crate
+from frictrack.crate.reading import Crate, has_same_bytes, read_crate
 from frictrack.crate.unpacking import unpack
 from frictrack.errors import FrictrackError
 from frictrack.flow import (
@@ -113,6 +113,7 @@ def _summary(
         "numbers": sum(row["numbers"] for row in rows),
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
+        "altered": [one.place for one in crate.results if not has_same_bytes(crate.folder / one.place, one)],
         "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
     }
 

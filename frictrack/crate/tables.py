@@ -20,8 +20,8 @@ COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distr
 TOTAL = "total"  # source of the last row of `frictrack.budget`
 PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
 PARAMETER_COLUMNS = (
-    *("model", "current", "parameter", "value", "standard_uncertainty", "interval_low", "interval_high"),
-    *("unit", "ucum", "qudt", "reason"),
+    *("model", "current", "parameter", "value", "standard_uncertainty", "standard_uncertainty_misfit"),
+    *("interval_low", "interval_high", "unit", "ucum", "qudt", "reason"),
 )
 BUDGET_COLUMNS = (
     *("run", "quantity", "estimate_N", "source", "input_standard_uncertainty", "input_unit", "input_ucum"),
@@ -49,6 +49,7 @@ def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
                 "parameter": name,
                 "value": found["value"],
                 "standard_uncertainty": found["std"],
+                "standard_uncertainty_misfit": found.get("std_misfit"),
                 "interval_low": low,
                 "interval_high": high,
                 "unit": found["unit"],

@@ -68,6 +68,8 @@ def unpack(crate: Path, folder: Path) -> None:
             _check(crate, infos, folder)
             for info in infos:
                 _copy(file, info, folder / safe_place(info.filename))
+    except FrictrackError:
+        raise
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as e:
         raise FrictrackError(f"{crate} is damaged or is not a zip file ({e}); fetch it again") from e
     except OSError as e:

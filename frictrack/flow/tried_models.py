@@ -249,7 +249,8 @@ class TriedModels:
         return digest([keys, self.study.mass])
 
     def _fit(self, request: FitRequest) -> Any:
-        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit  # noqa: PLC0415
+        """Fit a model; return the fit as it will be restored, so that one process or several give the same bits."""
+        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state  # noqa: PLC0415
 
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
         how: dict[str, Any] = {
@@ -266,7 +267,7 @@ class TriedModels:
         prior = self._prior(request)
         fitted = fit(request.model(self.study.effects), self.runs, callback=callback, prior=prior, **how)
         self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, request.search)
-        return fitted
+        return restore(self.runs, state(fitted))
 
     def _search_callback(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
         """Return a callback that reports the progress of a global search, generation by generation."""
