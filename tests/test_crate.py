@@ -21,7 +21,7 @@ from frictrack import effects, store
 from frictrack.cli import main
 from frictrack.crate import CrateOptions, payload, reproduce_crate, write_crate
 from frictrack.crate.authorship import read_authorship
-from frictrack.crate.comparison import compare_files
+from frictrack.crate.comparison import compare_files, tolerance_of
 from frictrack.crate.reading import read_crate
 from frictrack.crate.unit_codes import UNIT_CODES
 from frictrack.crate.unpacking import safe_place, unpack
@@ -321,22 +321,37 @@ def test_safe_places() -> None:
 
 
 def test_comparison_by_the_largest_magnitude() -> None:
-    def differ(old: Any, new: Any, tolerance: float) -> int:
+    def differ(old: Any, new: Any, *, exact: bool) -> int:
         files = ({"a.h5": {"g": {"x": old}}}, {"a.h5": {"g": {"x": new}}})
-        return sum(one.n_differences for one in compare_files(*files, tolerance))
+        return sum(one.n_differences for one in compare_files(*files, exact=exact))
 
     near = [np.array([1e-12, 5.0])], [np.array([1e-12 + 4e-9, 5.0])]
-    assert differ(*near, 0.0) == 1
-    assert differ(*near, 1e-9) == 0
-    assert differ([5.0], [5.0 + 6e-9], 1e-9) == 1
-    assert differ([np.nan, None, np.inf], [np.nan, None, np.inf], 0.0) == 0
+    assert differ(*near, exact=True) == 1
+    assert differ(*near, exact=False) == 0
+    assert differ([5.0], [5.0 + 6e-9], exact=False) == 1
+    assert differ([np.nan, None, np.inf], [np.nan, None, np.inf], exact=True) == 0
     for old, new in (([np.nan], [1.0]), ([np.inf], [-np.inf]), ([1.0], [1.0, 2.0]), (["a"], ["b"]), ([0.0], [1e-300])):
-        assert differ(old, new, 1e-9) == 1, (old, new)
-    groups = compare_files({"a.h5": {"old": {}}}, {"a.h5": {"new": {}}}, 0.0)
+        assert differ(old, new, exact=False) == 1, (old, new)
+    groups = compare_files({"a.h5": {"old": {}}}, {"a.h5": {"new": {}}}, exact=True)
     assert [(one.group, one.differences[0].stored, one.differences[0].computed) for one in groups] == [
         ("old", "there", "missing"),
         ("new", "missing", "there"),
     ]
+
+
+def test_only_uncertainties_and_misfits_are_compared_to_fewer_digits() -> None:
+    names = {
+        "summary.parameters.coulomb.F_c.value": 1e-9,
+        "summary.parameters.coulomb.F_c.std": 1e-5,
+        "sigma_a_y": 1e-5,
+        "summary.errors.reduced_chi2": 1e-9,
+        "diagnosis.summary.candidates[].delta_bic": 1e-9,
+        "diagnosis.summary.detection_limits.texture.value": 1e-2,
+        "diagnosis.figures.texture.limit": 1e-2,
+        "diagnosis.figures.common_x.F": 1e-5,
+        "F_model": 1e-9,
+    }
+    assert {name: tolerance_of(name) for name in names} == names
 
 
 def test_every_unit_has_codes() -> None:

@@ -60,6 +60,6 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     for place in result["altered"]:
         out.print(f"altered since the crate was written: {place}", markup=False, soft_wrap=True)
     for one in result["versions"]:
-        out.print(f"{one['name']}: {one['crate']} in the crate, {one['here']} here", markup=False, soft_wrap=True)
+        out.print(f"{one['name']}: {one['stored']} in the crate, {one['computed']} here", markup=False, soft_wrap=True)
     how = f"to a relative {result['tolerance']:g}, as versions differ" if result["versions"] else "bit for bit"
     out.print(f"{result['numbers']} numbers compared {how}, in {result['seconds']:.0f} s", markup=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -12,6 +13,32 @@ import numpy as np
 from frictrack.flow import Values
 
 RELATIVE_TOLERANCE = 1e-9  # of numbers that were computed on another platform
+
+
+@dataclass(frozen=True)
+class Approximate:
+    """Numbers of which fewer digits are the same on another platform, by their names, and why."""
+
+    pattern: re.Pattern[str]
+    tolerance: float
+    reason: str
+
+
+APPROXIMATE = (
+    Approximate(
+        re.compile(r"diagnosis\.(summary\..*limits?\b.*|summary\..*limit_over_friction|figures\..*\.(limit|rise))"),
+        1e-2,
+        "detection limits come from matrices that are nearly singular; two digits of them are used",
+    ),
+    Approximate(
+        re.compile(r"(.*\.)?(sigma|std)(_\w+)?"),
+        1e-5,
+        "a standard deviation is the root of a difference of nearly equal numbers; two digits are used (GUM 7.2.6)",
+    ),
+    Approximate(
+        re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"
+    ),
+)  # the first whose pattern is the whole name
 MAX_DIFFERENCES = 20  # of one group, that are listed
 MAX_TEXT = 200  # characters of a text in a difference
 
@@ -79,7 +106,7 @@ class GroupComparison:
 
 
 def compare_files(
-    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], tolerance: float
+    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], *, exact: bool
 ) -> list[GroupComparison]:
     """Compare all groups of all files.
 
@@ -87,8 +114,9 @@ def compare_files(
     ----------
     stored, computed
         By name of the file, what `frictrack.flow.stored_values` returns.
-    tolerance
-        Relative difference that is allowed; 0 for equality bit for bit.
+    exact
+        Whether numbers have to be equal bit for bit; else to a relative `RELATIVE_TOLERANCE`, and `APPROXIMATE` ones
+        to theirs.
 
     Returns
     -------
@@ -99,23 +127,42 @@ def compare_files(
     --------
     >>> stored = {"a.h5": {"track": {"x": [1.0, 2.0]}}}
     >>> computed = {"a.h5": {"track": {"x": [1.0, 2.0 + 1e-10]}}}
-    >>> [one.n_differences for t in (0.0, 1e-9) for one in compare_files(stored, computed, t)]
+    >>> [one.n_differences for exact in (True, False) for one in compare_files(stored, computed, exact=exact)]
     [1, 0]
 
     """
     places = [(file, group) for files in (stored, computed) for file, groups in files.items() for group in groups]
     return [
-        _compare_group((file, group), stored.get(file, {}).get(group), computed.get(file, {}).get(group), tolerance)
+        _compare_group((file, group), stored.get(file, {}).get(group), computed.get(file, {}).get(group), exact=exact)
         for file, group in dict.fromkeys(places)
     ]
 
 
-def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, tolerance: float) -> GroupComparison:
+def tolerance_of(name: str) -> float:
+    """Return the relative difference that is allowed of a value on another platform.
+
+    Parameters
+    ----------
+    name
+        Name of the value, as `frictrack.flow.stored_values` has it.
+
+    Examples
+    --------
+    >>> tolerance_of("summary.parameters.coulomb.F_c.value"), tolerance_of("summary.parameters.coulomb.F_c.std")
+    (1e-09, 1e-05)
+
+    """
+    found = (one.tolerance for one in APPROXIMATE if one.pattern.fullmatch(name))
+    return next(found, RELATIVE_TOLERANCE)
+
+
+def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> GroupComparison:
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
         return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1)
     numbers, largest, found = 0, 0.0, []
     for name in dict.fromkeys([*old, *new]):
+        tolerance = 0.0 if exact else tolerance_of(name)
         count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)
         numbers, largest = numbers + count, max(largest, relative)
         if different is not None:

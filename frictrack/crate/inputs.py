@@ -55,15 +55,15 @@ def _find_inputs(crate: Crate, recordings: Path | None) -> dict[str, Path]:
     changed: list[str] = []
     candidates = _files_by_name(recordings)
     for one in (crate.study, *crate.inputs):
-        here = [crate.folder / one.place] if one.is_included else candidates.get(PurePosixPath(one.place).name, [])
-        here = [path for path in here if path.is_file()]
-        same = next((path for path in here if has_same_bytes(path, one)), None)
+        known = [crate.folder / one.place] if one.is_included else candidates.get(PurePosixPath(one.place).name, [])
+        there = [path for path in known if path.is_file()]
+        same = next((path for path in there if has_same_bytes(path, one)), None)
         if same is not None:
             found[one.place] = same.absolute()
-        elif one.is_included or not here:
-            (changed if here else missing).append(one.place)
+        elif one.is_included or not there:
+            (changed if there else missing).append(one.place)
         else:
-            changed.append(f"{one.place} (found as {here[0]})")
+            changed.append(f"{one.place} (found as {there[0]})")
     faults = []
     if missing:
         where = "in the crate" if recordings is None else f"in {recordings}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from frictrack.crate.comparison import RELATIVE_TOLERANCE, GroupComparison, compare_files
+from frictrack.crate.comparison import APPROXIMATE, RELATIVE_TOLERANCE, GroupComparison, compare_files
 from frictrack.crate.inputs import set_up_study
 from frictrack.crate.platform_versions import FRICTRACK, platform_versions
 from frictrack.crate.reading import Crate, has_same_bytes, read_crate
@@ -65,56 +65,56 @@ def reproduce_crate(
     crate = read_crate(folder)
     versions = compare_versions(crate.versions, platform_versions())
     for one in versions:
-        progress(0, 0, f"{one['name']}: {one['crate']} in the crate, {one['here']} here")
+        progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     progress(0, 0, "checking the inputs")
     study = open_study(set_up_study(crate, _made(out / AGAIN), recordings))
     stored = _stored_files(crate)
     repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
     computed = {file.name: stored_values(file) for file in sorted(study.output.glob("*.h5"))}
-    tolerance = RELATIVE_TOLERANCE if versions else 0.0
-    groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, tolerance)
-    return _summary(crate, versions, groups, tolerance) | {
+    groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
+    return _summary(crate, versions, groups) | {
         "crate": str(path),
         "seconds": round(time.monotonic() - began, 1),
         "output": str(study.output),
     }
 
 
-def compare_versions(stored: Mapping[str, str], here: Mapping[str, str]) -> list[dict[str, str]]:
+def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> list[dict[str, str]]:
     """Return the versions that differ between the crate and this machine.
 
     Parameters
     ----------
-    stored, here
+    stored, present
         Versions by name; see `platform_versions`.
 
     Examples
     --------
     >>> compare_versions({"numpy": "2.1.0", "scipy": "1.15"}, {"numpy": "2.2.0", "scipy": "1.15"})
-    [{'name': 'numpy', 'crate': '2.1.0', 'here': '2.2.0'}]
+    [{'name': 'numpy', 'stored': '2.1.0', 'computed': '2.2.0'}]
 
     """
-    names = dict.fromkeys([*stored, *here])
-    pairs = {name: (stored.get(name, "unknown"), here.get(name, "unknown")) for name in names}
-    return [{"name": name, "crate": old, "here": new} for name, (old, new) in pairs.items() if old != new]
+    names = dict.fromkeys([*stored, *present])
+    pairs = {name: (stored.get(name, "unknown"), present.get(name, "unknown")) for name in names}
+    return [{"name": name, "stored": old, "computed": new} for name, (old, new) in pairs.items() if old != new]
 
 
-def _summary(
-    crate: Crate, versions: list[dict[str, str]], groups: list[GroupComparison], tolerance: float
-) -> dict[str, Any]:
+def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupComparison]) -> dict[str, Any]:
     rows = [group.to_dict() for group in groups]
     return {
         "equal": all(row["equal"] for row in rows),
         "version": crate.versions[FRICTRACK],
         "same_platform": not versions,
         "versions": versions,
-        "tolerance": tolerance,
+        "tolerance": RELATIVE_TOLERANCE if versions else 0.0,
         "numbers": sum(row["numbers"] for row in rows),
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.folder / one.place, one)],
         "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
+        "approximate": [
+            {"names": one.pattern.pattern, "tolerance": one.tolerance, "reason": one.reason} for one in APPROXIMATE
+        ],
     }
 
 
