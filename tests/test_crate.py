@@ -204,40 +204,40 @@ def refused(*arguments: Any, **keywords: Any) -> str:
 def test_large_films_are_described_by_their_hash(
     tmp_path: Path, sample_study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(payload, "MAX_INCLUDED_BYTES", 2_000_000)  # one of the two films has 2.8 MB
+    monkeypatch.setattr(payload, "MAX_INCLUDED_BYTES", 1_000_000)  # the film has 1.6 MB
     films = sample_study.parent
     session = Session(open_study(sample_study))
     made = write_crate(session, tmp_path / "crate")
-    assert [one["file"] for one in made["by_hash"]] == ["slow.avi"]
-    assert made["missing"] == ["license", "author"]
-    (slow,) = [one for one in read_crate(tmp_path / "crate").inputs if not one.is_included]
-    assert (slow.place, slow.size) == ("slow.avi", (films / "slow.avi").stat().st_size)
+    assert [one["file"] for one in made["by_hash"]] == ["fast.avi"]
+    assert made["not_given"] == ["license", "author"]
+    (film,) = [one for one in read_crate(tmp_path / "crate").inputs if not one.is_included]
+    assert (film.place, film.size) == ("fast.avi", (films / "fast.avi").stat().st_size)
     said = refused(tmp_path / "crate", tmp_path / "a")
-    assert said.startswith("expected the inputs of the study but slow.avi is not in the crate; give --recordings")
+    assert said.startswith("expected the inputs of the study but fast.avi is not in the crate; give --recordings")
     other = tmp_path / "other" / "deep"
     other.mkdir(parents=True)
-    (other / "slow.avi").write_bytes((films / "slow.avi").read_bytes()[:-1] + b"?")
+    (other / "fast.avi").write_bytes((films / "fast.avi").read_bytes()[:-1] + b"?")
     said = refused(tmp_path / "crate", tmp_path / "b", other.parent)
-    assert f"slow.avi (found as {other / 'slow.avi'}) has other bytes than the crate says" in said
+    assert f"fast.avi (found as {other / 'fast.avi'}) has other bytes than the crate says" in said
     (tmp_path / "other" / "again").mkdir()
-    shutil.copy(films / "slow.avi", tmp_path / "other" / "again")
+    shutil.copy(films / "fast.avi", tmp_path / "other" / "again")
     found = reproduce_crate(tmp_path / "crate", tmp_path / "c", other.parent)  # the right one of two
     assert found["equal"]
     assert found["numbers"] > 50_000
     whole = write_crate(session, tmp_path / "whole.zip", CrateOptions(include_recordings=True))
     assert whole["by_hash"] == []
-    assert "slow.avi" in whole["included"]
+    assert "fast.avi" in whole["included"]
 
 
 @pytest.fixture
 def sample_study(tmp_path: Path) -> Path:
-    """Two films of the sample, of which only the simplest law is asked."""
+    """One film of the sample, of which only the simplest law is asked."""
     from frictrack.samples import copy_films  # noqa: PLC0415
 
     copy_films(tmp_path / "films")
     path = tmp_path / "films" / "study.toml"
     head = path.read_text().partition("[[run]]")[0].replace('"tustin"', '["coulomb", "viscous"]')
-    path.write_text(head + '[[run]]\nvideo = "fast.avi"\n[[run]]\nvideo = "slow.avi"\n')
+    path.write_text(head + '[[run]]\nvideo = "fast.avi"\n')
     return path
 
 

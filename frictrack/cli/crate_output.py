@@ -10,7 +10,7 @@ from rich.markup import escape
 from frictrack.cli.tables import table
 
 MAX_DIFFERENCES = 5  # printed of one group
-MISSING = {"license": "a licence, without which nobody may use the data", "author": "an author"}
+NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
 
 
 def crate(out: Console, result: dict[str, Any]) -> None:
@@ -31,8 +31,8 @@ def crate(out: Console, result: dict[str, Any]) -> None:
             rows.add_row(escape(one["file"]), f"{one['bytes'] / 1e6:.1f}", one["sha256"][:12])
         out.print(rows)
         out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
-    for name in result["missing"]:
-        out.print(f"missing: {MISSING[name]}; give --{name}", markup=False)
+    for name in result["not_given"]:
+        out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
 
 
 def reproduced_crate(out: Console, result: dict[str, Any]) -> None:

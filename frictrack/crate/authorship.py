@@ -35,11 +35,11 @@ class Authorship:
 
     authors: tuple[Entity, ...] = ()
     licence: Entity | None = None
-    missing: tuple[str, ...] = field(init=False)
+    not_given: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         lacks = {"license": self.licence is None, "author": not self.authors}
-        object.__setattr__(self, "missing", tuple(name for name, lacking in lacks.items() if lacking))
+        object.__setattr__(self, "not_given", tuple(name for name, lacking in lacks.items() if lacking))
 
 
 def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> Authorship:

@@ -101,7 +101,7 @@ def _summary(target: Path, payload: Payload, authorship: Authorship) -> dict[str
         "bytes": target.stat().st_size if target.is_file() else sum(part.size for part in included),
         "included": [part.place for part in included],
         "by_hash": [{"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.by_hash],
-        "missing": list(authorship.missing),
+        "not_given": list(authorship.not_given),
         "output": str(target.parent),
     }
 

@@ -384,7 +384,7 @@ class Session:
         """
         self.bring_up_to("friction")
         group, request = self.models.current()
-        self.models.fit(group)  # a new fit removes the old diagnosis
+        self.models.bring_up_to_date(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
         test = self.budget.plan(key, self.models.input_hash, request.model(self.study.effects).names)

@@ -55,7 +55,6 @@ class TriedModels:
         self.commands = commands
         self.progress = progress
         self._pipelines = pipelines
-        self._fits: dict[str, Any] = {}
         self._runs: list[Run] | None = None
 
     @property
@@ -152,7 +151,6 @@ class TriedModels:
             )
             change.before = {} if before is None else {"current": before}
             change.after = {"current": group}
-        self._fits[group] = fitted
         return group, request
 
     def _check_prior(self, request: FitRequest) -> None:
@@ -193,22 +191,23 @@ class TriedModels:
         return None if found is None else restore(self.runs, store.read(found[0], f"models/{found[1]}")["state"])
 
     def fit(self, group: str) -> Any:
-        """Return the fit of a group: restored from the store if it is up to date, else computed again."""
-        if group not in self._fits:
-            request = self.request(group)
-            if not self.is_outdated(group):
-                self._fits[group] = self._restored(group)
-            else:
-                self._fits[group] = self._fit(request)
-                entry = self._group_content(request, self._fits[group], current=group == self.current_group)
-                removed = ("diagnosis",)  # a link into the group that is replaced
-                store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
-        return self._fits[group]
+        """Return the fit of a group, which is computed again if it is outdated.
 
-    def _restored(self, group: str) -> Any:
+        It is restored from the store in every call. What was computed from a fit before would change the last bits of
+        what is computed from it now; so the results are the same whether commands run in one process or in several.
+        """
         from frictrack.fit import restore  # noqa: PLC0415
 
+        self.bring_up_to_date(group)
         return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
+
+    def bring_up_to_date(self, group: str) -> None:
+        """Fit a model again if it is outdated."""
+        if self.is_outdated(group):
+            request = self.request(group)
+            entry = self._group_content(request, self._fit(request), current=group == self.current_group)
+            removed = ("diagnosis",)  # a link into the group that is replaced
+            store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
 
     def fit_key(self, request: FitRequest) -> str:
         """Return the hash of all that the fit of a model depends on."""
@@ -291,8 +290,7 @@ class TriedModels:
 
     def summary(self, group: str) -> dict[str, Any]:
         """Return the JSON of a fit; a model that is outdated is fitted again."""
-        if self.is_outdated(group):
-            self.fit(group)
+        self.bring_up_to_date(group)
         inside = f"models/{group}"
         return _summary_of(store.read(self.path, inside, without=("state", "curves", "motion", "diagnosis")))
 
