@@ -193,6 +193,21 @@ def test_a_changed_number_is_found_and_named(
     assert difference["computed"] == before
     assert difference["stored"] == pytest.approx(before * (1 + 1e-6), rel=1e-12)
     assert found["altered"] == ["study_results/fast.h5"]
+    assert found["same_conclusions"]
+
+
+def test_conclusions_are_models_verdicts_parameters_and_errors() -> None:
+    for name, concludes in {
+        "summary.parameters.coulomb.F_c.value": True,
+        "summary.errors.rms_displacement_um": True,
+        "diagnosis.summary.verdict": True,
+        "diagnosis.summary.missing[]": True,
+        "diagnosis.summary.candidates[].effect": False,
+        "curves.000_a.F_model": False,
+    }.items():
+        (group,) = compare_files({"a.h5": {"g": {name: [1.0]}}}, {"a.h5": {"g": {name: [2.0]}}}, exact=False)
+        assert group.n_differences == 1
+        assert group.same_conclusions is not concludes, name
 
 
 def refused(*arguments: Any, **keywords: Any) -> str:

@@ -270,6 +270,7 @@ MEANINGS = {
     "by_hash": "files that the crate does not contain: file (where it belongs), bytes, sha256",
     "not_given": 'what the user should add: "license", "author"',
     "equal": "whether all values are the same",
+    "same_conclusions": "whether models, verdicts, parameters and errors are the same",
     "same_platform": "whether all versions are the same, so that numbers are compared bit for bit",
     "versions": "versions that differ: name, stored (in the crate), computed (on this machine)",
     "tolerance": "relative difference that is allowed, of the largest magnitude of an array; 0 for none",

@@ -61,5 +61,8 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
         out.print(f"altered since the crate was written: {place}", markup=False, soft_wrap=True)
     for one in result["versions"]:
         out.print(f"{one['name']}: {one['stored']} in the crate, {one['computed']} here", markup=False, soft_wrap=True)
+    if not result["equal"]:
+        same = "are the same" if result["same_conclusions"] else "differ, too"
+        out.print(f"models, verdicts, parameters and errors {same}")
     how = f"to a relative {result['tolerance']:g}, as versions differ" if result["versions"] else "bit for bit"
     out.print(f"{result['numbers']} numbers compared {how}, in {result['seconds']:.0f} s", markup=False)

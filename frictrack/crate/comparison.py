@@ -39,6 +39,9 @@ APPROXIMATE = (
         re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"
     ),
 )  # the first whose pattern is the whole name
+CONCLUSIONS = re.compile(
+    r"summary\.(model|equation|parameters|errors)\b.*|diagnosis\.summary\.(model|verdict|missing)\b.*|equation"
+)  # names of the values that a paper states
 MAX_DIFFERENCES = 20  # of one group, that are listed
 MAX_TEXT = 200  # characters of a text in a difference
 
@@ -82,6 +85,8 @@ class GroupComparison:
         The values that differ, at most `MAX_DIFFERENCES`.
     n_differences
         How many values differ.
+    same_conclusions
+        Whether model, verdict, parameters and errors are the same.
 
     """
 
@@ -91,6 +96,7 @@ class GroupComparison:
     largest: float
     differences: tuple[Difference, ...]
     n_differences: int
+    same_conclusions: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of the group."""
@@ -159,7 +165,7 @@ def tolerance_of(name: str) -> float:
 def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> GroupComparison:
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
-        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1)
+        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1, same_conclusions=False)
     numbers, largest, found = 0, 0.0, []
     for name in dict.fromkeys([*old, *new]):
         tolerance = 0.0 if exact else tolerance_of(name)
@@ -167,7 +173,8 @@ def _compare_group(place: tuple[str, str], old: Values | None, new: Values | Non
         numbers, largest = numbers + count, max(largest, relative)
         if different is not None:
             found.append(Difference(*place, name, *different, relative if count else None))
-    return GroupComparison(*place, numbers, largest, tuple(found[:MAX_DIFFERENCES]), len(found))
+    same = not any(CONCLUSIONS.fullmatch(one.value) for one in found)
+    return GroupComparison(*place, numbers, largest, tuple(found[:MAX_DIFFERENCES]), len(found), same_conclusions=same)
 
 
 def _compare_values(

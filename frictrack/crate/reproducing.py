@@ -103,6 +103,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
     rows = [group.to_dict() for group in groups]
     return {
         "equal": all(row["equal"] for row in rows),
+        "same_conclusions": all(group.same_conclusions for group in groups),
         "version": crate.versions[FRICTRACK],
         "same_platform": not versions,
         "versions": versions,
