@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
+from camera_films import write_photron
 from conftest import STUDY, slide
 
 from frictrack import effects, store
@@ -26,7 +28,7 @@ from frictrack.crate.reading import read_crate
 from frictrack.crate.unit_codes import UNIT_CODES
 from frictrack.crate.unpacking import safe_place, unpack
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study
+from frictrack.flow import Session, open_study, stored_values
 from frictrack.records import Friction
 from frictrack.store import GroupContent
 
@@ -254,6 +256,52 @@ def sample_study(tmp_path: Path) -> Path:
     head = path.read_text().partition("[[run]]")[0].replace('"tustin"', '["coulomb", "viscous"]')
     path.write_text(head + '[[run]]\nvideo = "fast.avi"\n')
     return path
+
+
+def test_recordings_of_several_files_keep_together(tmp_path: Path) -> None:
+    """A header with its frames, a folder of pictures, and two folders of one name outside that of the study."""
+    rng = np.random.default_rng(0)
+    study, places = tmp_path / "lab" / "study", ("lab/study/films", "a/films", "b/films")
+    for place in places:
+        (tmp_path / place).mkdir(parents=True)
+        write_photron(tmp_path / place, rng.integers(0, 255, (3, 16, 16), np.uint8), 8)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for number in range(3):
+        tifffile.imwrite(pictures / f"{number:03d}.tif", rng.integers(0, 255, (16, 16), np.uint8))
+    (pictures / "notes.txt").write_text("no frame")
+    videos = ("films/film.cih", "../../a/films/film.cih", "../../b/films/film.mraw", "../../pictures")
+    runs = [f'[[run]]\nname = "{i}"\nvideo = "{video}"\n' for i, video in enumerate(videos)]
+    head = '[study]\nmass = 0.35\n[camera]\nfps = 1000\nscale = "0.5 mm/px"\n'
+    (study / "study.toml").write_text(head + "".join(runs))
+    found = payload.list_payload(Session(open_study(study)), include_recordings=False)
+    assert [part.place for part in found.parts] == [
+        *("study.toml", "films/film.cih", "films/film.mraw", "inputs/1/film.cih", "inputs/1/film.mraw"),
+        *("inputs/2/film.cih", "inputs/2/film.mraw"),
+        *("inputs/3/pictures/000.tif", "inputs/3/pictures/001.tif", "inputs/3/pictures/002.tif"),
+    ]
+    assert found.moved == {
+        "../../a/films/film.cih": "inputs/1/film.cih",
+        "../../b/films/film.mraw": "inputs/2/film.mraw",
+        "../../pictures": "inputs/3/pictures",
+    }
+    described = {part.place: part.source for part in found.parts}
+    assert described["inputs/2/film.mraw"] == tmp_path / "b" / "films" / "film.mraw"
+
+
+def test_results_that_frictrack_did_not_write_are_refused(folder: Path, tmp_path: Path) -> None:
+    path = folder / "study_results" / "study.h5"
+    kept = path.read_bytes()
+    for wrong in ("{}", "[1]", "no JSON", '{"base": 1}'):
+        store.write(path, {}, attribute_updates={"models/2_coulomb": {"settings": wrong}})
+        assert f"{path} is damaged" in refused(folder, tmp_path / f"again {len(wrong)}")
+        path.write_bytes(kept)
+    store.write(path, {}, attribute_updates={"models/2_coulomb": {"deep": "[" * 7000 + "]" * 7000}})
+    with pytest.raises(FrictrackError, match="is damaged"):
+        stored_values(path)
+    path.write_bytes(kept)
+    path.write_bytes(kept[:-100])
+    assert "is damaged" in refused(folder, tmp_path / "again")
 
 
 def test_inputs_with_other_bytes_are_refused(folder: Path, tmp_path: Path) -> None:

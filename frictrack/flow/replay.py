@@ -108,7 +108,7 @@ def recorded_models(path: Path) -> list[RecordedModel]:
         If the file is missing or damaged.
 
     """
-    with store.snapshot(path):
+    with store.snapshot(path):  # whatever is wrong in it becomes one sentence
         groups = sorted(store.names(path, "models"), key=lambda name: int(name.split("_")[0]))
         return [_recorded_model(path, group) for group in groups]
 

@@ -58,14 +58,14 @@ def stored_values(path: Path) -> dict[str, Values]:
         If the file is missing or damaged.
 
     """
-    with store.snapshot(path):
+    with store.snapshot(path):  # whatever is wrong in it becomes one sentence
         names = [name for name in store.names(path) if name not in LINKS]
         inner = {name: store.names(path, name) for name in names if name in PARTS}
         groups = [name for name in names if name not in inner]
         groups += [f"{name}/{member}" for name, members in inner.items() for member in members]
         own = {name: store.attributes(path, name) for name in inner}
         read = own | {group: store.read(path, group) for group in groups}
-    return {group: _values(content) for group, content in read.items()}
+        return {group: _values(content) for group, content in read.items()}
 
 
 def _values(content: Mapping[str, Any]) -> Values:
@@ -98,6 +98,6 @@ def _decoded(value: Any) -> Any:
     if isinstance(value, str) and value[:1] in ("{", "["):
         try:
             return json.loads(value)
-        except ValueError:
+        except (ValueError, RecursionError):
             return value
     return value
