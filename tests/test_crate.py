@@ -231,6 +231,7 @@ def test_large_films_are_described_by_their_hash(
     assert (film.place, film.size) == ("fast.avi", (films / "fast.avi").stat().st_size)
     said = refused(tmp_path / "crate", tmp_path / "a")
     assert said.startswith("expected the inputs of the study but fast.avi is not in the crate; give --recordings")
+    assert not (tmp_path / "a").exists()
     other = tmp_path / "other" / "deep"
     other.mkdir(parents=True)
     (other / "fast.avi").write_bytes((films / "fast.avi").read_bytes()[:-1] + b"?")
@@ -359,6 +360,7 @@ def test_metadata_that_lead_out_or_are_of_others_are_refused(folder: Path, tmp_p
 
 def test_nothing_is_overwritten(crate: Path, study: Path, tmp_path: Path) -> None:
     assert "exists; choose another" in refused(crate, tmp_path)
+    assert "there is no nothing.zip" in refused(Path("nothing.zip"), tmp_path / "out")
     with pytest.raises(FrictrackError, match="exists; choose another name"):
         write_crate(Session(open_study(study)), tmp_path)
 

@@ -112,7 +112,7 @@ def _documentation() -> Path:
 @command()
 def reproduce(
     crate: Annotated[
-        Path | None, typer.Argument(metavar="[CRATE]", help="crate of a study, from `frictrack export --to crate`")
+        Path | None, typer.Argument(metavar="CRATE", help="crate of a study, from `frictrack export --to crate`")
     ] = None,
     recordings: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="where the recordings are that the crate does not contain")

@@ -191,7 +191,7 @@ class _Places:
     def moved(self) -> dict[str, str]:
         """Return the places by the texts of the study file that name what was moved."""
         raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
-        texts = dict.fromkeys(_texts(raw))
+        texts = dict.fromkeys(text for text in _texts(raw) if text)
         found = {text: self._moved.get(text, self._moved.get(_absolute(self._folder / text))) for text in texts}
         return {text: place for text, place in found.items() if place is not None}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -55,19 +56,17 @@ def reproduce_crate(
         If the crate cannot be read, an input is missing or has other bytes, or the study cannot be computed.
 
     """
-    _check_out(out)
+    _check_paths(path, out)
     began = time.monotonic()
-    folder = path
-    if not path.is_dir():
-        progress(0, 0, f"unpacking {path.name}")
-        folder = out / UNPACKED
-        unpack(path, _made(folder))
-    crate = read_crate(folder)
+    try:
+        crate, file = _set_up(path, out, recordings, progress)
+    except FrictrackError:
+        shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
+        raise
     versions = compare_versions(crate.versions, platform_versions())
     for one in versions:
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
-    progress(0, 0, "checking the inputs")
-    study = open_study(set_up_study(crate, _made(out / AGAIN), recordings))
+    study = open_study(file)
     stored = _stored_files(crate)
     repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
@@ -78,6 +77,18 @@ def reproduce_crate(
         "seconds": round(time.monotonic() - began, 1),
         "output": str(study.output),
     }
+
+
+def _set_up(path: Path, out: Path, recordings: Path | None, progress: Progress) -> tuple[Crate, Path]:
+    """Unpack a crate and set up its study; return the description of the crate, and the study file."""
+    folder = path
+    if not path.is_dir():
+        progress(0, 0, f"unpacking {path.name}")
+        folder = out / UNPACKED
+        unpack(path, _made(folder))
+    crate = read_crate(folder)
+    progress(0, 0, "checking the inputs")
+    return crate, set_up_study(crate, _made(out / AGAIN), recordings)
 
 
 def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> list[dict[str, str]]:
@@ -128,7 +139,10 @@ def _stored_files(crate: Crate) -> dict[str, Path]:
     return found
 
 
-def _check_out(out: Path) -> None:
+def _check_paths(path: Path, out: Path) -> None:
+    """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
+    if not path.exists():
+        raise FrictrackError(f"expected a crate but there is no {path}; check the path", usage=True)
     if out.exists():
         raise FrictrackError(
             f"expected the name of a new folder but {out} exists; choose another one with -o", usage=True
