@@ -20,6 +20,7 @@ from frictrack.results import ModelResults, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
+RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion}  # groups in that of a model, with one record per run
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
@@ -140,14 +141,17 @@ class TriedModels:
 
         """
         self._check_prior(request)
-        fitted = self._attempted(request) or self._fit(request)
+        entry = self._attempted(request) or self._group_content(request, self._fit(request), current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
             flags = {"models": {"study_model": self._study_model}} | self._current_flags(group)
-            entry = {f"models/{group}": self._group_content(request, fitted, current=True)}
             store.write(
-                self.path, entry, remove=GROUPS_OF_CURRENT_MODEL, links=self._run_links(), attribute_updates=flags
+                self.path,
+                {f"models/{group}": entry},
+                remove=GROUPS_OF_CURRENT_MODEL,
+                links=self._run_links(),
+                attribute_updates=flags,
             )
             change.before = {} if before is None else {"current": before}
             change.after = {"current": group}
@@ -183,12 +187,19 @@ class TriedModels:
             store.write(found[0], {f"models/{found[1]}": standalone})
         return model_results(*found).summary
 
-    def _attempted(self, request: FitRequest) -> Any:
-        """Return the fit of a request if it was attempted before, else None."""
-        from frictrack.fit import restore  # noqa: PLC0415
-
+    def _attempted(self, request: FitRequest) -> GroupContent | None:
+        """Return what was stored of a request if it was attempted before, else None; every bit of it is kept."""
         found = self.stored_attempt(request)
-        return None if found is None else restore(self.runs, store.read(found[0], f"models/{found[1]}")["state"])
+        if found is None:
+            return None
+        path, inside = found[0], f"models/{found[1]}"
+        with store.snapshot(path):
+            content = store.read(path, inside, without=RECORDS_OF_FIT)
+            for part, kind in RECORDS_OF_FIT.items():
+                names = store.names(path, f"{inside}/{part}")
+                content[part] = {name: store.read(path, f"{inside}/{part}/{name}", kind) for name in names}
+        provenance = self.provenance(self.fit_key(request), request.to_json())
+        return GroupContent(content | {"current": True}, provenance)
 
     def fit(self, group: str) -> Any:
         """Return the fit of a group, which is computed again if it is outdated.
