@@ -55,7 +55,8 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     session.fit(profiles=True)
     session.diagnose(quick=True)
     Session(open_study(folder)).diagnose(3)  # another seed: a new sequence of tests, at a smaller level
-    session.fit("coulomb", seed=2)
+    session.attempt("slope")
+    session.add("slope")  # takes the fit from there
     session.diagnose(3, quick=True)
     session.apply("use", model="1_coulomb+viscous")
     session.diagnose(3)
@@ -166,7 +167,11 @@ def test_computed_again_elsewhere_everything_is_equal(crate: Path, tmp_path: Pat
     assert found["numbers"] > 10_000
     assert found["largest_difference"] == 0.0
     groups = {(one["file"], one["group"]) for one in found["groups"]}
-    assert groups >= {("study.h5", "models/1_coulomb+viscous"), ("study.h5", "models/2_coulomb"), ("fast.h5", "motion")}
+    assert groups >= {
+        ("study.h5", "models/1_coulomb+viscous"),
+        ("study.h5", "models/2_coulomb+viscous+slope"),
+        ("fast.h5", "motion"),
+    }
     again = away / "again" / "study" / "study.toml"
     assert 'table = "inputs/1/fast.csv"   # of another day' in again.read_text()
     assert json.loads(store.read(again.parent / "study_results" / "study.h5", "diagnosis")["summary"])["alpha"] == 0.005
@@ -294,10 +299,10 @@ def test_results_that_frictrack_did_not_write_are_refused(folder: Path, tmp_path
     path = folder / "study_results" / "study.h5"
     kept = path.read_bytes()
     for wrong in ("{}", "[1]", "no JSON", '{"base": 1}'):
-        store.write(path, {}, attribute_updates={"models/2_coulomb": {"settings": wrong}})
+        store.write(path, {}, attribute_updates={"models/2_coulomb+viscous+slope": {"settings": wrong}})
         assert f"{path} is damaged" in refused(folder, tmp_path / f"again {len(wrong)}")
         path.write_bytes(kept)
-    store.write(path, {}, attribute_updates={"models/2_coulomb": {"deep": "[" * 7000 + "]" * 7000}})
+    store.write(path, {}, attribute_updates={"models/2_coulomb+viscous+slope": {"deep": "[" * 7000 + "]" * 7000}})
     with pytest.raises(FrictrackError, match="is damaged"):
         stored_values(path)
     path.write_bytes(kept)
