@@ -37,7 +37,19 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
 
 # Files that take longest.
 LONG = (
-    *("blind", "reality", "faults", "plausibility", "reproduce", "cli", "motion", "uncertainty", "fit", "workbench"),
+    *(
+        "blind",
+        "reality",
+        "faults",
+        "plausibility",
+        "reproduce",
+        "cli",
+        "motion",
+        "uncertainty",
+        "fit",
+        "workbench",
+        "crate",
+    ),
     *("unexplained", "lab", "flow", "diagnose", "measurement", "new_effect", "series", "turning", "notebooks"),
 )
 

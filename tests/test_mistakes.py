@@ -21,7 +21,7 @@ from frictrack.cli.batch_progress import LinePrinter
 from frictrack.cli.common import app
 from frictrack.cli.examples import EXAMPLES
 from frictrack.cli.progress_bars import ProgressDisplay
-from frictrack.flow import film_stages
+from frictrack.flow import stage_functions
 
 T = np.arange(300) / 4000
 X = 1.6 * T - 1.5 * T**2
@@ -34,7 +34,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder, in which nothing may be tracked or fitted: mistakes are found before."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(film_stages, "make_track", lambda *inputs: pytest.fail("the film was tracked"))
+    monkeypatch.setattr(stage_functions, "make_track", lambda *inputs: pytest.fail("the film was tracked"))
     return tmp_path
 
 

@@ -34,6 +34,8 @@ COMMANDS = {
     "report": (TABLES,),
     "export": (TABLES,),
     "export --to prior": (TABLES,),
+    "export --to crate": (TABLES,),
+    "reproduce": ("study_results/study.crate.zip",),
     "verify": (TABLES,),
     "plan": (TABLES,),
     "effects": (),

@@ -26,7 +26,7 @@ EXAMPLES = {
     "history": ("frictrack history study.toml", "frictrack history study.toml --json > history.json"),
     "plan": ("frictrack plan study.toml", "frictrack plan study.toml --json > plan.json"),
     "report": ("frictrack report study.toml", "frictrack report study.toml --pdf"),
-    "export": ("frictrack export study.toml --to netcdf", "frictrack export study.toml --to prior -o a.prior.toml"),
+    "export": ("frictrack export study.toml --to netcdf", "frictrack export study.toml --to crate --license CC-BY-4.0"),
     "effects": ("frictrack effects", "frictrack effects study.toml"),
     "render": ("frictrack render scene.toml -o films", "frictrack render scene.toml -o films --seed 3"),
     "app": ("frictrack app study.toml", "frictrack app study.toml --port 8080 --no-browser"),
@@ -34,7 +34,7 @@ EXAMPLES = {
     "verify": ("frictrack verify study.toml", "frictrack verify campaign"),
     "demo": ("frictrack demo", "frictrack demo --json > demo.json"),
     "docs": ("frictrack docs", "frictrack docs --path"),
-    "reproduce": ("frictrack reproduce --quick", "frictrack reproduce -o papers"),
+    "reproduce": ("frictrack reproduce study.crate.zip --recordings films", "frictrack reproduce --quick -o papers"),
     "make": ("frictrack blind make trial --n 40", "frictrack blind make trial --film --seed 7"),
     "score": ("frictrack blind score trial", "frictrack blind score trial --workers 4"),
 }  # command -> lines of at most 76 characters

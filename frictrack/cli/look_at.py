@@ -19,6 +19,7 @@ _TEXTS = {
     "plan": "the first rows of the table; plan.html shows which pairs of effects each run separates",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
+    "crate": "what is not included or missing, above. Then: frictrack reproduce {crate}, at best on another computer",
     "prior": "the deviations: they must be what you believe of the other set-up. There: prior = the file, in [study]",
     "batch": "the page: failures first, then verdicts and trends; frictrack_batch.csv has one row per run",
     "demo": "the first screen of the report; frictrack_demo/study.toml is a study file to copy from",

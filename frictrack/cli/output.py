@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.cli.blind_output import blind  # noqa: F401 - `print_result` looks the function up here, as all below
+from frictrack.cli.crate_output import crate, reproduced_crate  # noqa: F401
 from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, verdict
 from frictrack.cli.fit_output import compare, edit, fit, history  # noqa: F401
 from frictrack.cli.measurement_output import stages, track  # noqa: F401

@@ -28,13 +28,13 @@ from frictrack.cli.look_at import after_diagnosis, after_run, look_at
 from frictrack.errors import FrictrackError
 from frictrack.export import FORMATS, export_results
 
-PRIOR = "prior"  # the format that the current model alone fills
+PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study
 if TYPE_CHECKING:
     from frictrack.flow import Session
 
     FormatName = str
 else:
-    FormatName = Literal[*FORMATS, PRIOR]
+    FormatName = Literal[*FORMATS, PRIOR, CRATE]
 
 Announce = Callable[[Mapping[str, Any]], None]
 
@@ -320,35 +320,66 @@ def report(
 
 
 @command()
-def export(
+def export(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study,
     to: Annotated[FormatName, typer.Option(help="format; the guide on other tools says what each holds")] = "csv",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="path of the prior file (default: in the folder of results)")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="path of the prior file or of the crate: .zip, or a new folder (default: in the folder of results)",
+        ),
+    ] = None,
+    recordings: Annotated[
+        bool, typer.Option("--include-recordings", help="crate: include films above 10 MB, too")
+    ] = False,
+    author: Annotated[
+        list[str] | None, typer.Option(metavar="NAME <ORCID>", help="crate: an author; may be repeated")
+    ] = None,
+    licence: Annotated[
+        str | None, typer.Option("--license", metavar="SPDX", help="crate: licence, as in CC-BY-4.0, or an address")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Export the results to another tool, or the law as a prior for another study.
+    """Export the results to another tool, the law as a prior, or everything as a research object.
 
     Reads all results; missing ones are computed first. Writes tables (csv, xlsx, parquet), one file for xarray or
     MATLAB (netcdf, mat), projects or texts of the video program Tracker (trk, txt), figures with their data (svg, pdf),
-    or a prior file with the values and covariance of the parameters that carry over to another set-up. Shows what the
-    format cannot hold.
+    a prior file with the values and covariance of the parameters that carry over to another set-up, or an RO-Crate with
+    study file, recordings, results and report, which `frictrack reproduce` computes again. Shows what the format cannot
+    hold.
     """
+    if to == CRATE:
+        options = {"include_recordings": recordings, "authors": author or (), "licence": licence}
+        _export_crate(study, output, options, as_json)
+        return
+    if recordings or author or licence is not None:
+        raise FrictrackError(
+            f"expected --include-recordings, --author and --license only with --to {CRATE}", usage=True
+        )
     if to == PRIOR:
         _export_prior(study, output, as_json)
         return
-    options = {} if output is None else {"output": output}
-    if options.keys() - {*FORMATS[to].options}:
+    if output is not None:
         raise FrictrackError(
-            f"expected -o only with --to {PRIOR}; other files go into the folder of the results", usage=True
+            f"expected -o only with --to {PRIOR} or {CRATE}; other files go into the folder of the results", usage=True
         )
     with open_session(study) as session:
-        written = export_results(session.results(), to, **options)
+        written = export_results(session.results(), to)
     files = written.files
     where = files[0].parent if len(files) > 1 else files[0]
     result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
     print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
+
+
+def _export_crate(study: Path, output: Path | None, options: dict[str, Any], as_json: bool) -> None:
+    """Write a study with all results as a research object."""
+    from frictrack.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+    with open_session(study) as session:
+        result = write_crate(session, output, CrateOptions(**options))
+    print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
 
 
 def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:

@@ -111,24 +111,54 @@ def _documentation() -> Path:
 
 @command()
 def reproduce(
-    quick: Annotated[bool, typer.Option("--quick", help="use few seeds: a test run without statistics")] = False,
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder of the page, figures, tables and JSON")] = Path(
+    crate: Annotated[
+        Path | None, typer.Argument(metavar="CRATE", help="crate of a study, from `frictrack export --to crate`")
+    ] = None,
+    recordings: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="where the recordings are that the crate does not contain")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="papers: use few seeds, a test run without statistics")
+    ] = False,
+    out: Annotated[Path, typer.Option("-o", "--out", help="folder of what is computed; of a crate, a new one")] = Path(
         "frictrack_reproduce"
     ),
-    seed: Seed = 0,
+    seed: Annotated[int, typer.Option(help="papers: seed of all random numbers")] = 0,
     as_json: Json = False,
 ) -> None:
-    """Reproduce the tables and figures of both papers.
+    """Compute the results of a crate again and compare every number; without a crate, reproduce both papers.
 
-    Compares the printed values with those computed here and checks every claim. Reads nothing. Writes a page, figures,
-    tables and JSON.
+    Of a crate: reads it and the recordings, and repeats the study in a new folder with the same settings and seeds.
+    Exits with 1 if a number differs: bit for bit on the same platform, to a relative 1e-9 otherwise. Of the papers:
+    compares the printed values with those computed here and checks every claim. Writes a page, figures, tables and
+    JSON.
     """
+    if crate is not None:
+        if quick or seed:
+            raise FrictrackError("expected no --quick and no --seed with a crate, which has its own seeds", usage=True)
+        _reproduce_crate(crate, out, recordings, as_json)
+        return
+    if recordings is not None:
+        raise FrictrackError("expected a crate together with --recordings", usage=True)
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.reproduce import reproduce as make  # noqa: PLC0415
 
     with progress_bars() as progress:
         result = make(out, quick=quick, seed=seed, progress=progress)
     print_result(result, as_json, "reproduce", result["page"])
+
+
+def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool) -> None:
+    """Compute the results of a crate again and compare them."""
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
+    from frictrack.crate import reproduce_crate  # noqa: PLC0415
+
+    with progress_bars() as progress:
+        result = reproduce_crate(crate, out, recordings, progress)
+    print_result(result, as_json, "reproduced_crate", result["output"])
+    if not result["equal"]:
+        n = sum(group["n_differences"] for group in result["groups"])
+        raise FrictrackError(f"{n} value(s) differ from those in {crate}; the rows marked NO above name them")
 
 
 blind = typer.Typer(

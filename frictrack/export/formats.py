@@ -55,11 +55,9 @@ class ExportFormat:
     opened_by
         A call or program that opens them.
     writer
-        Function that writes them, "module:name": it takes `Results` and the options, and returns `ExportedFiles`.
+        Function that writes them, "module:name": it takes `Results` and returns `ExportedFiles`.
     lost
         What the format never holds, each as a phrase.
-    options
-        Names of further options that the writer takes.
 
     """
 
@@ -67,7 +65,6 @@ class ExportFormat:
     opened_by: str
     writer: str
     lost: tuple[str, ...] = ()
-    options: tuple[str, ...] = ()
 
 
 FORMATS = {

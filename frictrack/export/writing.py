@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from frictrack.errors import FrictrackError
 from frictrack.export.formats import ExportedFiles, find_format
 from frictrack.lazy import imported
 
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
     from frictrack.results import Results
 
 
-def export_results(results: Results, to: str, **options: Any) -> ExportedFiles:
+def export_results(results: Results, to: str) -> ExportedFiles:
     """Write the results of a study for another tool, and say what its format cannot hold.
 
     Parameters
@@ -22,8 +21,6 @@ def export_results(results: Results, to: str, **options: Any) -> ExportedFiles:
         Results of a study; the files are written into its folder of results.
     to
         Name of a format; one of `frictrack.export.FORMATS`.
-    **options
-        Further options of that format.
 
     Returns
     -------
@@ -33,16 +30,11 @@ def export_results(results: Results, to: str, **options: Any) -> ExportedFiles:
     Raises
     ------
     FrictrackError
-        If the format is unknown or has no such option, if its library is not installed, or if the results cannot be
-        written.
+        If the format is unknown, if its library is not installed, or if the results cannot be written.
 
     """
     found = find_format(to)
-    unknown = [name for name in options if name not in found.options]
-    if unknown:
-        known = ", ".join(found.options) or "no option"
-        raise FrictrackError(f"expected {known} with the format {to} but got {', '.join(unknown)}", usage=True)
-    written: ExportedFiles = imported(found.writer)(results, **options)
+    written: ExportedFiles = imported(found.writer)(results)
     return ExportedFiles(written.files, tuple(dict.fromkeys((*found.lost, *written.lost))))
 
 

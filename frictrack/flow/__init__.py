@@ -14,7 +14,7 @@
     significance_budget         how probable a false effect is, over all diagnoses of a study
     verdict_first, attempts                                     the verdict before all else, fits of candidates
     plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
-    stored_results, outdated                                    read stored results, find outdated ones
+    stored_results, result_values, outdated                     read stored results and values, find outdated ones
     run_summaries, run_budget, verification                     summarise and verify stored results
     summaries                   the shapes of the summaries that `Session` returns
     schema                      write the page that describes the HDF5 files
@@ -34,9 +34,10 @@ if TYPE_CHECKING:
     from frictrack.flow.input_checks import table_needs_mass
     from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
     from frictrack.flow.opening import open_study
-    from frictrack.flow.pipeline import Progress, no_progress
+    from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.flow.replay import replay_script
+    from frictrack.flow.replay import recorded_models, repeat_models, replay_script
+    from frictrack.flow.result_values import EXCLUDED, Values, stored_values
     from frictrack.flow.run_plan import plan
     from frictrack.flow.sample_demo import demo
     from frictrack.flow.session import Session
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from frictrack.flow.verification import verify
 
 _MODULE_OF = {
+    "EXCLUDED": "result_values",
     "AttemptsReader": "stored_results",
     "Change": "command_history",
     "change_and_diagnose": "verdict_first",
@@ -66,6 +68,7 @@ _MODULE_OF = {
     "effect_of_formula": "formula_effects",
     "Findings": "plausibility_checks",
     "FitRequest": "fit_request",
+    "hash_path": "pipeline",
     "no_progress": "pipeline",
     "open_study": "opening",
     "plan": "run_plan",
@@ -74,18 +77,23 @@ _MODULE_OF = {
     "propose_study": "new_study",
     "read_attempt": "stored_results",
     "read_results": "stored_results",
+    "recorded_models": "replay",
+    "repeat_models": "replay",
     "replay_script": "replay",
     "ResultsReader": "stored_results",
     "run_pipeline": "stages",
+    "RunPipeline": "pipeline",
     "run_study": "verdict_first",
     "Session": "session",
     "SignificanceBudget": "significance_budget",
     "start_study": "new_study",
+    "stored_values": "result_values",
     "survey_recording": "survey",
     "Surveyed": "survey",
     "table_needs_mass": "input_checks",
     "undo_stacks": "command_history",
     "user_effects": "fit_request",
+    "Values": "result_values",
     "verify": "verification",
 }
 

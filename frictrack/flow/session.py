@@ -347,7 +347,12 @@ class Session:
 
     @exclusive
     def diagnose(
-        self, seed: int = 0, *, quick: bool = False, on_verdict: Callable[[dict[str, Any]], None] | None = None
+        self,
+        seed: int = 0,
+        *,
+        quick: bool = False,
+        on_verdict: Callable[[dict[str, Any]], None] | None = None,
+        alpha: float | None = None,
     ) -> dict[str, Any]:
         """Find the effect that the current model lacks.
 
@@ -362,6 +367,9 @@ class Session:
             End when the verdict is known; the result has "complete" false.
         on_verdict
             Called with that result, if the diagnosis is not stored in full already.
+        alpha
+            Significance level; None for that which follows from the tests made before. Given where a diagnosis is
+            repeated elsewhere.
 
         Returns
         -------
@@ -376,10 +384,11 @@ class Session:
         """
         self.bring_up_to("friction")
         group, request = self.models.current()
-        self.models.fit(group)  # a new fit removes the old diagnosis
+        self.models.bring_up_to_date(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
         test = self.budget.plan(key, self.models.input_hash, request.model(self.study.effects).names)
+        test = test if alpha is None else replace(test, alpha=alpha)
         spent = alpha_spent([*self.budget.tests, test])
         more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._measured.notes()}
         found = self._read_summary(inside, key)

@@ -20,6 +20,7 @@ from frictrack.results import ModelResults, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
+RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion}  # groups in that of a model, with one record per run
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
@@ -55,7 +56,6 @@ class TriedModels:
         self.commands = commands
         self.progress = progress
         self._pipelines = pipelines
-        self._fits: dict[str, Any] = {}
         self._runs: list[Run] | None = None
 
     @property
@@ -141,18 +141,20 @@ class TriedModels:
 
         """
         self._check_prior(request)
-        fitted = self._attempted(request) or self._fit(request)
+        entry = self._attempted(request) or self._group_content(request, self._fit(request), current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
             flags = {"models": {"study_model": self._study_model}} | self._current_flags(group)
-            entry = {f"models/{group}": self._group_content(request, fitted, current=True)}
             store.write(
-                self.path, entry, remove=GROUPS_OF_CURRENT_MODEL, links=self._run_links(), attribute_updates=flags
+                self.path,
+                {f"models/{group}": entry},
+                remove=GROUPS_OF_CURRENT_MODEL,
+                links=self._run_links(),
+                attribute_updates=flags,
             )
             change.before = {} if before is None else {"current": before}
             change.after = {"current": group}
-        self._fits[group] = fitted
         return group, request
 
     def _check_prior(self, request: FitRequest) -> None:
@@ -185,30 +187,38 @@ class TriedModels:
             store.write(found[0], {f"models/{found[1]}": standalone})
         return model_results(*found).summary
 
-    def _attempted(self, request: FitRequest) -> Any:
-        """Return the fit of a request if it was attempted before, else None."""
-        from frictrack.fit import restore  # noqa: PLC0415
-
+    def _attempted(self, request: FitRequest) -> GroupContent | None:
+        """Return what was stored of a request if it was attempted before, else None; every bit of it is kept."""
         found = self.stored_attempt(request)
-        return None if found is None else restore(self.runs, store.read(found[0], f"models/{found[1]}")["state"])
+        if found is None:
+            return None
+        path, inside = found[0], f"models/{found[1]}"
+        with store.snapshot(path):
+            content = store.read(path, inside, without=RECORDS_OF_FIT)
+            for part, kind in RECORDS_OF_FIT.items():
+                names = store.names(path, f"{inside}/{part}")
+                content[part] = {name: store.read(path, f"{inside}/{part}/{name}", kind) for name in names}
+        provenance = self.provenance(self.fit_key(request), request.to_json())
+        return GroupContent(content | {"current": True}, provenance)
 
     def fit(self, group: str) -> Any:
-        """Return the fit of a group: restored from the store if it is up to date, else computed again."""
-        if group not in self._fits:
-            request = self.request(group)
-            if not self.is_outdated(group):
-                self._fits[group] = self._restored(group)
-            else:
-                self._fits[group] = self._fit(request)
-                entry = self._group_content(request, self._fits[group], current=group == self.current_group)
-                removed = ("diagnosis",)  # a link into the group that is replaced
-                store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
-        return self._fits[group]
+        """Return the fit of a group, which is computed again if it is outdated.
 
-    def _restored(self, group: str) -> Any:
+        It is restored from the store in every call. What was computed from a fit before would change the last bits of
+        what is computed from it now; so the results are the same whether commands run in one process or in several.
+        """
         from frictrack.fit import restore  # noqa: PLC0415
 
+        self.bring_up_to_date(group)
         return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
+
+    def bring_up_to_date(self, group: str) -> None:
+        """Fit a model again if it is outdated."""
+        if self.is_outdated(group):
+            request = self.request(group)
+            entry = self._group_content(request, self._fit(request), current=group == self.current_group)
+            removed = ("diagnosis",)  # a link into the group that is replaced
+            store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
 
     def fit_key(self, request: FitRequest) -> str:
         """Return the hash of all that the fit of a model depends on."""
@@ -249,7 +259,8 @@ class TriedModels:
         return digest([keys, self.study.mass])
 
     def _fit(self, request: FitRequest) -> Any:
-        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit  # noqa: PLC0415
+        """Fit a model; return the fit as it will be restored, so that one process or several give the same bits."""
+        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state  # noqa: PLC0415
 
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
         how: dict[str, Any] = {
@@ -266,7 +277,7 @@ class TriedModels:
         prior = self._prior(request)
         fitted = fit(request.model(self.study.effects), self.runs, callback=callback, prior=prior, **how)
         self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, request.search)
-        return fitted
+        return restore(self.runs, state(fitted))
 
     def _search_callback(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
         """Return a callback that reports the progress of a global search, generation by generation."""
@@ -290,8 +301,7 @@ class TriedModels:
 
     def summary(self, group: str) -> dict[str, Any]:
         """Return the JSON of a fit; a model that is outdated is fitted again."""
-        if self.is_outdated(group):
-            self.fit(group)
+        self.bring_up_to_date(group)
         inside = f"models/{group}"
         return _summary_of(store.read(self.path, inside, without=("state", "curves", "motion", "diagnosis")))
 

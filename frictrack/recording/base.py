@@ -255,7 +255,7 @@ class Recording(ABC):
 
     @property
     def files(self) -> list[Path]:
-        """The files of the recording, in their order."""
+        """All files of the recording, in their order: header and frames of a camera's format, pictures of a folder."""
         return [self.path]
 
     def _check(self, header: Header) -> None:

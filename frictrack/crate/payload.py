@@ -1,0 +1,210 @@
+"""List the files of a crate: the study file, what it was computed from, and the results.
+
+A file lies in the crate where it lies beside the study file, so that the unpacked crate is a study like any other. An
+input from outside the folder of the study gets a place in ``inputs/``. A recording of more than `MAX_INCLUDED_BYTES`
+is described by its name, size and hash only, unless it is asked for; tables are always included.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frictrack.crate.unpacking import safe_place
+from frictrack.errors import FrictrackError
+from frictrack.flow import RunPipeline, Session, hash_path
+from frictrack.remote import RemoteFile, local_path
+from frictrack.study import Study, read_toml
+
+MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
+OUTSIDE = "inputs"  # folder in the crate of what lies outside the folder of the study
+RESULTS = "results"  # the same of the results
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file of a crate.
+
+    Attributes
+    ----------
+    source
+        The file on this machine.
+    place
+        Its path in the crate, with slashes.
+    role
+        "study", "input" or "result".
+    size, sha256
+        Its bytes, and their SHA-256.
+    is_film
+        Whether it belongs to a film, which is not compressed again.
+    is_included
+        Whether the crate contains it; else it is described by its hash.
+
+    """
+
+    source: Path
+    place: str
+    role: str
+    size: int
+    sha256: str
+    is_film: bool = False
+    is_included: bool = True
+
+    @classmethod
+    def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
+        """Return the part of a file, with its size and hash.
+
+        Raises
+        ------
+        FrictrackError
+            If it cannot be read.
+
+        """
+        try:
+            size = source.stat().st_size
+            return cls(source, safe_place(place), role, size, hash_path(source), is_film, is_included)
+        except OSError as e:
+            raise FrictrackError(f"cannot read {source}: {e.strerror or e}") from e
+
+
+@dataclass(frozen=True)
+class Payload:
+    """All files of a crate.
+
+    Attributes
+    ----------
+    parts
+        The files.
+    moved
+        Place in the crate by the path in the study file, of what lies elsewhere in the crate.
+    results
+        Place of the folder of the results.
+
+    """
+
+    parts: tuple[Part, ...]
+    moved: dict[str, str]
+    results: str
+
+    @property
+    def by_hash(self) -> list[Part]:
+        """The files that the crate does not contain."""
+        return [part for part in self.parts if not part.is_included]
+
+
+def list_payload(session: Session, *, include_recordings: bool) -> Payload:
+    """List all files of a crate, and hash them.
+
+    Parameters
+    ----------
+    session
+        The study, with all results.
+    include_recordings
+        Include recordings of any size.
+
+    Raises
+    ------
+    FrictrackError
+        If a file cannot be read.
+
+    """
+    places = _Places(session.study)
+    found: dict[Path, Part] = {}
+    for source, place, role, film, included in _sources(session, places, include_recordings):
+        if source not in found:
+            session.progress(0, 0, f"hashing {source.name}")
+            found[source] = Part.read(source, place, role, is_film=film, is_included=included)
+    return Payload(tuple(found.values()), places.moved(), places.results)
+
+
+def _sources(
+    session: Session, places: _Places, include_recordings: bool
+) -> Iterator[tuple[Path, str, str, bool, bool]]:
+    """Yield source, place, role, whether it is of a film, and whether it is included."""
+    study = session.study
+    yield _absolute(study.path), study.path.name, "study", False, True
+    if study.prior_file is not None:
+        yield _absolute(study.prior_file), places.of(study.prior_file), "input", False, True
+    for pipeline in session.runs:
+        for path in pipeline.input_files():
+            is_film = path == pipeline.run.video
+            files = _files(pipeline, path, is_film=is_film)
+            small = sum(file.stat().st_size for file in files) <= MAX_INCLUDED_BYTES
+            places.of(path)
+            for file in files:
+                place = places.of_part(path, file)
+                yield file, place, "input", is_film, not is_film or small or include_recordings
+    for path in _result_files(session):
+        yield path, f"{places.results}/{path.relative_to(_absolute(study.output)).as_posix()}", "result", False, True
+
+
+def _files(pipeline: RunPipeline, path: Path | RemoteFile, *, is_film: bool) -> list[Path]:
+    """Return the files of an input, which may be a folder."""
+    if is_film:
+        return [_absolute(file) for file in pipeline.recording.files]
+    local = _absolute(local_path(path))
+    return sorted(file for file in local.iterdir() if file.is_file()) if local.is_dir() else [local]
+
+
+def _result_files(session: Session) -> list[Path]:
+    """Return the results that exist: HDF5 files, report, history, tests and predictions."""
+    output = session.study.output
+    files = [session.path, *(pipeline.path for pipeline in session.runs), output / "report.html"]
+    files += [session.commands.path, session.budget.path, session.predictions.path]
+    return [_absolute(path) for path in files if path.exists()]
+
+
+class _Places:
+    """Find the places of files in the crate, and remember those that are not where the study file says."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._folder = _absolute(study.folder)
+        self._outside: dict[Path, str] = {}  # folder outside that of the study -> folder in the crate
+        self._moved: dict[Path | str, str] = {}
+        output = _absolute(study.output)
+        inside = output.is_relative_to(self._folder) and output != self._folder
+        self.results = output.relative_to(self._folder).as_posix() if inside else RESULTS
+        if not inside:
+            self._moved[output] = RESULTS
+
+    def of(self, path: Path | RemoteFile) -> str:
+        """Return the place of a file or folder that the study file names."""
+        local = _absolute(local_path(path))
+        if not isinstance(path, RemoteFile) and local.is_relative_to(self._folder):
+            return local.relative_to(self._folder).as_posix()
+        folder = self._outside.setdefault(local.parent, f"{OUTSIDE}/{len(self._outside) + 1}")
+        place = f"{folder}/{local.name}"
+        self._moved[path.url if isinstance(path, RemoteFile) else local] = place
+        return place
+
+    def of_part(self, path: Path | RemoteFile, file: Path) -> str:
+        """Return the place of a file of an input: in its folder, or beside it."""
+        local, place = _absolute(local_path(path)), self.of(path)
+        if file.is_relative_to(local):
+            return place if file == local else f"{place}/{file.relative_to(local).as_posix()}"
+        return f"{place.rpartition('/')[0]}/{file.name}".lstrip("/")
+
+    def moved(self) -> dict[str, str]:
+        """Return the places by the texts of the study file that name what was moved."""
+        raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
+        texts = dict.fromkeys(text for text in _texts(raw) if text)
+        found = {text: self._moved.get(text, self._moved.get(_absolute(self._folder / text))) for text in texts}
+        return {text: place for text, place in found.items() if place is not None}
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all texts in tables and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part)
+
+
+def _absolute(path: Path) -> Path:
+    """Return the absolute path without ``..``; links are kept."""
+    return Path(os.path.abspath(path))  # Path.absolute keeps "..", Path.resolve follows links
