@@ -135,7 +135,7 @@ class _ClusterPool:
             return
         if isinstance(error, KilledWorker):
             error = FrictrackError(_describe_deaths(error))
-        self._finish(task, future, error)
+        self._finish(task, error, None if error else future.result())
 
     def _lost(self, task: _ClusterTask) -> None:
         """Submit a task again that was lost with the scheduler, or that waited for workers which have died."""
@@ -145,17 +145,17 @@ class _ClusterPool:
             self._begin(replace(task, losses=task.losses + 1, workers=()))
             return
         what = f"the Dask scheduler was lost {MAX_ATTEMPTS} times while this was computed; run the batch again"
-        self._finish(task, None, FrictrackError(what))
+        self._finish(task, FrictrackError(what))
 
-    def _finish(self, task: _ClusterTask, future: Future[Any] | None, error: BaseException | None) -> None:
+    def _finish(self, task: _ClusterTask, error: BaseException | None, value: Any = None) -> None:
         if task.is_suspect:
             self._suspects.popleft()
             if self._suspects:
                 self._begin(self._suspects[0])
-        if error is not None or future is None:
+        if error is not None:
             task.found.set_exception(error)
         else:
-            task.found.set_result(future.result())
+            task.found.set_result(value)
 
     def _others(self, full: str) -> tuple[str, ...]:
         """Return the workers on other hosts than this one; the other ones on this host if there is no other host."""
