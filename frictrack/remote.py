@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from platformdirs import user_cache_path
 
 from frictrack.content_hash import CACHE_VARIABLE
-from frictrack.errors import FrictrackError
+from frictrack.errors import FrictrackError, is_disk_full
 
 MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted
 CACHE_INDEX = "cache"  # file in which fsspec lists what it has fetched
@@ -68,14 +68,16 @@ class RemoteFile:
 
         """
         fsspec = _fsspec()
-        kept = _cache_folder(self.url)
-        _delete_oldest(kept.parent)
+        kept = make_cache_folder(self.url)
         companions = COMPANION_ENDINGS.get(PurePosixPath(self.name).suffix.lower(), ())
         urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in companions)]
         how = {"cache_storage": str(kept), "same_names": True, "check_files": True}
         try:
             found = [Path(fsspec.open_local(f"filecache::{url}", filecache=how)) for url in urls]
         except Exception as e:  # every protocol has errors of its own
+            if is_disk_full(e):  # the part that was written would keep it full
+                for url in urls:
+                    (kept / RemoteFile(url).name).unlink(missing_ok=True)
             raise self._failed(e) from e
         for path in found:
             os.utime(path)
@@ -83,13 +85,24 @@ class RemoteFile:
 
     def state(self) -> list[int]:
         """Return numbers that change when the remote file changes, without fetching it; empty if there is no answer."""
-        try:
-            fs, path = _fsspec().url_to_fs(self.url)
-            info: dict[str, Any] = fs.info(path)
-        except Exception:  # noqa: BLE001 - every protocol has errors of its own
+        info = self.info()
+        if not info:
             return []
         mark = hashlib.sha256(repr([str(info.get(key)) for key in CHANGE_KEYS]).encode()).hexdigest()
         return [int(info.get("size") or 0), int(mark[:12], 16)]
+
+    def info(self) -> dict[str, Any]:
+        """Return what the store says about the file, as fsspec gives it; empty if there is no answer."""
+        try:
+            fs, path = self.filesystem()
+            return dict(fs.info(path))
+        except Exception:  # noqa: BLE001 - every protocol has errors of its own
+            return {}
+
+    def filesystem(self) -> tuple[Any, str]:
+        """Return the file system of fsspec for the address, and the path in it."""
+        fs, path = _fsspec().url_to_fs(self.url)
+        return fs, str(path)
 
     def _failed(self, e: Exception) -> FrictrackError:
         why = " ".join(str(e).split()) or type(e).__name__
@@ -128,10 +141,18 @@ def _fsspec() -> Any:
     return fsspec
 
 
-def _cache_folder(url: str) -> Path:
-    """Return the cache folder of the files of one remote folder."""
+def make_cache_folder(url: str) -> Path:
+    """Return the cache folder of the files of one remote folder; delete the oldest files of a cache that is too large.
+
+    Parameters
+    ----------
+    url
+        Address of a file.
+
+    """
     folder = os.environ.get(CACHE_VARIABLE)
     root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
+    _delete_oldest(root)
     return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
@@ -139,9 +160,15 @@ def _delete_oldest(root: Path) -> None:
     """Delete the least recently used files above `MAX_CACHE_BYTES`."""
     files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
     oldest_first = sorted(files, key=lambda path: path.stat().st_mtime)
-    total = sum(path.stat().st_size for path in oldest_first)
+    total = sum(_bytes_on_disk(path) for path in oldest_first)
     for path in oldest_first:
         if total <= MAX_CACHE_BYTES:
             return
-        total -= path.stat().st_size
+        total -= _bytes_on_disk(path)
         path.unlink(missing_ok=True)
+
+
+def _bytes_on_disk(path: Path) -> int:
+    """Return the size of a file without its holes."""
+    found = path.stat()
+    return min(found.st_size, getattr(found, "st_blocks", found.st_size) * 512)  # POSIX: in units of 512 bytes

@@ -9,11 +9,10 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from campaigns import campaign, results
@@ -91,10 +90,8 @@ class Cluster:
 
 def kill(one: subprocess.Popen[bytes]) -> None:
     """Kill a process and its children, as a power cut does."""
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(one.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     one.wait()
 
 
@@ -137,9 +134,7 @@ def test_a_scheduler_that_is_killed_and_started_again(tmp_path: Path, dask: Clus
     assert not list(there.rglob("*.part*"))
 
 
-def test_a_scheduler_that_does_not_come_back(
-    tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_does_not_come_back(tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "RESTART_TIMEOUT_S", 2.0)
     there = campaign(tmp_path / "there", 3)
     scheduler = dask.scheduler()

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.byte_ranges import RangedFile
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes
@@ -83,7 +84,7 @@ class Spool(Recording):
         self._decoder.start()
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> Sequence[Path | RangedFile]:
         """See `Recording.files`."""
         return self._source.files
 
