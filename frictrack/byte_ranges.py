@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.remote import RemoteFile, make_cache_folder
 
-BLOCK_BYTES = 1 << 16  # that are fetched and kept together
-_MAX_RUN_BLOCKS = 128  # blocks of one request: 8 MB
-_MAX_BATCH_BLOCKS = 1024  # blocks of the requests that are sent at once: 64 MB
+BLOCK_BYTES = 1 << 14  # that are fetched and kept together
+_MAX_RUN_BLOCKS = 512  # blocks of one request: 8 MB
+_MAX_BATCH_BLOCKS = 4096  # blocks of the requests that are sent at once: 64 MB
 # Key in the description of a file by fsspec -> name of the statement; of the content, then of this version of the file.
 _CHECKSUMS = {"ChecksumSHA256": "sha256", "md5Hash": "md5"}
 _VERSIONS = {"VersionId": "version", "generation": "generation", "ETag": "etag", "etag": "etag"}
