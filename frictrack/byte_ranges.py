@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.files import write_at
 from frictrack.remote import RemoteFile, make_cache_folder
 
 BLOCK_BYTES = 1 << 14  # that are fetched and kept together
@@ -188,10 +189,10 @@ class RangeReader(io.RawIOBase):
         for start, end, part in zip(starts, ends, found, strict=True):
             if len(part) != end - start:
                 raise OSError(f"expected {end - start} bytes from byte {start} but got {len(part)}")
-            _write(self._kept, start, part)
+            write_at(self._kept, start, part)
         os.fsync(self._kept.fileno())
         for first, last in runs:
-            _write(self._kept, self._source.size + first, b"\1" * (last + 1 - first))
+            write_at(self._kept, self._source.size + first, b"\1" * (last + 1 - first))
         self._there[blocks] = 1
 
     @cached_property
@@ -281,11 +282,3 @@ def _runs(blocks: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
             first = block
         last = block
     yield first, last
-
-
-def _write(file: io.FileIO, at: int, part: bytes) -> None:
-    """Write all bytes at a position."""
-    file.seek(at)
-    view = memoryview(part)
-    while view:
-        view = view[file.write(view) :]

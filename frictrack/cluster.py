@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
+from uuid import uuid4
 
 from frictrack.errors import DiskFullError, FrictrackError
 from frictrack.version import __version__
@@ -110,8 +111,10 @@ class _ClusterPool:
         return 2 * max(1, sum(self._threads.values()))
 
     def _begin(self, task: _ClusterTask) -> None:
-        where = {"workers": list(task.workers)} if task.workers else {}
-        future = self._executor.submit(_call, task.function, task.arguments, **where)
+        how: dict[str, Any] = {"key": f"{task.function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
+        if task.workers:
+            how["workers"] = list(task.workers)
+        future = self._executor.submit(_call, task.function, task.arguments, **how)
         if task.workers:
             self._pinned[future] = task.workers
         future.add_done_callback(partial(self._ended, task))

@@ -131,6 +131,8 @@ def test_a_scheduler_that_is_killed_and_started_again(tmp_path: Path, dask: Clus
     assert not expected["failed"]
     assert results(there) == results(ours)
     assert studies_in_journal(there) == {f"day_{k}": 1 for k in range(1, 5)}
+    for worker in first[1:]:
+        worker.wait(60)  # raises if it goes on
     assert not list(there.rglob("*.part*"))
 
 
@@ -166,8 +168,17 @@ def test_a_study_that_kills_its_workers(tmp_path: Path, dask: Cluster) -> None:
 
 
 @pytest.mark.parametrize("has_other", [True, False])
-def test_a_worker_with_a_full_disk(tmp_path: Path, dask: Cluster, has_other: bool) -> None:
+def test_a_worker_with_a_full_disk(
+    tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch, has_other: bool
+) -> None:
     there = campaign(tmp_path / "there", 3)
+    full: list[str] = []
+
+    def others(pool: Any, worker: str, real: Any = cluster._ClusterPool._others) -> Any:
+        full.append(worker)
+        return real(pool, worker)
+
+    monkeypatch.setattr(cluster._ClusterPool, "_others", others)
     dask.scheduler()
     dask.worker(SMALL_FILES)
     if has_other:
@@ -175,6 +186,7 @@ def test_a_worker_with_a_full_disk(tmp_path: Path, dask: Cluster, has_other: boo
     dask.wait_for(1 + has_other)
     found = batch([str(there)], there / "all", scheduler=dask.address)
     assert not list(there.rglob("*.part*"))
+    assert len(set(full)) == 1
     if has_other:
         assert not found["failed"], found["failed"]
         ours = campaign(tmp_path / "here", 3)
