@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from campaigns import campaign, results
@@ -26,6 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 POISON = """
 import os, signal
 from pathlib import Path
+from typing import Any
 from frictrack.batch import tasks
 
 def die(session, seed=0, real=tasks.Session.run):
