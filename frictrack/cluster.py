@@ -6,12 +6,12 @@ lost, when the disk of a worker is full, and once more where Dask gave up becaus
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 from uuid import uuid4
 
@@ -21,6 +21,7 @@ from frictrack.workers import MAX_ATTEMPTS, WorkerPool
 
 SCHEDULER_TIMEOUT_S = 20.0  # s to wait for the first answer
 RESTART_TIMEOUT_S = 300.0  # s to wait for a scheduler that was lost
+_CLIENT_LOGGERS = ("distributed.batched", "distributed.client")  # their tracebacks of a lost scheduler are no news
 
 
 @contextmanager
@@ -50,6 +51,8 @@ def cluster_workers(address: str) -> Iterator[WorkerPool]:
         from distributed import Client  # noqa: PLC0415
     except ModuleNotFoundError as e:
         raise FrictrackError('--scheduler needs distributed; pip install "frictrack[cluster]"') from e
+    for name in _CLIENT_LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with Client(address, timeout=SCHEDULER_TIMEOUT_S, name="frictrack") as client:
             _check_versions(client)
@@ -82,9 +85,8 @@ class _ClusterPool:
 
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
-        self._executor = client.get_executor(pure=False)
         self._threads: dict[str, int] = {}  # by address of the worker
-        self._pinned: dict[Future[Any], tuple[str, ...]] = {}
+        self._pinned: dict[Any, tuple[str, ...]] = {}  # by future of Dask
         self._suspects: deque[_ClusterTask] = deque()  # the first one runs, so that no other dies with it
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -114,31 +116,39 @@ class _ClusterPool:
         how: dict[str, Any] = {"key": f"{task.function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
         if task.workers:
             how["workers"] = list(task.workers)
-        future = self._executor.submit(_call, task.function, task.arguments, **how)
+        future = self._client.submit(_call, task.function, task.arguments, pure=False, **how)
         if task.workers:
             self._pinned[future] = task.workers
-        future.add_done_callback(partial(self._ended, task))
+        self._client.loop.add_callback(self._follow, task, future)
 
-    def _ended(self, task: _ClusterTask, future: Future[Any]) -> None:
+    async def _follow(self, task: _ClusterTask, future: Any) -> None:
+        """Wait for a task. What is neither its result nor its own error happened on the way to us: it is lost."""
+        value: Any = None
+        error: Exception | None = None
+        try:
+            value = await self._client.gather(future, asynchronous=True)
+        except Exception as e:  # noqa: BLE001 - a task may raise anything
+            error = e
+        self._pinned.pop(future, None)
+        if error is None or future.status == "error":
+            self._ended(task, value, error)
+        else:
+            self._lost(task)
+
+    def _ended(self, task: _ClusterTask, value: Any, error: Exception | None) -> None:
         """Give the result of a task on, or submit it again."""
         from distributed import KilledWorker  # noqa: PLC0415 - optional
 
-        self._pinned.pop(future, None)
-        if future.cancelled():
-            self._lost(task)
-            return
-        error = future.exception()
         if isinstance(error, KilledWorker) and not task.is_suspect:
             self._suspects.append(replace(task, is_suspect=True))
             if len(self._suspects) == 1:
                 self._begin(self._suspects[0])
-            return
-        if isinstance(error, DiskFullError) and not task.workers and (others := self._others(error.worker)):
+        elif isinstance(error, DiskFullError) and not task.workers and (others := self._others(error.worker)):
             self._begin(replace(task, workers=others))
-            return
-        if isinstance(error, KilledWorker):
-            error = FrictrackError(_describe_deaths(error))
-        self._finish(task, error, None if error else future.result())
+        elif isinstance(error, KilledWorker):
+            self._finish(task, FrictrackError(_describe_deaths(error)))
+        else:
+            self._finish(task, error, value)
 
     def _lost(self, task: _ClusterTask) -> None:
         """Submit a task again that was lost with the scheduler, or that waited for workers which have died."""

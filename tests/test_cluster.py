@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import operator
 import os
 import platform
 import signal
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -136,6 +138,27 @@ def test_a_scheduler_that_is_killed_and_started_again(tmp_path: Path, dask: Clus
     for worker in first[1:]:
         worker.wait(60)  # raises if it goes on
     assert not list(there.rglob("*.part*"))
+
+
+def test_no_task_is_lost_at_any_moment(dask: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks of no length: when the scheduler is killed, some have ended whose results are on the way."""
+    monkeypatch.setattr(cluster, "MAX_ATTEMPTS", 10)
+    count, kill_at, running, found = 1500, [100, 400, 800], {}, {}
+    todo = list(range(count))
+    started = [dask.scheduler(), dask.worker(), dask.worker()]
+    dask.wait_for(2)
+    with cluster.cluster_workers(dask.address) as pool:
+        while len(found) < count:
+            for i in [todo.pop() for _ in range(min(len(todo), 5 * pool.capacity() - len(running)))]:
+                running[pool.submit(operator.mul, i, i)] = i
+            done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
+            found |= {running.pop(future): future.result() for future in done}
+            if kill_at and len(found) > kill_at[0]:
+                kill_at.pop(0)
+                kill(started[0])
+                started = [dask.scheduler(), dask.worker(), dask.worker()]
+    assert not kill_at
+    assert found == {i: i * i for i in range(count)}
 
 
 def test_a_scheduler_that_does_not_come_back(tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
