@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.files import write_at
-from frictrack.remote import RemoteFile, make_cache_folder
+from frictrack.remote import RemoteFile, cache_folder
 
 BLOCK_BYTES = 1 << 14  # that are fetched and kept together
 _MAX_RUN_BLOCKS = 512  # blocks of one request: 8 MB
@@ -109,7 +109,7 @@ class RangeReader(io.RawIOBase):
         self._source, self._position = file, 0
         blocks = -(-file.size // BLOCK_BYTES)
         mark = hashlib.sha256(f"{file.url}\n{file.identity}".encode()).hexdigest()[:16]
-        path = make_cache_folder(file.url) / f"{file.name}.{mark}.parts"
+        path = cache_folder(file.url) / f"{file.name}.{mark}.parts"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._kept = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o600), "r+b")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -68,7 +69,8 @@ class RemoteFile:
 
         """
         fsspec = _fsspec()
-        kept = make_cache_folder(self.url)
+        trim_cache()
+        kept = cache_folder(self.url)
         companions = COMPANION_ENDINGS.get(PurePosixPath(self.name).suffix.lower(), ())
         urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in companions)]
         how = {"cache_storage": str(kept), "same_names": True, "check_files": True}
@@ -141,8 +143,8 @@ def _fsspec() -> Any:
     return fsspec
 
 
-def make_cache_folder(url: str) -> Path:
-    """Return the cache folder of the files of one remote folder; delete the oldest files of a cache that is too large.
+def cache_folder(url: str) -> Path:
+    """Return the cache folder of the files of one remote folder.
 
     Parameters
     ----------
@@ -150,25 +152,29 @@ def make_cache_folder(url: str) -> Path:
         Address of a file.
 
     """
-    folder = os.environ.get(CACHE_VARIABLE)
-    root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
-    _delete_oldest(root)
-    return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
+    return _cache_root() / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
-def _delete_oldest(root: Path) -> None:
-    """Delete the least recently used files above `MAX_CACHE_BYTES`."""
-    files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
-    oldest_first = sorted(files, key=lambda path: path.stat().st_mtime)
-    total = sum(_bytes_on_disk(path) for path in oldest_first)
-    for path in oldest_first:
+def trim_cache() -> None:
+    """Delete the least recently used files of the cache above `MAX_CACHE_BYTES`."""
+    files = []
+    for path in _cache_root().rglob("*"):
+        with suppress(FileNotFoundError):  # another process has deleted it
+            if path.is_file() and path.name != CACHE_INDEX:
+                files.append((path.stat(), path))
+    total = sum(_bytes_on_disk(found) for found, _ in files)
+    for found, path in sorted(files, key=lambda file: file[0].st_mtime):
         if total <= MAX_CACHE_BYTES:
             return
-        total -= _bytes_on_disk(path)
+        total -= _bytes_on_disk(found)
         path.unlink(missing_ok=True)
 
 
-def _bytes_on_disk(path: Path) -> int:
+def _cache_root() -> Path:
+    folder = os.environ.get(CACHE_VARIABLE)
+    return Path(folder) if folder else user_cache_path("frictrack") / "recordings"
+
+
+def _bytes_on_disk(found: os.stat_result) -> int:
     """Return the size of a file without its holes."""
-    found = path.stat()
-    return min(found.st_size, getattr(found, "st_blocks", found.st_size) * 512)  # POSIX: in units of 512 bytes
+    return min(found.st_size, 512 * getattr(found, "st_blocks", found.st_size))  # POSIX: in units of 512 bytes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,21 @@ def test_a_cache_without_space(server: RangeServer, monkeypatch: pytest.MonkeyPa
             film.frame(5)
     assert is_disk_full(caught.value)
     np.testing.assert_array_equal(film.frame(5), noise(8)[5])
+
+
+def test_a_film_in_parts_counts_without_its_holes(
+    server: RangeServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "MAX_CACHE_BYTES", 200e3)
+    for name in "abc":
+        path = write_cine(server.folder, noise(16, n=8), 16)  # 1 MB
+        path.rename(server.folder / f"{name}.cine")
+        ft.open_recording(RemoteFile(server.url(f"{name}.cine")))
+    assert sorted(path.name[0] for path in cache.rglob("*.parts")) == ["a", "b", "c"]
+    ft.open_recording(RemoteFile(server.url("a.cine"))).pick(range(8))
+    os.utime(next(cache.rglob("a.cine*")), (1, 1))
+    ft.open_recording(RemoteFile(server.url("b.cine")))
+    assert sorted(path.name[0] for path in cache.rglob("*.parts")) == ["b", "c"]
 
 
 def test_a_write_that_takes_only_a_part_goes_on() -> None:

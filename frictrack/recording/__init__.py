@@ -15,7 +15,7 @@ from frictrack.recording.spool import random_access
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.timebase import Stamps, read_stamps
 from frictrack.recording.video import Video
-from frictrack.remote import RemoteFile
+from frictrack.remote import RemoteFile, trim_cache
 
 __all__ = [
     "FORMATS",
@@ -85,5 +85,6 @@ def _open_remote(file: RemoteFile, fps: float | None) -> Recording:
     suffix = PurePosixPath(file.name).suffix.lower()
     kind = next((kind for kind in FORMATS if kind.reads_ranges and suffix in kind.suffixes), None)
     if kind is not None and (found := find_ranges(file)) is not None:
+        trim_cache()
         return kind(found, fps)
     return open_recording(file.fetch(), fps)
