@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+
 MAX_MESSAGE_LENGTH = 8000  # characters
+FULL_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)  # no space, quota, limit of a file
 
 
 class FrictrackError(ValueError):
@@ -29,6 +32,40 @@ class FrictrackError(ValueError):
     def __init__(self, message: str, *, usage: bool = False) -> None:
         super().__init__(_printable(message))
         self.usage = usage
+
+
+class DiskFullError(FrictrackError):
+    """A file cannot be written because the disk is full: another machine may have space.
+
+    Attributes
+    ----------
+    worker
+        Address of the worker of a cluster on which it happened; empty elsewhere.
+
+    """
+
+    worker: str = ""
+
+
+def is_disk_full(e: BaseException | None) -> bool:
+    """Return whether an error, or one that caused it, says that the disk, a quota or a limit of file size is full.
+
+    Parameters
+    ----------
+    e
+        The error.
+
+    Examples
+    --------
+    >>> is_disk_full(OSError(errno.ENOSPC, "No space left on device")), is_disk_full(ValueError("no"))
+    (True, False)
+
+    """
+    while e is not None:
+        if isinstance(e, DiskFullError) or (isinstance(e, OSError) and e.errno in FULL_DISK):
+            return True
+        e = e.__cause__ or e.__context__
+    return False
 
 
 def _printable(message: str) -> str:

@@ -8,7 +8,9 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import RawIOBase
 from pathlib import Path
+from typing import Any
 
 import psutil
 from filelock import FileLock, Timeout
@@ -228,6 +230,30 @@ def _commit(part: Path, path: Path, mode: int) -> None:
         folder = os.open(path.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
+
+
+def write_at(file: RawIOBase, start: int, content: Any) -> None:
+    """Write all bytes at a position of an unbuffered file, which alone would leave the rest out on a full disk.
+
+    Parameters
+    ----------
+    file
+        The file.
+    start
+        Position of the first byte.
+    content
+        The bytes, or an array.
+
+    Raises
+    ------
+    OSError
+        If not all can be written.
+
+    """
+    file.seek(start)
+    rest = memoryview(content).cast("B")
+    while rest:
+        rest = rest[file.write(rest) or 0 :]
 
 
 def replace_text(path: Path, text: str) -> Path:

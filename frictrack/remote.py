@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -18,7 +19,7 @@ from urllib.parse import urlsplit
 from platformdirs import user_cache_path
 
 from frictrack.content_hash import CACHE_VARIABLE
-from frictrack.errors import FrictrackError
+from frictrack.errors import FrictrackError, is_disk_full
 
 MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted
 CACHE_INDEX = "cache"  # file in which fsspec lists what it has fetched
@@ -68,14 +69,17 @@ class RemoteFile:
 
         """
         fsspec = _fsspec()
-        kept = _cache_folder(self.url)
-        _delete_oldest(kept.parent)
+        trim_cache()
+        kept = cache_folder(self.url)
         companions = COMPANION_ENDINGS.get(PurePosixPath(self.name).suffix.lower(), ())
         urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in companions)]
         how = {"cache_storage": str(kept), "same_names": True, "check_files": True}
         try:
             found = [Path(fsspec.open_local(f"filecache::{url}", filecache=how)) for url in urls]
         except Exception as e:  # every protocol has errors of its own
+            if is_disk_full(e):  # the part that was written would keep it full
+                for url in urls:
+                    (kept / RemoteFile(url).name).unlink(missing_ok=True)
             raise self._failed(e) from e
         for path in found:
             os.utime(path)
@@ -83,13 +87,24 @@ class RemoteFile:
 
     def state(self) -> list[int]:
         """Return numbers that change when the remote file changes, without fetching it; empty if there is no answer."""
-        try:
-            fs, path = _fsspec().url_to_fs(self.url)
-            info: dict[str, Any] = fs.info(path)
-        except Exception:  # noqa: BLE001 - every protocol has errors of its own
+        info = self.info()
+        if not info:
             return []
         mark = hashlib.sha256(repr([str(info.get(key)) for key in CHANGE_KEYS]).encode()).hexdigest()
         return [int(info.get("size") or 0), int(mark[:12], 16)]
+
+    def info(self) -> dict[str, Any]:
+        """Return what the store says about the file, as fsspec gives it; empty if there is no answer."""
+        try:
+            fs, path = self.filesystem()
+            return dict(fs.info(path))
+        except Exception:  # noqa: BLE001 - every protocol has errors of its own
+            return {}
+
+    def filesystem(self) -> tuple[Any, str]:
+        """Return the file system of fsspec for the address, and the path in it."""
+        fs, path = _fsspec().url_to_fs(self.url)
+        return fs, str(path)
 
     def _failed(self, e: Exception) -> FrictrackError:
         why = " ".join(str(e).split()) or type(e).__name__
@@ -128,20 +143,38 @@ def _fsspec() -> Any:
     return fsspec
 
 
-def _cache_folder(url: str) -> Path:
-    """Return the cache folder of the files of one remote folder."""
-    folder = os.environ.get(CACHE_VARIABLE)
-    root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
-    return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
+def cache_folder(url: str) -> Path:
+    """Return the cache folder of the files of one remote folder.
+
+    Parameters
+    ----------
+    url
+        Address of a file.
+
+    """
+    return _cache_root() / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
-def _delete_oldest(root: Path) -> None:
-    """Delete the least recently used files above `MAX_CACHE_BYTES`."""
-    files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
-    oldest_first = sorted(files, key=lambda path: path.stat().st_mtime)
-    total = sum(path.stat().st_size for path in oldest_first)
-    for path in oldest_first:
+def trim_cache() -> None:
+    """Delete the least recently used files of the cache above `MAX_CACHE_BYTES`."""
+    files = []
+    for path in _cache_root().rglob("*"):
+        with suppress(FileNotFoundError):  # another process has deleted it
+            if path.is_file() and path.name != CACHE_INDEX:
+                files.append((path.stat(), path))
+    total = sum(_bytes_on_disk(found) for found, _ in files)
+    for found, path in sorted(files, key=lambda file: file[0].st_mtime):
         if total <= MAX_CACHE_BYTES:
             return
-        total -= path.stat().st_size
+        total -= _bytes_on_disk(found)
         path.unlink(missing_ok=True)
+
+
+def _cache_root() -> Path:
+    folder = os.environ.get(CACHE_VARIABLE)
+    return Path(folder) if folder else user_cache_path("frictrack") / "recordings"
+
+
+def _bytes_on_disk(found: os.stat_result) -> int:
+    """Return the size of a file without its holes."""
+    return min(found.st_size, 512 * getattr(found, "st_blocks", found.st_size))  # POSIX: in units of 512 bytes

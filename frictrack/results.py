@@ -44,7 +44,7 @@ class RecordingInfo(FrameTable):
     fps: float = scalar("Hz", default=float("nan"))
     n_frames: int = 0
     bit_depth: int = 8
-    hash: str = ""  # sha256 of the file, or of the files of a folder
+    hash: str = ""  # sha256 of the file, or of the files of a folder; of a remote film what the store states
     picture: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0)))  # first frame, grey values
     notes: tuple[str, ...] = ()  # notes on the time base
     audit: tuple[tuple[str, str, str], ...] = ()  # of the time base: what was checked, its value, the verdict

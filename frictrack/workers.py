@@ -1,4 +1,4 @@
-"""Run independent tasks in worker processes of this machine, or on an existing Dask cluster.
+"""Run independent tasks in worker processes of this machine; `frictrack.cluster` runs them on a Dask cluster.
 
     with local_workers(workers) as pool:
         future = pool.submit(function, *arguments)  # a concurrent.futures.Future
@@ -24,7 +24,6 @@ import psutil
 
 from frictrack.errors import FrictrackError
 from frictrack.threads import processors
-from frictrack.version import __version__
 
 WORKER_ENVIRONMENT = {  # one thread of linear algebra; no import from the current folder
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
@@ -33,7 +32,6 @@ WORKER_ENVIRONMENT = {  # one thread of linear algebra; no import from the curre
 MAX_ATTEMPTS = 3  # of one task whose process dies
 MEMORY_PER_TASK_BYTES = 0.5e9  # until a task has shown how much it needs
 CGROUP = Path("/sys/fs/cgroup")
-SCHEDULER_TIMEOUT_S = 20.0  # s to wait for an answer
 
 
 class WorkerPool(Protocol):
@@ -78,44 +76,6 @@ def local_workers(workers: int | None = None) -> Iterator[WorkerPool]:
             raise
         finally:
             pool.join()
-
-
-@contextmanager
-def cluster_workers(address: str) -> Iterator[WorkerPool]:
-    """Open a pool of the workers of a Dask scheduler.
-
-    The workers must see the same files and have the same version of frictrack.
-
-    Parameters
-    ----------
-    address
-        Address of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
-
-    Yields
-    ------
-    WorkerPool
-        The pool.
-
-    Raises
-    ------
-    FrictrackError
-        If no scheduler answers, or a worker lacks frictrack or has another version.
-
-    """
-    try:
-        from distributed import Client  # noqa: PLC0415
-    except ModuleNotFoundError as e:
-        raise FrictrackError('--scheduler needs distributed; pip install "frictrack[cluster]"') from e
-    try:
-        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, name="frictrack")
-    except (OSError, ValueError, TypeError) as e:
-        raise FrictrackError(
-            f"expected a Dask scheduler at {address} but none answers; start one, as `dask scheduler` does, and give "
-            "the address that it prints"
-        ) from e
-    with client:
-        _check_versions(client)
-        yield _ClusterPool(client)
 
 
 def run_parallel(work: Mapping[str, Callable[[], Any]], workers: int | None = None) -> Iterator[tuple[str, Any]]:
@@ -245,22 +205,6 @@ class _LocalPool:
         self._pool.schedule(_with_peak_memory, args=(function, arguments)).add_done_callback(ended)
 
 
-class _ClusterPool:
-    """Workers of a Dask cluster. Dask itself restarts the task of a dead worker."""
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._executor = client.get_executor(pure=False)
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        found: Future[Any] = self._executor.submit(function, *arguments)
-        return found
-
-    def capacity(self) -> int:
-        """Return twice the number of threads, so that no worker waits for us."""
-        return 2 * max(1, sum(self._client.nthreads().values()))
-
-
 def _with_peak_memory(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[float, Any]:
     """Run a task; return the peak memory of its process so far, bytes, and the result."""
     value = function(*arguments)
@@ -303,22 +247,6 @@ def _exit_with_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _check_versions(client: Any) -> None:
-    """Raise `FrictrackError` unless every worker has this version of frictrack."""
-    found = client.run(_version, on_error="return")
-    if not found:
-        raise FrictrackError("expected workers at the scheduler but there are none; start some, as `dask worker` does")
-    for worker, theirs in found.items():
-        if theirs != __version__:
-            raise FrictrackError(
-                f"expected frictrack {__version__} on every worker but {worker} says: {theirs}; update it"
-            )
-
-
-def _version() -> str:
-    return __version__
 
 
 @contextmanager

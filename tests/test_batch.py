@@ -21,7 +21,7 @@ from campaigns import campaign, results, slide
 from rich.console import Console
 from scipy import stats
 
-from frictrack import workers
+from frictrack import cluster, workers
 from frictrack.batch import batch, find_studies
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
@@ -236,7 +236,7 @@ def test_workers_that_give_up(tmp_path: Path) -> None:
 
     path = campaign(tmp_path, 1) / "day_1" / "study.toml"
     done = list(Scheduler([path], 0, Leaving(), BatchState(1)).run(lambda state: None))
-    assert "cancelled the task" in done[0].failures[0]["reason"]
+    assert "task was cancelled" in done[0].failures[0]["reason"]
 
 
 def test_a_moment_of_a_batch_is_shown() -> None:
@@ -341,7 +341,7 @@ def test_as_many_as_the_memory_takes(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(cluster, "SCHEDULER_TIMEOUT_S", 0.5)
     campaign(tmp_path, 1)
     with pytest.raises(FrictrackError, match=r"expected a Dask scheduler at tcp:.* but none answers"):
         batch([str(tmp_path)], tmp_path / "all", scheduler="tcp://127.0.0.1:9")

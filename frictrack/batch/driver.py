@@ -18,10 +18,11 @@ from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends
+from frictrack.cluster import cluster_workers
 from frictrack.files import make_internal_folder
 from frictrack.report import write_campaign
 from frictrack.results import to_builtins
-from frictrack.workers import cluster_workers, local_workers
+from frictrack.workers import local_workers
 
 MIN_TABLE_INTERVAL_S = 10.0  # between two tables while studies are running
 MAX_TABLE_TIME_SHARE = 0.05  # of the whole time

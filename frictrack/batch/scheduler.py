@@ -178,9 +178,7 @@ class Scheduler:
 def _task_error(future: Future[Any]) -> BaseException | None:
     """Return why a task has no result; None if it has one."""
     if future.cancelled():
-        return FrictrackError(
-            "its worker cancelled the task, as happens when a cluster is shut down; run the batch again"
-        )
+        return FrictrackError("its task was cancelled, as happens when workers are shut down; run the batch again")
     return future.exception()
 
 

@@ -1,10 +1,11 @@
 """Define the tasks of a worker: measure the films of a study one by one, then fit, diagnose and report it.
 
-A task never raises; a failure is returned as a sentence.
+A failure is returned as a sentence. Only `DiskFullError` is raised, so that a worker with space tries the task again.
 """
 
 from __future__ import annotations
 
+import platform
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.batch.file_states import FileStates, file_states
-from frictrack.errors import FrictrackError
+from frictrack.errors import DiskFullError, FrictrackError, is_disk_full
 from frictrack.flow import Session, open_study, run_pipeline
 from frictrack.study import RunTable, Study
 
@@ -87,7 +88,7 @@ def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
     try:
         study = open_study(path)
     except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
-        return failed_study(path, {}, describe_failure(e))
+        return failed_study(path, {}, _reason(e))
     films = [run.name for run in study.runs if run.video]
     failed: dict[str, str] = {}
     while len(films) > 1:
@@ -120,7 +121,7 @@ def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
     try:
         study = without_runs(open_study(path), failed)
     except Exception as e:  # noqa: BLE001
-        return describe_failure(e)
+        return _reason(e)
     return _measure_run(study, run)
 
 
@@ -154,7 +155,7 @@ def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
             row |= {f"condition {name}": str(value) for name, value in study.conditions.items()}
         done.files = {} if failed else file_states(study)  # what failed is tried again
     except Exception as e:  # noqa: BLE001
-        return failed_study(path, failed, describe_failure(e))
+        return failed_study(path, failed, _reason(e))
     done.seed, done.seconds = seed, time.perf_counter() - start
     return done
 
@@ -171,6 +172,15 @@ def describe_failure(e: BaseException) -> str:
     return " ".join(text.split())
 
 
+def _reason(e: Exception) -> str:
+    """Return a failure in one line; raise `DiskFullError` if the disk of this machine is full."""
+    if isinstance(e, DiskFullError):
+        raise e
+    if is_disk_full(e):
+        raise DiskFullError(f"{describe_failure(e)}; {platform.node()} has no space left") from e
+    return describe_failure(e)
+
+
 def without_runs(study: Study, failed: Reasons) -> Study:
     """Return the study without the runs that failed."""
     return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
@@ -184,7 +194,7 @@ def _measure_run(study: Study, name: str) -> str | None:
             if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
                 pipeline.get(stage)
     except Exception as e:  # noqa: BLE001
-        return describe_failure(e).removeprefix(f'run "{name}", ')
+        return _reason(e).removeprefix(f'run "{name}", ')
     return None
 
 

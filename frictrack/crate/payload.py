@@ -16,6 +16,7 @@ from typing import Any
 from frictrack.crate.unpacking import safe_place
 from frictrack.errors import FrictrackError
 from frictrack.flow import RunPipeline, Session, hash_path
+from frictrack.recording import open_recording
 from frictrack.remote import RemoteFile, local_path
 from frictrack.study import Study, read_toml
 
@@ -144,7 +145,8 @@ def _sources(
 def _files(pipeline: RunPipeline, path: Path | RemoteFile, *, is_film: bool) -> list[Path]:
     """Return the files of an input, which may be a folder."""
     if is_film:
-        return [_absolute(file) for file in pipeline.recording.files]
+        film = pipeline.recording if isinstance(path, Path) else open_recording(local_path(path), fps=pipeline.run.fps)
+        return [_absolute(file) for file in film.files if isinstance(file, Path)]  # all of them: a film is whole here
     local = _absolute(local_path(path))
     return sorted(file for file in local.iterdir() if file.is_file()) if local.is_dir() else [local]
 

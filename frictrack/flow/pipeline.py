@@ -118,11 +118,11 @@ class RunPipeline:
 
     @cached_property
     def recording(self) -> Recording:
-        """The opened recording of a film; a remote one is fetched first."""
+        """The opened recording of a film; a remote one is fetched as far as it is needed."""
         from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
 
         assert self.run.video is not None
-        return open_recording(local_path(self.run.video), fps=self.run.fps)
+        return open_recording(self.run.video, fps=self.run.fps)
 
     @contextmanager
     def open_film(self) -> Iterator[Recording]:

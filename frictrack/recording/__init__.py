@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
+from frictrack.byte_ranges import find_ranges
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording
 from frictrack.recording.folder import Folder
@@ -14,6 +15,7 @@ from frictrack.recording.spool import random_access
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.timebase import Stamps, read_stamps
 from frictrack.recording.video import Video
+from frictrack.remote import RemoteFile, trim_cache
 
 __all__ = [
     "FORMATS",
@@ -30,15 +32,16 @@ __all__ = [
 FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 
 
-def open_recording(path: str | Path, fps: float | None = None) -> Recording:
+def open_recording(path: str | Path | RemoteFile, fps: float | None = None) -> Recording:
     """Open a recording.
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path or RemoteFile
         Photron (.mraw with .cih or .cihx, named by either), Phantom (.cine), TIFF with many pages (BigTIFF included), a
         video (.avi, .mp4, .mov, .mkv, .m4v), or a folder with one numbered picture per frame; gaps in the numbers are
-        gaps in time.
+        gaps in time. Of a remote Photron or Phantom film only the parts that are needed are fetched, if its store
+        states a checksum, a version or an ETag; other remote films are fetched first.
     fps : float, optional
         Frame rate of the camera, 1/s; it overrides that of the file. `Recording.timebase` shows what was found.
 
@@ -61,6 +64,8 @@ def open_recording(path: str | Path, fps: float | None = None) -> Recording:
     (150, (72, 512))
 
     """
+    if isinstance(path, RemoteFile):
+        return _open_remote(path, fps)
     path = Path(path)
     if path.is_dir():
         return Folder(path, fps)
@@ -73,3 +78,13 @@ def open_recording(path: str | Path, fps: float | None = None) -> Recording:
             return kind(path, fps)
     known = ", ".join(s for kind in FORMATS for s in kind.suffixes)
     raise FrictrackError(f'{path.name}: expected a film ({known}, or a folder of pictures) but got "{path.suffix}"')
+
+
+def _open_remote(file: RemoteFile, fps: float | None) -> Recording:
+    """Open a remote recording in parts where its format and its store allow it, else fetch it."""
+    suffix = PurePosixPath(file.name).suffix.lower()
+    kind = next((kind for kind in FORMATS if kind.reads_ranges and suffix in kind.suffixes), None)
+    if kind is not None and (found := find_ranges(file)) is not None:
+        trim_cache()
+        return kind(found, fps)
+    return open_recording(file.fetch(), fps)

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.byte_ranges import RangedFile, file_size, identify
 from frictrack.content_hash import hash_files
 from frictrack.errors import FrictrackError
 from frictrack.recording.header import Header
@@ -27,7 +28,7 @@ class Recording(ABC):
 
     Attributes
     ----------
-    path : Path
+    path : Path or RangedFile
         File or folder.
     fps : float
         Frame rate, 1/s.
@@ -57,12 +58,13 @@ class Recording(ABC):
     """
 
     suffixes: ClassVar[tuple[str, ...]]
+    reads_ranges: ClassVar[bool] = False  # it opens remote files that are read in parts
     direct: bool = False
     interframe: bool = False  # its codec predicts pictures from one another: some frames are coded anew (key frames)
     _kept: NDArray[np.int64] | None = None  # frames of the file that are frames of the film (None: all)
 
-    def __init__(self, path: str | Path, fps: float | None = None) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path | RangedFile, fps: float | None = None) -> None:
+        self.path = path if isinstance(path, RangedFile) else Path(path)
         header = self._open()
         self._check(header)
         self.timebase = audit(self.path.name, fps, header)
@@ -212,7 +214,8 @@ class Recording(ABC):
     def hash(self) -> str:
         """SHA-256 over every byte of the recording's files; see `frictrack.content_hash.hash_files`.
 
-        Raises `FrictrackError` where a file has vanished since it was opened, or cannot be read.
+        Of a remote film that is read in parts, it is what the store states; see `frictrack.byte_ranges`. Raises
+        `FrictrackError` where a file has vanished since it was opened, or cannot be read.
         """
         return self.read_hash()
 
@@ -226,7 +229,9 @@ class Recording(ABC):
 
         """
         with self._still_there():
-            return hash_files(self.files, reread=reread)
+            remote = [file for file in self.files if isinstance(file, RangedFile)]
+            local = [file for file in self.files if isinstance(file, Path)]
+            return identify(remote) if remote else hash_files(local, reread=reread)
 
     @property
     def sampled_hash(self) -> str:
@@ -234,7 +239,7 @@ class Recording(ABC):
         digest = hashlib.sha256()
         with self._still_there():
             for file in self.files:
-                size = file.stat().st_size
+                size = file_size(file)
                 digest.update(f"{file.name}:{size}\n".encode())
                 with file.open("rb") as stream:
                     for at in sorted({0, max(0, size // 2 - _SAMPLED_BYTES // 2), max(0, size - _SAMPLED_BYTES)}):
@@ -254,7 +259,7 @@ class Recording(ABC):
             ) from e
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> Sequence[Path | RangedFile]:
         """All files of the recording, in their order: header and frames of a camera's format, pictures of a folder."""
         return [self.path]
 

@@ -21,6 +21,7 @@ _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 class Folder(Recording):
     """Recording as one picture per frame (png, tif, bmp, jpg), in the order of their numbers."""
 
+    path: Path
     suffixes: ClassVar[tuple[str, ...]] = ()
 
     def _open(self) -> Header:

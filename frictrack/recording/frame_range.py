@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.byte_ranges import RangedFile
 from frictrack.recording.base import Frame, Recording
 
 
@@ -34,7 +35,7 @@ class FrameRange(Recording):
         self.stamps = None if source.stamps is None else source.stamps[start:stop]
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> Sequence[Path | RangedFile]:
         """See `Recording.files`."""
         return self._source.files
 

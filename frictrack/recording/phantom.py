@@ -30,6 +30,7 @@ class Phantom(DirectRecording):
     """Phantom recording (8 bit, 10 bit packed and companded, 12 bit packed, 16 bit)."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".cine",)
+    reads_ranges = True
 
     def _open(self) -> Header:
         with self.path.open("rb") as file:

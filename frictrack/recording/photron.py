@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 from xml.etree import ElementTree
 
 import numpy as np
 
+from frictrack.byte_ranges import RangedFile, file_size
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Header
 from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
@@ -39,13 +41,14 @@ class Photron(DirectRecording):
     """Photron recording (8, 10 packed, 12 packed or 16 bit), named by its header or by its .mraw file."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mraw", *_HEADERS)
+    reads_ranges = True
 
     def _open(self) -> Header:
         self._head, self._data = _header_and_data(self.path)
         facts = _read_header(self._head)
         shape, bits = self._pixels(facts)
         frame = picture_bytes(shape, bits)
-        promised, size = self._whole_number(facts, "frames", 1, 1 << 40), self._data.stat().st_size
+        promised, size = self._whole_number(facts, "frames", 1, 1 << 40), file_size(self._data)
         count = min(promised, size // frame)
         notes: tuple[str, ...] = ()
         if not count:
@@ -104,14 +107,14 @@ class Photron(DirectRecording):
         return round(((_number(facts.get("trigger", "")) or 0) - start) / _step(facts))
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> Sequence[Path | RangedFile]:
         """See `Recording.files`."""
         return [self._head, self._data]
 
 
-def _header_and_data(path: Path) -> tuple[Path, Path]:
+def _header_and_data(path: Path | RangedFile) -> tuple[Path | RangedFile, Path | RangedFile]:
     """Header and pixel file of a recording that is named by either."""
-    files_by_suffix = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
+    files_by_suffix = _neighbours(path)
     files_by_suffix[path.suffix.lower()] = path
     heads = [files_by_suffix[s] for s in _HEADERS if s in files_by_suffix]
     head = path if path.suffix.lower() in _HEADERS else heads[0] if heads else None
@@ -124,7 +127,14 @@ def _header_and_data(path: Path) -> tuple[Path, Path]:
     return head, files_by_suffix[".mraw"]
 
 
-def _read_header(head: Path) -> Facts:
+def _neighbours(path: Path | RangedFile) -> dict[str, Path | RangedFile]:
+    """Files of the same name in the folder of a file, by suffix in small letters."""
+    if isinstance(path, RangedFile):
+        return {suffix: found for suffix in Photron.suffixes if (found := path.neighbour(suffix)) is not None}
+    return {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
+
+
+def _read_header(head: Path | RangedFile) -> Facts:
     """Read the header of either kind."""
     with head.open("rb") as file:
         text = file.read(_MAX_HEADER_BYTES).decode("utf-8", "replace")
@@ -143,7 +153,7 @@ def _from_text(text: str) -> Facts:
     return {name: lines[key] for name, (key, _) in _KEYS.items() if lines.get(key)}
 
 
-def _from_xml(head: Path, text: str) -> Facts:
+def _from_xml(head: Path | RangedFile, text: str) -> Facts:
     """Parse the XML header."""
     start, end = text.find("<cih>"), text.rfind("</cih>")
     if start < 0 or end < 0 or "<!ENTITY" in text:
@@ -200,7 +210,8 @@ def _in_order(layout: PixelLayout, shape: tuple[int, int], depth: int) -> PixelL
     """Layout with the byte order in which the first picture does not exceed its bit depth."""
     if layout.bits != 16 or depth == 16:
         return layout
-    first = np.fromfile(layout.path, "<u2", shape[0] * shape[1])
+    with layout.path.open("rb") as file:
+        first = np.frombuffer(file.read(2 * shape[0] * shape[1]), "<u2")
     orders: tuple[Literal["<", ">"], ...] = ("<", ">")
     for order in orders:
         if int(first.view(np.dtype(np.uint16).newbyteorder(order)).max(initial=0)) < 1 << depth:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.byte_ranges import RangedFile, RangeReader
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 
@@ -30,7 +31,7 @@ class PixelLayout:
 
     Attributes
     ----------
-    path : Path
+    path : Path or RangedFile
         File with the pixels.
     offsets : array of int or range
         Byte at which each picture starts.
@@ -49,7 +50,7 @@ class PixelLayout:
 
     """
 
-    path: Path
+    path: Path | RangedFile
     offsets: NDArray[np.int64] | range
     bits: int
     byte_order: Literal["<", ">", "="] = "<"
@@ -208,8 +209,11 @@ class BoxReader:
         from
         frames of 1024 x 128 px: 5 us against 14 us).
         """
-        with FileIO(self._layout.path) as file:
-            if self._sparse and hasattr(os, "posix_fadvise"):  # not on Windows
+        path = self._layout.path
+        with RangeReader(path) if isinstance(path, RangedFile) else FileIO(path) as file:
+            if isinstance(file, RangeReader):
+                file.fetch(np.array(starts, np.int64), len(buffer))
+            elif self._sparse and hasattr(os, "posix_fadvise"):  # not on Windows
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_RANDOM)
             for start in starts:
                 file.seek(start)

@@ -7,14 +7,17 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from io import RawIOBase
 from pathlib import Path
 from threading import Condition, Thread
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.byte_ranges import RangedFile
 from frictrack.errors import FrictrackError
+from frictrack.files import write_at
 from frictrack.recording.base import Frame, Recording
 from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes
 
@@ -83,7 +86,7 @@ class Spool(Recording):
         self._decoder.start()
 
     @property
-    def files(self) -> list[Path]:
+    def files(self) -> Sequence[Path | RangedFile]:
         """See `Recording.files`."""
         return self._source.files
 
@@ -205,8 +208,7 @@ class _DiskStore:
         self._cutter = BoxReader(shape, layout)
 
     def write(self, i: int, frame: Frame) -> None:
-        self._file.seek(i * self._frame)
-        self._file.write(np.ascontiguousarray(frame).data)
+        write_at(cast(RawIOBase, self._file), i * self._frame, np.ascontiguousarray(frame).data)
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
         return self._cutter.cut(indices, corners, size)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,6 +28,7 @@ class Tiff(DirectRecording):
     It is direct where every page is grey, uncompressed and in one piece.
     """
 
+    path: Path
     suffixes: ClassVar[tuple[str, ...]] = (".tif", ".tiff")
 
     def _open(self) -> Header:

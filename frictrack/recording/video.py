@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import ClassVar, cast
 
 import cv2
@@ -34,6 +35,7 @@ _LUMA_FIRST = {b"Y800": 8, b"I420": 8, b"Y42B": 8, b"Y1\x00\x10": 16}
 class Video(Recording):
     """Recording in a video container (8 bit, or 16 bit grey)."""
 
+    path: Path
     suffixes: ClassVar[tuple[str, ...]] = (".avi", ".mp4", ".mov", ".mkv", ".m4v")
 
     def _open(self) -> Header:

@@ -1,7 +1,7 @@
 """Run a batch on a Slurm cluster: dask-jobqueue requests workers, frictrack distributes the studies.
 
     pip install "frictrack[cluster]" dask-jobqueue
-    python pipelines/cluster/slurm.py PATH... --queue normal --jobs 20
+    python pipelines/cluster/slurm.py PATH... --queue normal --jobs 20 [--show]
 
 The studies must lie on a file system that the nodes share, or their recordings at addresses (`video = "s3://..."`).
 The same holds for PBS, SGE, LSF and HTCondor: `PBSCluster`, `SGECluster`, `LSFCluster`, `HTCondorCluster`.
@@ -26,6 +26,7 @@ def main() -> None:
     parser.add_argument("--memory", default="16GB", help="of one job")
     parser.add_argument("--walltime", default="04:00:00")
     parser.add_argument("--output", type=Path, default=Path("frictrack_batch"))
+    parser.add_argument("--show", action="store_true", help="print the script of one job and stop")
     args = parser.parse_args()
 
     cluster = SLURMCluster(
@@ -37,6 +38,9 @@ def main() -> None:
         job_script_prologue=["export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1"],
     )
     with cluster:
+        if args.show:
+            print(cluster.job_script())
+            return
         cluster.scale(jobs=args.jobs)
         cluster.wait_for_workers(1)  # the others join as Slurm starts them
         found = batch(args.paths, args.output, scheduler=cluster.scheduler_address)
