@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -126,6 +128,6 @@ def test_a_target_that_fills_the_picture_gives_no_scale():
     film, track = filmed(60.37, 40.0)
     film.frames = [f[50:110, :] for f in film.frames]
     film.shape = (60, 330)
-    track = Track(**{k: getattr(track, k) for k in track.__dataclass_fields__} | {"y_px": track.y_px - 50})
+    track = replace(track, y_px=track.y_px - 50)
     with pytest.raises(FrictrackError, match="nowhere in the film with a rim of background"):
         plane_map({"target": "40 mm"}, track=track, film=film)
