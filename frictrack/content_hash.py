@@ -94,6 +94,12 @@ def hash_files(paths: Sequence[Path], *, reread: bool = False) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
+def cache_root(own: str = "") -> Path:
+    """Return the folder that the environment names for the user's cache, else the folder `own` in that of frictrack."""
+    folder = os.environ.get(CACHE_VARIABLE)
+    return Path(folder) if folder else user_cache_path("frictrack") / own
+
+
 def _state(found: os.stat_result) -> list[int]:
     """What changes when the content of a file changes."""
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
@@ -101,9 +107,7 @@ def _state(found: os.stat_result) -> list[int]:
 
 def _kept_in(path: Path) -> Path:
     """The file in which the hash of another one is kept."""
-    folder = os.environ.get(CACHE_VARIABLE)
-    root = Path(folder) if folder else user_cache_path("frictrack")
-    return root / "hashes" / f"{hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:32]}.json"
+    return cache_root() / "hashes" / f"{hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:32]}.json"
 
 
 def _known_hash(path: Path, state: list[int]) -> str:

@@ -16,9 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
-from platformdirs import user_cache_path
-
-from frictrack.content_hash import CACHE_VARIABLE
+from frictrack.content_hash import cache_root
 from frictrack.errors import FrictrackError, is_disk_full
 
 MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted
@@ -171,8 +169,7 @@ def trim_cache() -> None:
 
 
 def _cache_root() -> Path:
-    folder = os.environ.get(CACHE_VARIABLE)
-    return Path(folder) if folder else user_cache_path("frictrack") / "recordings"
+    return cache_root("recordings")
 
 
 def _bytes_on_disk(found: os.stat_result) -> int:

@@ -20,6 +20,7 @@ from range_server import RangeServer, serving
 import frictrack as ft
 from frictrack import byte_ranges, remote
 from frictrack.byte_ranges import RangedFile, find_ranges
+from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.errors import FrictrackError, is_disk_full
 from frictrack.files import write_at
 from frictrack.flow import Session, open_study
@@ -28,7 +29,7 @@ from frictrack.remote import RemoteFile
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(remote.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 

@@ -15,6 +15,7 @@ import pytest
 
 from frictrack import remote
 from frictrack.batch.file_states import are_unchanged, file_states
+from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.remote import RemoteFile
@@ -22,7 +23,7 @@ from frictrack.remote import RemoteFile
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(remote.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 

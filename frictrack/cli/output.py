@@ -198,7 +198,7 @@ def verify(out: Console, result: dict[str, Any]) -> None:
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     if old := result["partly_hashed"]:
-        words = "identify their film by the hash of 3 MB of it; a new track hashes all of it"
+        words = "identify their film by the hash of 3 MB of it; to have all of it hashed, delete them and run again"
         out.print(f"{len(old)} results of an earlier version {words}")
     for folder in result["at_work"]:
         out.print(f"another frictrack process is writing in {folder}", soft_wrap=True, markup=False)

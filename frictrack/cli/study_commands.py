@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -387,73 +386,3 @@ def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:
     with open_session(study) as session:
         result = session.export_prior(output)
     print_result(result, as_json, "prior", result["file"], look_at("prior"))
-
-
-@command()
-def effects(
-    study: Annotated[
-        Path | None, typer.Argument(metavar="[STUDY]", help="study whose own effects are listed, too")
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """List the effects that a model can have.
-
-    Shows equation, parameters with units, what an effect looks like and what it is confused with. Reads the study file
-    if one is given. Writes nothing.
-    """
-    from frictrack.effects import catalogue  # noqa: PLC0415
-
-    print_result({"effects": catalogue(_own_effects(study) if study else ())}, as_json, "effects")
-
-
-def _own_effects(study: Path) -> list[Any]:
-    """Return the effects that a study file defines."""
-    from frictrack.flow import open_study, user_effects  # noqa: PLC0415
-
-    return user_effects(open_study(study).effects)
-
-
-@command()
-def render(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="description of the slide and the camera")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder of the films and the study file")],
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
-    """Render synthetic films whose true motion is known.
-
-    Reads the scene file; the documentation describes its keys. Writes the films, a study file without the truth, and
-    truth.json.
-    """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
-    from frictrack.simulate.scene import render_scene  # noqa: PLC0415
-
-    with progress_bars() as progress:
-        progress(0, 0, f"rendering {scene}")
-        render_scene(scene, out, rng=seed, progress=progress)
-    print_result({"output": str(out)}, as_json, "", out, look_at("render"))
-
-
-@command("app")
-def workbench(
-    study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
-    host: Annotated[
-        str, typer.Option(help="address of the server; 0.0.0.0 makes it reachable from other machines")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port of the server")] = 5006,
-    token: Annotated[str | None, typer.Option(help="password of the page (default: a new one each time)")] = None,
-    name: Annotated[
-        list[str] | None, typer.Option(help="additional host name of the page, for example behind a proxy")
-    ] = None,
-    browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
-) -> None:
-    """Open the workbench: the whole analysis on a local web page.
-
-    Reads and writes the study file and its results. Without a study file, it makes one from the recordings in the
-    folder.
-    """
-    try:
-        server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
-    except ModuleNotFoundError as e:
-        raise FrictrackError(f'the workbench needs {e.name}; pip install "frictrack[app]"') from e
-    server.serve(study, host=host, port=port, token=token, names=name or (), show=browser)

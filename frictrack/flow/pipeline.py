@@ -245,9 +245,10 @@ class RunPipeline:
             groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
             if name in STAGES_FROM_FIRST_FILM and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
-            stored = self._provenance(name)
+            paths = self.input_files(stage)
+            stored = self._provenance(name) if self.run.video in paths else None  # only a film has a former hash
             known = dict(json.loads(stored.inputs or "[]")) if stored else {}
-            files = [(self.as_written(path), self.content_hash(path, known)) for path in self.input_files(stage)]
+            files = [(self.as_written(path), self.content_hash(path, known)) for path in paths]
             self._inputs[name] = groups + files
         return self._inputs[name]
 
