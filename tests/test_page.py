@@ -123,6 +123,24 @@ def test_numbers_of_one_run_are_its_own(untracked: Server, tab: Open) -> None:
     page.until(lambda: untracked.study_text == before)
 
 
+AT_ONCE = """(box, text) => {  // typed and entered before the page can draw
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(box, text);
+  box.dispatchEvent(new Event("input", { bubbles: true }));
+  box.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+}"""
+
+
+def test_a_right_text_entered_before_the_page_draws_is_written(untracked: Server, tab: Open) -> None:
+    """The mark at the box still says what is wrong with the text before it."""
+    page = tab().open(untracked)
+    page.click("Per run")
+    page.fill("Mass of fast", "0.4 mm", enter=False)
+    page.page.locator('.ui-per-run .ui-field[data-name="mass"] .ui-field-words.bad').wait_for()
+    page.page.get_by_label("Mass of fast", exact=True).evaluate(AT_ONCE, "0.4 kg")
+    page.hears("Mass of fast: 0.4 kg.")
+    assert 'mass = "0.4 kg"' in untracked.study_text
+
+
 def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Open) -> None:
     before, page = untracked.study_text, tab().open(untracked)
     film_shown(page)

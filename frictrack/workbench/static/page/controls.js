@@ -101,9 +101,13 @@ export function TextBox({ label, value, onCommit, placeholder, unit, hidden, wid
     sent.current = typed;
     onCommit(typed.trim());
   };
+  const takeBack = () => {
+    box.current.value = value; // at once: the lost focus may come before the next drawing
+    setText(null);
+  };
   const key = (event) => {
     if (event.key === "Enter") commit();
-    if (event.key === "Escape") setText(null);
+    if (event.key === "Escape") takeBack();
   };
   return html`
     <div class=${`ui-box ${wide ? "wide" : ""}`}>

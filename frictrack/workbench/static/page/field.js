@@ -7,24 +7,23 @@ import { Icon, Spinner } from "./icons.js";
 
 const CHECK_MS = 120; // after the last key
 
-/** Ask the server how a text is read; nothing is written. */
+/** Ask the server how a text is read; nothing is written. The answer is given with its text: the box may hold a newer one already. */
 function useCheck(name, text, run) {
-  const [read, setRead] = useState(null);
+  const [read, setRead] = useState({});
   useEffect(() => {
-    setRead(null);
     if (text === null) return undefined;
     const abort = new AbortController();
     const timer = setTimeout(async () => {
       try {
         const answer = await post("/api/check", { fields: { [name]: text }, run }, { signal: abort.signal });
-        setRead(answer.fields[name]);
+        setRead({ of: text, field: answer.fields[name] });
       } catch {
         /* a newer text is being checked, or the banner says that the server is gone */
       }
     }, CHECK_MS);
     return () => (clearTimeout(timer), abort.abort());
   }, [name, text, run]);
-  return read;
+  return (typed) => (read.of === typed ? read.field : null);
 }
 
 /**
@@ -34,27 +33,32 @@ export function Field({ name, label, field, placeholder, run, onCommit, action, 
   const id = useId(name), box = useRef(), sent = useRef(null);
   const [text, setText] = useState(null); // null: as it is in the study
   const [saving, setSaving] = useState(false);
-  const read = useCheck(name, text, run);
-  const shown = text !== null && read ? read : field || {};
+  const readingOf = useCheck(name, text, run);
+  const shown = (text !== null && readingOf(text)) || field || {};
   useEffect(() => {
     sent.current = null;
     if (document.activeElement !== box.current) setText(null);
   }, [field?.text, field?.source]);
   const commit = async () => {
-    if (text === null) return;
-    if (text.trim() === (field?.text || "")) return setText(null);
-    if (read?.error) return; // said beside the box; nothing is written
-    if (sent.current === text.trim()) return; // Enter has written it; the lost focus need not
-    sent.current = text.trim();
+    const typed = box.current.value; // not `text`, which may wait for the next drawing
+    const wanted = typed.trim();
+    if (wanted === (field?.text || "")) return setText(null);
+    if (readingOf(typed)?.error) return; // said beside the box; nothing is written
+    if (sent.current === wanted) return; // Enter has written it; the lost focus need not
+    sent.current = wanted;
     setSaving(true);
-    const written = await onCommit(text.trim());
+    const written = await onCommit(wanted);
     setSaving(false);
     if (!written) sent.current = null;
     if (written) setTimeout(() => document.activeElement !== box.current && setText(null), 400);
   };
+  const takeBack = () => {
+    box.current.value = field?.text || ""; // at once: the lost focus may come before the next drawing
+    setText(null);
+  };
   const key = (event) => {
     if (event.key === "Enter") commit();
-    if (event.key === "Escape") setText(null);
+    if (event.key === "Escape") takeBack();
   };
   const change = (event) => {
     sent.current = null;
