@@ -25,7 +25,7 @@ ARGS = [
 ]
 HERE = re.compile(r"(https?|wss?)://(127\.0\.0\.1|localhost)[:/]|data:|blob:")
 TOKEN = "open-sesame"
-SLOW = 120_000  # ms that work may take on a busy machine
+LIMIT_S = 120.0  # that anything may take on a busy machine
 
 
 @dataclass
@@ -36,6 +36,7 @@ class Tab:
     faults: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self.page.set_default_timeout(1000 * LIMIT_S)
         self.page.on("request", lambda r: HERE.match(r.url) or self.faults.append(f"asked {r.url}"))
         self.page.on("pageerror", lambda e: self.faults.append(f"error {e}"))
         self.page.on(
@@ -56,7 +57,7 @@ class Tab:
         return self.page.get_by_role("button", name=name, exact=isinstance(name, str)).first
 
     def click(self, name: str | re.Pattern[str]) -> Tab:
-        self.button(name).click(timeout=SLOW)
+        self.button(name).click()
         return self
 
     def fill(self, label: str, text: str, *, enter: bool = True) -> Tab:
@@ -67,19 +68,19 @@ class Tab:
             box.press("Enter")
         return self
 
-    def hears(self, words: str | re.Pattern[str], within: int = SLOW) -> str:
+    def hears(self, words: str | re.Pattern[str]) -> str:
         """Wait until the page says so in its status bar or in a banner."""
         line = self.page.locator(".ui-message, .ui-banner", has_text=words).first
-        line.wait_for(timeout=within)
+        line.wait_for()
         said: str = line.inner_text()
         return said
 
-    def sees(self, words: str | re.Pattern[str], within: int = SLOW) -> None:
-        self.page.get_by_text(words).locator("visible=true").first.wait_for(timeout=within)
+    def sees(self, words: str | re.Pattern[str]) -> None:
+        self.page.get_by_text(words).locator("visible=true").first.wait_for()
 
-    def idle(self, within: int = SLOW) -> None:
+    def idle(self) -> None:
         """Wait until the page has no work that holds the user up."""
-        self.page.locator(".ui-progress").wait_for(state="detached", timeout=within)
+        self.page.locator(".ui-progress").wait_for(state="detached")
 
     def drag_on_film(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """Over the picture of the film, from and to shares of its width and height."""
@@ -107,7 +108,7 @@ class Tab:
 
     def until(self, true: Callable[[], bool]) -> None:
         """Wait until something holds."""
-        for _ in range(100):
+        for _ in range(int(LIMIT_S / 0.2)):
             if true():
                 return
             self.page.wait_for_timeout(200)
@@ -140,7 +141,7 @@ class Server:
         words += ["--token", self.token] if self.token else []
         with (self.log or Path(os.devnull)).open("ab") as out:
             self.process = subprocess.Popen([*words, *self.more], stderr=out, stdout=out, env=self.environment)
-        until = time.monotonic() + 60
+        until = time.monotonic() + LIMIT_S
         while time.monotonic() < until:
             with socket.socket() as knock:
                 if knock.connect_ex(("127.0.0.1", self.port)) == 0:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlencode
 
-from browser import Server
+from browser import LIMIT_S, Server
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
@@ -28,7 +28,7 @@ class Client:
 
     def ask(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, Any, bytes]:
         """Status, headers and body of the answer to one request."""
-        link = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=120)
+        link = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=LIMIT_S)
         try:
             held = {"Cookie": self.cookie} if hasattr(self, "cookie") else {}
             link.request(method, path, body, {**held, **headers})
@@ -89,10 +89,10 @@ class Client:
         self._wanted = None
         return text
 
-    def hear(self, true: Callable[[dict[str, Any]], Any], within: float = 30.0) -> dict[str, Any]:
+    def hear(self, true: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         """Wait for a message of which something holds; it may have come already."""
         assert self._socket is not None
-        until = time.monotonic() + within
+        until = time.monotonic() + LIMIT_S
         at = 0
         while True:
             for message in self.messages[at:]:
@@ -108,13 +108,13 @@ class Client:
             assert text is not None, "the server closed the connection"
             self.messages.append(json.loads(text))
 
-    def hear_state(self, true: Callable[[dict[str, Any]], Any], within: float = 30.0) -> dict[str, Any]:
+    def hear_state(self, true: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         """Wait for a state of which something holds."""
-        return self.hear(lambda m: m["type"] == "state" and true(m["state"]), within)["state"]
+        return self.hear(lambda m: m["type"] == "state" and true(m["state"]))["state"]
 
-    def hear_end(self, within: float = 120.0) -> dict[str, Any]:
+    def hear_end(self) -> dict[str, Any]:
         """Wait until the running job has ended; return it."""
-        return self.hear(lambda m: m["type"] == "job" and m["job"] is None and m["last_job"], within)["last_job"]
+        return self.hear(lambda m: m["type"] == "job" and m["job"] is None and m["last_job"])["last_job"]
 
     def close(self) -> None:
         async def end() -> None:
@@ -128,9 +128,9 @@ class Client:
         self._loop.close()
 
 
-def wait_for(true: Callable[[], Any], within: float = 10.0) -> None:
+def wait_for(true: Callable[[], Any]) -> None:
     """Wait until something holds."""
-    until = time.monotonic() + within
+    until = time.monotonic() + LIMIT_S
     while not true():
         assert time.monotonic() < until
         time.sleep(0.02)

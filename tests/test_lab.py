@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, SLOW, Open
+from browser import CHROMIUM, Open
 
 import frictrack as ft
 from frictrack.errors import FrictrackError
@@ -120,12 +120,12 @@ def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study:
     page = tab()
     page.page.goto(f"{address}/lab/tree/look.ipynb?reset")
     page.sees("| Idle")  # the kernel listens
-    page.page.locator(".jp-Notebook .jp-CodeCell").first.click(timeout=SLOW)
+    page.page.locator(".jp-Notebook .jp-CodeCell").first.click()
     page.page.keyboard.press("Shift+Enter")
-    page.page.locator(".fp-plot").nth(4).wait_for(timeout=SLOW)
+    page.page.locator(".fp-plot").nth(4).wait_for()
     page.drag(1)
-    page.page.locator(".fp-words", has_text="frames selected").wait_for(timeout=SLOW)
-    page.page.locator(".fp-label", has_text="frame").wait_for(timeout=SLOW)  # Python has answered with a picture
+    page.page.locator(".fp-words", has_text="frames selected").wait_for()
+    page.page.locator(".fp-label", has_text="frame").wait_for()  # Python has answered with a picture
     page.picture("lab")
 
 
@@ -134,5 +134,5 @@ def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study:
 def test_no_notebook_asks_anybody_outside(lab: tuple[str, Path], tab: Open, name: str) -> None:
     page = tab()  # which fails for any request that leaves the machine
     page.page.goto(f"{lab[0]}/lab/tree/{name}?reset")
-    page.page.locator(".jp-Notebook .jp-MarkdownCell").first.wait_for(timeout=SLOW)
+    page.page.locator(".jp-Notebook .jp-MarkdownCell").first.wait_for()
     page.page.wait_for_timeout(1000)

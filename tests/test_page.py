@@ -9,7 +9,6 @@ import json
 import re
 import shutil
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
@@ -189,10 +188,10 @@ def test_a_dead_server_is_said_and_a_new_one_found(untracked: Server, tab: Open)
     page = tab().open(untracked)
     film_shown(page)
     untracked.stop(signal.SIGKILL)
-    page.hears("The server does not answer. Start `frictrack app` again; the page reconnects by itself.", 10_000)
+    page.hears("The server does not answer. Start `frictrack app` again; the page reconnects by itself.")
     page.picture("2_no_server")
     untracked.start()
-    page.page.locator(".ui-banner", has_text="does not answer").wait_for(state="detached", timeout=20_000)
+    page.page.locator(".ui-banner", has_text="does not answer").wait_for(state="detached")
     page.fill("Mass", "0.36 kg").hears("Mass: 0.36 kg.")
     page.faults.clear()  # its server was taken from it
 
@@ -202,11 +201,11 @@ def test_files_that_vanish_are_said_once(untracked: Server, tab: Open) -> None:
     film_shown(page)
     film = untracked.study.parent / "fast.avi"
     film.rename(film.with_suffix(".gone"))
-    page.hears("fast.avi", 10_000)
+    page.hears("fast.avi")
     film.with_suffix(".gone").rename(film)
-    page.page.locator(".ui-banner", has_text="fast.avi").wait_for(state="detached", timeout=10_000)
+    page.page.locator(".ui-banner", has_text="fast.avi").wait_for(state="detached")
     untracked.study.unlink()
-    page.hears("study.toml", 10_000)
+    page.hears("study.toml")
     page.page.wait_for_timeout(1500)
     assert untracked.log is not None
     assert "Traceback" not in untracked.log.read_text(encoding="utf-8")
@@ -220,9 +219,9 @@ def test_two_pages_see_the_same_and_do_not_undo_each_other_unseen(tables: Server
     other.sees(re.compile(r"oulomb \+ viscous \(current\)"))
     one.page.get_by_role("button", name="Settings of coulomb.F_c").click()
     one.fill("F_c: fixed at", "2.0").hears("coulomb.F_c: fix set.")
-    other.hears(re.compile("outdated"), 5_000)
+    other.hears(re.compile("outdated"))
     other.click("Undo").hears("Undone")
-    one.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached", timeout=5_000)
+    one.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached")
     assert "F_c" not in tables.study_text
 
 
@@ -303,29 +302,17 @@ def test_the_page_asks_for_its_token(study_file: Path, tab: Open, serve: Serve) 
 
 def test_the_page_paints_before_its_data_arrive(untracked: Server, tab: Open) -> None:
     page = tab()
-
-    def late(route: Any) -> None:
-        time.sleep(1.5)
-        route.continue_()
-
-    page.page.route("**/api/state", late)
+    page.page.route("**/api/state", lambda route: None)  # never answered
     page.page.goto(untracked.address, wait_until="commit")
-    page.page.get_by_role("tab", name="Film").wait_for(timeout=1_400)
+    page.page.get_by_role("tab", name="Film").wait_for()
 
 
 def test_a_click_shows_at_once_that_it_is_under_way(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)
     page.page.route("**/api/job", lambda route: None)  # never answered
-    shown = page.page.evaluate(
-        """async () => {
-            const began = performance.now();
-            [...document.querySelectorAll(".ui-header button")].find((b) => b.textContent === "Run").click();
-            while (!document.querySelector(".ui-progress")) await new Promise(requestAnimationFrame);
-            return performance.now() - began;
-        }"""
-    )
-    assert shown < 1000  # ms; without the answer of the server
+    page.click("Run")
+    page.page.locator(".ui-progress").wait_for()
     assert page.page.get_by_role("tab", name="Compare").get_attribute("aria-selected") == "true"
 
 

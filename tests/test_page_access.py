@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import CHROMIUM, SLOW, Open, Serve, Server, Tab
+from browser import CHROMIUM, Open, Serve, Server, Tab
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 TABS = ("Film", "Compare", "Motion", "Model", "History")
@@ -161,11 +161,11 @@ def test_the_loop_with_the_keyboard_alone(tmp_path: Path, tab: Open, serve: Serv
         keys.type(text)
         keys.press("Enter")
     keys.press("Control+Enter")
-    page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for(timeout=SLOW)
+    page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for()
     page.idle()
     _tab_to(page, re.compile("^Add "))
     keys.press("Enter")
-    page.page.locator(".ui-brief", has_text=re.compile(r"2\. ")).wait_for(timeout=SLOW)
+    page.page.locator(".ui-brief", has_text=re.compile(r"2\. ")).wait_for()
     page.idle()
     keys.press("Control+z")
     page.hears("Undone")

@@ -36,7 +36,7 @@ def test_the_film_follows_the_run_under_the_cursor(sample: Server, tab: Open) ->
     assert box is not None
     page.page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"])
     page.page.mouse.move(box["x"] + 0.62 * box["width"], box["y"] + 0.5 * box["height"])
-    page.page.locator(".fp-label", has_text="slow").wait_for(timeout=5_000)
+    page.page.locator(".fp-label", has_text="slow").wait_for()
 
 
 def test_a_selection_is_drawn_without_asking_the_server(sample: Server, tab: Open) -> None:

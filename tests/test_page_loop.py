@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import CHROMIUM, SLOW, Open, Server, Tab
+from browser import CHROMIUM, LIMIT_S, Open, Server, Tab
 
 from frictrack.flow import Session, open_study, replay_script
 
@@ -45,7 +45,7 @@ class Actions:
 @contextmanager
 def held(study: Path, words: str) -> Iterator[None]:
     """As soon as the work of a study has said these words, its process stands still: no machine is too quick."""
-    until = time.monotonic() + SLOW / 1000
+    until = time.monotonic() + LIMIT_S
     while not (said := [p for p in study.parent.glob("*/.frictrack/jobs/*/progress.jsonl") if words in p.read_text()]):
         assert time.monotonic() < until
         time.sleep(0.02)
@@ -81,7 +81,7 @@ def films(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 def verdict(page: Tab) -> str:
     """Wait for the verdict on the current model."""
     title = page.page.locator(".ui-verdict-title")
-    page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for(timeout=SLOW)
+    page.page.locator(".ui-verdict:is(.good, .warn, .bad)").wait_for()
     words: str = title.inner_text()
     return words
 
@@ -110,11 +110,11 @@ def test_from_films_to_the_named_effect_and_the_falling_error(films: Server, tab
 
     act.click("Add patch")
     strip = page.page.locator(".ui-strip svg")
-    strip.wait_for(timeout=SLOW)
+    strip.wait_for()
     box, height = strip.bounding_box(), 900
     assert box is not None
     assert box["y"] + box["height"] <= height  # on the screen, without scrolling
-    page.page.locator(".ui-brief", has_text="Tustin + patch").wait_for(timeout=SLOW)
+    page.page.locator(".ui-brief", has_text="Tustin + patch").wait_for()
     page.idle()
     verdict(page)  # diagnosed again by itself
     state = json.loads(page.page.evaluate("fetch('/api/state').then((r) => r.text())"))
@@ -144,9 +144,9 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     page.click(re.compile(r"^Use 1\. Tustin$")).hears("is the current model")
     page.to("Compare")
     card = page.page.locator('[data-candidate="patch"]')
-    card.wait_for(timeout=SLOW)
+    card.wait_for()
     card.hover()
-    card.locator(".ui-errors b").first.wait_for(timeout=SLOW)
+    card.locator(".ui-errors b").first.wait_for()
     numbers = card.locator(".ui-errors").inner_text()
     assert re.search(r"now\s*[\d.]+", numbers)
     assert re.search(r"with it\s*[\d.]+", numbers)
@@ -244,4 +244,4 @@ def test_the_end_of_work_is_said_whichever_message_tells_it_first(tables: Server
             receive({ ...store.study, job: null, last_job: ended });
         }"""
     )
-    page.hears("Write the report: done.", within=5_000)
+    page.hears("Write the report: done.")

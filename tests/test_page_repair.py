@@ -37,7 +37,7 @@ def test_hand_and_flash_are_mended_in_two_clicks_each(hand: Server, tab: Open) -
     bytes_before = hand.study.read_bytes()
     page = tab().open(hand)
     page.click("Track every film")
-    page.page.locator(".ui-spans button").first.wait_for(timeout=120_000)
+    page.page.locator(".ui-spans button").first.wait_for()
     found = suspects(page)
     assert len(found) == 2
     for span, words in zip((COVERED, FLASH), found, strict=True):

@@ -154,10 +154,10 @@ def test_a_pdf_is_printed_while_the_page_lives_on(bench: Server, tab: Open) -> N
 def test_files_are_downloaded_in_the_format_chosen(bench: Server, tab: Open) -> None:
     page = tab().open(bench).to("History")
     page.page.get_by_role("group", name="Figures as").get_by_role("button", name="PNG").click()
-    with page.page.expect_download(timeout=60_000) as got:
+    with page.page.expect_download() as got:
         page.click("Figures")
     assert b".png" in Path(got.value.path()).read_bytes()
-    with page.page.expect_download(timeout=60_000) as got:
+    with page.page.expect_download() as got:
         page.click("Tables (CSV)")
     assert Path(got.value.path()).read_bytes().startswith(b"PK")
 

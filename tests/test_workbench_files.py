@@ -112,14 +112,14 @@ def test_an_outdated_report_is_refused_unless_it_is_asked_for_as_it_is(fitted: P
 def test_a_candidate_is_fitted_when_its_curve_is_asked_for(fitted: Path, page: Clients) -> None:
     client = page(fitted)
     assert client.get("/api/candidate", name="drag") == (202, {"pending": True})
-    wait_for(lambda: client.get("/api/candidate", name="drag")[0] != 202, 120.0)
+    wait_for(lambda: client.get("/api/candidate", name="drag")[0] != 202)
     status, body = client.get("/api/candidate", name="drag")
     assert status == 200, body
     scene = json.loads(body[4 : 4 + struct.unpack("<I", body[:4])[0]])
     assert scene["columns"].keys() >= {"with", "F_with"}
     assert scene["errors"]["words"]
     assert len(client.state["models"]) == 1  # nothing of the study has changed
-    wait_for(lambda: client.get("/api/candidate", name="textur")[0] != 202, 120.0)
+    wait_for(lambda: client.get("/api/candidate", name="textur")[0] != 202)
     status, refused = client.get("/api/candidate", name="textur")
     assert (status, 'did you mean "texture"' in refused["error"]) == (409, True)
 

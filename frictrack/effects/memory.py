@@ -150,22 +150,19 @@ def follow_target(
     whole = decay * np.exp(-before)
     whole[list(starts)] = 0.0
     # below the target by y: y decays and grows by what the target gains, as much as is not forgotten at once
-    gained = _gained(target, np.where(broken, 0.0, after), broken)
-    leap = decay[:, None] * (target - old * -np.expm1(-before)[:, None])
-    plain = target - gained - whole[:, None] * old
-    jump = target - leap
-    right = np.where(broken[:, None], jump, plain)
+    right = target - _weighted(_rises(target, broken), _gain_weights(np.where(broken, 0.0, after), broken))
+    right -= whole[:, None] * old
+    leaps = np.flatnonzero(broken)
+    leap = decay[leaps, None] * (target[leaps] - old[leaps] * -np.expm1(-before[leaps])[:, None])
+    right[leaps] = target[leaps] - leap
     right[list(starts)] = begin
     return _recursion(whole, right)
 
 
 def mean_per_step(value: Array, step: Array, broken: Mask) -> Array:
     """Mean (n,) of a value over the step to every sample, by the cubic with the slopes of parabolas."""
-    rise = np.diff(value, prepend=value[:1])[:, None]
-    rise[broken] = 0.0
-    left, right = _bends(rise, step, broken)
-    out: Array = value - (rise / 2 + (right - left) / 12)[:, 0]
-    return out
+    weights = _slope_weights(step, broken, 0.5, -1 / 12, 1 / 12)
+    return np.asarray(value - _weighted(_rises(value[:, None], broken), weights)[:, 0])
 
 
 def follow_linear(decay: Array, gained: Array, begin: Array, starts: Sequence[int]) -> Array:
@@ -183,27 +180,54 @@ def _recursion(decay: Array, right: Array) -> Array:
     return np.asarray(out)
 
 
-def _gained(target: Array, step: Array, broken: Mask) -> Array:
-    """Integral (n, k) of exp(z - step) dc/dz over every step: what the state has not yet followed."""
+_Weights = tuple[Array, Array, Array]  # of the rises over the step before, the step itself and the next one, each (n,)
+
+
+def _rises(target: Array, broken: Mask) -> Array:
+    """Rise (n, k) of a target over every step; 0 where it is broken."""
     rise = np.diff(target, axis=0, prepend=target[:1])
     rise[broken] = 0.0
-    m0, m1, m2 = (m[:, None] for m in _moments(step))
-    left, right = _bends(rise, step, broken)
-    out: Array = rise * m0 + left * (m0 - 4 * m1 + 3 * m2) + right * (3 * m2 - 2 * m1)
+    return rise
+
+
+def _weighted(rise: Array, weights: _Weights) -> Array:
+    """Weighted sum (n, k) of the rises (n, k) over each step and its neighbours."""
+    preceding, own, following = weights
+    out: Array = own[:, None] * rise
+    out[1:] += preceding[1:, None] * rise[:-1]
+    out[:-1] += following[:-1, None] * rise[1:]
     return out
 
 
-def _bends(rise: Array, step: Array, broken: Mask) -> tuple[Array, Array]:
-    """By how much the slope at either end of every step, times the step, differs from the rise; each (n, k)."""
-    left, right = np.zeros_like(rise), np.zeros_like(rise)
-    a, b = step[:-1, None], step[1:, None]
-    smooth = ~broken[:-1, None] & ~broken[1:, None] & (a < MAX_STEP_RATIO * b) & (b < MAX_STEP_RATIO * a)
+def _gain_weights(step: Array, broken: Mask) -> _Weights:
+    """Weights of the integral of exp(z - step) dc/dz over every step: what the state has not yet followed."""
+    m0, m1, m2 = _moments(step)
+    return _slope_weights(step, broken, m0, m0 - 4 * m1 + 3 * m2, 3 * m2 - 2 * m1)
+
+
+def _slope_weights(
+    step: Array, broken: Mask, rise: Array | float, left: Array | float, right: Array | float
+) -> _Weights:
+    """Weights of the sum of the rise over a step and of what its slopes at either end, times the step, differ from it.
+
+    A slope is that of the parabola through three samples; where steps are too unlike or the target is broken, the
+    slope makes the one at the other end a parabola, and both none.
+    """
+    a, b = step[:-1], step[1:]
+    smooth = ~(broken[:-1] | broken[1:]) & (a < MAX_STEP_RATIO * b) & (b < MAX_STEP_RATIO * a)
     a, b = np.where(smooth, a, 1.0), np.where(smooth, b, 1.0)
-    right[:-1] = np.where(smooth, a / (a + b) * (a / b * rise[1:] - rise[:-1]), 0.0)
-    left[1:] = np.where(smooth, b / (a + b) * (b / a * rise[:-1] - rise[1:]), 0.0)
-    has = np.zeros((2, len(step), 1), dtype=bool)
-    has[0, 1:], has[1, :-1] = smooth, smooth
-    return np.where(has[0], left, -right), np.where(has[1], right, -left)
+    share = np.where(smooth, a / (a + b), 0.0)  # of the step before a sample, in both steps beside it
+    rest = np.where(smooth, 1.0 - share, 0.0)
+    at_left, at_right = np.zeros((2, len(step)))
+    at_left[1:], at_right[:-1] = smooth, smooth
+    left, right = left - (1 - at_right) * right, right - (1 - at_left) * left
+    preceding, own, following = np.zeros((3, len(step)))
+    preceding[1:] = (rest * b / a) * left[1:]
+    own += rise
+    own[1:] -= rest * left[1:]
+    own[:-1] -= share * right[:-1]
+    following[:-1] = (share * a / b) * right[:-1]
+    return preceding, own, following
 
 
 def _moments(step: Array) -> tuple[Array, Array, Array]:
