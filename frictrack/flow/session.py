@@ -315,6 +315,7 @@ class Session:
         """
         return {**self.compare(), **self.budget.summary(), "predictions": self.predictions.rows}
 
+    @exclusive
     def name_next_run(self) -> dict[str, Any]:
         """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it.
 
