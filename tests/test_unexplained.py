@@ -13,6 +13,7 @@ import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
+from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas.formula_search import search_formulas
@@ -87,7 +88,7 @@ def fits():
 @pytest.fixture(scope="module")
 def firsts(fits):
     """The first formula of a cause, looked for once."""
-    return cache(lambda cause: search_formulas(ResidualForces(fits[cause].solution))[0])
+    return cache(lambda cause: search_formulas(ResidualForces(fits[cause].solution)).entries[0])
 
 
 @pytest.mark.parametrize("cause", CAUSES)
@@ -127,7 +128,7 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
 
 @pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
 def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
-    found = search_formulas(ResidualForces(fits[cause].solution))
+    found = search_formulas(ResidualForces(fits[cause].solution)).entries
     probabilities = [f["probability"] for f in found]
     assert probabilities == sorted(probabilities, reverse=True)
     assert 0.5 < sum(probabilities) < 1.0
@@ -164,7 +165,7 @@ def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, f
 
 
 def test_the_json_has_what_the_report_shows(fits):
-    found = unexplained_force(fits["joint"].solution)
+    found = unexplained_force(fits["joint"].solution).summary
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
@@ -179,11 +180,32 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     start = fits["rate_and_state"]
     imitation = fit([*LAW, "load_modulation"], start.runs)
     told = compare_with_formulas(ResidualForces(start.solution), imitation.solution, lambda: repeated("v"))
-    assert told["decisive"]
-    assert told["words"].startswith("a force that depends only on speed explains more with ")
-    assert told["formulas"][0]["axis"] == "v"
+    assert told.summary["decisive"]
+    assert told.summary["words"].startswith("a force that depends only on speed explains more with ")
+    assert told.summary["formulas"][0]["axis"] == "v"
     worth = information_criterion(start.solution) - information_criterion(imitation.solution)
-    assert told["formulas"][0]["delta_bic"] > 10 + worth
+    assert told.summary["formulas"][0]["delta_bic"] > 10 + worth
+
+
+def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
+    found = unexplained_force(fits["joint"].solution)
+    name, law, delta_bic = found.as_candidate()
+    assert name == "formula:1"
+    assert delta_bic == found.summary["formulas"][0]["delta_bic"]
+    assert law.problem.model.names == [*LAW, "formula:1"]
+    assert refine(law.problem, law.p, law.starts, tau=law.tau).objective == pytest.approx(law.objective, abs=1e-3)
+
+
+def test_runs_are_proposed_that_separate_an_effect_from_a_formula_that_is_as_likely():
+    """A joint where few frames see it: a step in the friction, or a patch."""
+    small = slides(lambda x, v, t, s, load: 0.09 * load * s * np.tanh((x - 0.31) / 0.02), seed=4)
+    found = diagnose(fit(LAW, small))
+    assert found.verdict == "ambiguous"
+    assert found.unexplained["rival"] == "a formula of place"
+    first = found.next_experiment[0]
+    assert {found.missing[0], "formula:1"} <= set(first["separates"])
+    assert first["expected_delta_bic"] > 10
+    assert "the formula depends on place alone" in first["what"]
 
 
 def test_an_effect_of_the_library_wins_ties():
@@ -192,7 +214,7 @@ def test_an_effect_of_the_library_wins_ties():
     start, found = fit(LAW, runs), fit([*LAW, "patch"], runs)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
     told = compare_with_formulas(ResidualForces(start.solution), found.solution, lambda: repeated("x"))
-    assert told is None or not told["decisive"]
+    assert told is None or not told.summary["decisive"]
 
 
 def test_fewer_numbers_say_the_same_as_all_frames(fits):

@@ -16,34 +16,27 @@ import numpy as np
 from frictrack.compare import failing_spans
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
+from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.formula_comparison import MAX_DELTA_BIC_EQUAL, compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.joint_search import AlternativeSet
-from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import RefinedCandidate, Round
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
-from frictrack.diagnose.unexplained import unexplained_force
-from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
+from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
+from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
-MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
-    0.01,
-    6,
-)  # share of the misfit, and number, of further effects in the table of importance
 MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
-MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
-N_CANDIDATES_WITH_RIVALS = 3  # the best ones
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
 
 
@@ -93,8 +86,8 @@ class Conclusion:
     def verdict(self) -> Diagnosis:
         """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
         found, search = self._before_formulas, self.search
-        if self._may_be_a_formula:
-            found = self._judge_formulas(found)
+        if self._compared is not None:
+            found = self._judge_formulas(found, self._compared.summary)
         rests = rests_on_repairs(self.fit.runs, found.verdict, search.first, search.last.solution, search.found)
         return replace(found, rests_on_repairs=rests)
 
@@ -114,29 +107,30 @@ class Conclusion:
             self.verdict,
             complete=True,
             fails_at=[] if self._nothing_missing else self._fails_at,
-            importance=_importance(self.search.first, self._named, self.verdict.candidates, self._heldout),
+            importance=importance_of_effects(self.search.first, self._named, self.verdict.candidates, self._heldout),
             figures=self.verdict.figures | {"residual": self._residual},
         )
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
-        found = self._with_pattern(found, self._evidence(auxiliary))
+        found, compared = self._with_pattern(found, self._evidence(auxiliary)), self._compared
         if found.unexplained is None and self._may_be_a_formula:
             notify("comparing with formulas")
-            found = replace(found, unexplained=self._formulas(-MAX_DELTA_BIC_EQUAL))
+            compared = self._compare_with_formulas(-MAX_DELTA_BIC_EQUAL)
+            found = replace(found, unexplained=None if compared is None else compared.summary)
         if found.verdict == "unexplained" and self.search.last.leaves_misfit:
             notify("looking for a run that disagrees with the others")
             suspects = suspect_run_remarks(self.search.last.solution, self.fit.runs, self.search.generators[0])
             found = replace(found, remarks=[*found.remarks, *suspects])
         notify("planning the next experiment")
-        return replace(found, next_experiment=self._plan_next(found, notify))
+        return replace(found, next_experiment=self._plan_next(found, compared, notify))
 
     @cached_property
     def _kind(self) -> ResidualKind:
         return residual_kind(self.search.start.problem)
 
     @cached_property
-    def _heldout(self) -> _HeldOutErrors:
-        return _HeldOutErrors(self.search.first.solution)
+    def _heldout(self) -> HeldOutErrors:
+        return HeldOutErrors(self.search.first.solution)
 
     @cached_property
     def _pattern(self) -> FailurePattern:
@@ -156,7 +150,7 @@ class Conclusion:
     def _before_formulas(self) -> Diagnosis:
         """The verdict from effects alone, with the evidence of every candidate and detection limits."""
         first, found = self.search.first, self.search.found
-        listed = _tabulate_candidates(first, found, self._heldout)
+        listed = tabulate_candidates(first, found, self._heldout)
         limits, curves = _limits(first)
         kind = residual_kind(self.fit.solution.problem)
         noise, misfit = kind.noise(self.fit)
@@ -216,17 +210,21 @@ class Conclusion:
         explained = bool(self.search.found) and not self.search.last.leaves_misfit
         return explained and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN and self._kind.imitates
 
-    def _judge_formulas(self, found: Diagnosis) -> Diagnosis:
+    def _judge_formulas(self, found: Diagnosis, formulas: dict[str, Any]) -> Diagnosis:
         """Return the verdict after comparing the effects found with formulas that may describe the cause as well."""
-        formulas = self._formulas(0.0)
-        if formulas is None or (found.verdict == "unexplained" and not formulas["decisive"]):
+        if found.verdict == "unexplained" and not formulas["decisive"]:
             return found
         if formulas["decisive"]:
             return replace(found, verdict="unexplained", missing=[], unexplained=formulas)
         doubtful = formulas["rival"] is not None and found.verdict == "missing"
         return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=formulas)
 
-    def _formulas(self, min_advantage: float) -> dict[str, Any] | None:
+    @cached_property
+    def _compared(self) -> UnexplainedForce | None:
+        """Formulas that explain as much as the effects found, as far as the verdict may depend on them."""
+        return self._compare_with_formulas(0.0) if self._may_be_a_formula else None
+
+    def _compare_with_formulas(self, min_advantage: float) -> UnexplainedForce | None:
         """Formulas that explain as much as the effects found."""
         return compare_with_formulas(
             self._pattern.forces,
@@ -266,11 +264,13 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is None:
             unexplained = unexplained_force(
                 self.search.first.solution, self.search.last.solution, self._pattern.forces, self.functions
-            )
+            ).summary
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 
-    def _plan_next(self, found: Diagnosis, notify: Callable[[str], None]) -> list[dict[str, Any]]:
+    def _plan_next(
+        self, found: Diagnosis, compared: UnexplainedForce | None, notify: Callable[[str], None]
+    ) -> list[dict[str, Any]]:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
         first, last, effects = self.search.first, self.search.last, self.search.found
         if found.verdict == "unexplained":
@@ -280,113 +280,10 @@ class Conclusion:
         order = sorted(first.passing, key=lambda t: t.effect.name not in best)
         passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
+        formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
+        if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
+            passing, rivals = [*passing, formula], (formula[0], *rivals)
         return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
-
-
-def _importance(
-    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: _HeldOutErrors
-) -> list[Importance]:
-    """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
-    alone = explained_shares(first, first.tried)
-    unit = residual_kind(first.solution.problem).unit
-    excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
-    out: list[Importance] = []
-    chi2, error = first.solution.chi2, None
-    for t, law in zip(found, nested_models(found), strict=True):
-        share = heldout_error = None
-        if law is not None:
-            before, heldout_error, _ = heldout(law)
-            share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
-            improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
-            out, error = (_without_stop(out) if improves else out), heldout_error
-        out.append(
-            Importance(
-                t.effect.name,
-                alone.get(t.effect.name),
-                share,
-                heldout_error,
-                unit,
-                stop=heldout_error is not None and improves,
-            )
-        )
-    names = {t.effect.name for t in found}
-    level = first.tests.level
-    others = [c.effect for c in listed if c.p < level and c.effect not in names and not c.implausible]
-    shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
-    return out + [Importance(name, alone[name], None, None, unit) for name in shown]
-
-
-def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
-    """Return the same rows with `stop` cleared: the last effect worth adding is marked once."""
-    return [replace(row, stop=False) for row in rows]
-
-
-def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _HeldOutErrors) -> list[Candidate]:
-    """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
-    chosen = {t.effect.name: t for t in found}
-    rivals = {
-        t.effect.name: find_rivals(t, first.tried)
-        for t in first.passing[:N_CANDIDATES_WITH_RIVALS]
-        if t.effect.name not in chosen
-    }
-    simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
-    passing = {t.effect.name for t in first.passing} | chosen.keys()
-    out = []
-    for t in [*found, *(t for t in first.tried if t.effect.name not in chosen)]:
-        name = t.effect.name
-        shown = simulated.get(name, t)
-        refined = chosen.get(name, t)
-        indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
-        shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
-        held = heldout if first.is_significant(t) else None
-        listed = _candidate(shown, held, residual_kind(first.solution.problem))
-        out.append(replace(listed, passes=name in passing and not listed.implausible))
-    return out
-
-
-class _HeldOutErrors:
-    """Held-out errors of models and of the bare model; the latter is computed once per hold-out method."""
-
-    def __init__(self, bare: Solution) -> None:
-        self._bare = bare
-        self._bare_errors: dict[str, float] = {}
-        self._heldout_rms = residual_kind(bare.problem).heldout_rms
-
-    def __call__(self, solution: Solution) -> tuple[float, float, str]:
-        """Return the held-out errors of the bare model and of this one, and the hold-out method."""
-        after, how = self._heldout_rms(solution)
-        if how not in self._bare_errors:
-            self._bare_errors[how] = self._heldout_rms(self._bare, how)[0]
-        return self._bare_errors[how], after, how
-
-
-def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None, kind: ResidualKind) -> Candidate:
-    """Convert a refined candidate to its entry in the diagnosis."""
-    effect, solution = tried.effect, tried.solution
-    before = after = how = None
-    parameters: dict[str, Any] = {}
-    if solution is not None:
-        if heldout is not None:
-            before, after, how = heldout(solution)
-        parameters = {
-            name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-            for name, e in kind.estimates(solution).parameters.items()
-            if name.rsplit(".", 1)[0] == effect.name
-        }
-    return Candidate(
-        effect=effect.name,
-        acts_on=effect.acts_on,
-        parameters=parameters,
-        p=tried.p,
-        delta_bic=float(tried.delta_bic),
-        heldout_before=before,
-        heldout_after=after,
-        heldout=how,
-        indistinguishable_from=tried.indistinguishable_from,
-        implausible=tried.objection,
-        words=kind.describe(effect, solution),
-        unit=kind.unit,
-    )
 
 
 def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:

@@ -9,6 +9,7 @@ more of them and a cause outside of the library is rarer.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axe
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
-from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
 from frictrack.number_format import format_probability
@@ -36,7 +37,7 @@ def compare_with_formulas(
     functions: Sequence[Shape] = (),
     *,
     min_advantage: float = 0.0,
-) -> dict[str, Any] | None:
+) -> UnexplainedForce | None:
     """Find formulas of one variable that explain as much as the effects found.
 
     Parameters
@@ -54,8 +55,8 @@ def compare_with_formulas(
 
     Returns
     -------
-    dict or None
-        As `unexplained_force`, with `probability` that one of the formulas is the cause and the effects are not,
+    UnexplainedForce or None
+        Its summary has besides `probability` that one of the formulas is the cause and the effects are not,
         `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor
         unlikely, and `words`. None if no formula explains as much.
 
@@ -65,20 +66,21 @@ def compare_with_formulas(
     if not _is_worth_searching(forces, found, repeats, evidence + min_advantage):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
-    if not unexplained["formulas"]:
+    if not unexplained.formulas.entries:
         return None
-    first = unexplained["formulas"][0]
+    first = unexplained.formulas.entries[0]
     advantage = first["delta_bic"] - evidence
     if advantage < -MAX_DELTA_BIC_EQUAL:
         return None
-    log_odds = advantage / 2 - np.log(first["probability"]) + _log_prior_odds(unexplained["axes"])
+    log_odds = advantage / 2 - np.log(first["probability"]) + _log_prior_odds(unexplained.summary["axes"])
     probability = float(expit(log_odds))
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
     is_rival = MAX_PROBABILITY_UNLIKELY < probability <= MIN_PROBABILITY_DECISIVE
     compared = {"probability": probability, "decisive": decisive, "rival": rival if is_rival else None}
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
-    return unexplained | compared | {"words": _words(first, added, compared)}
+    compared |= {"words": _words(first, added, compared)}
+    return replace(unexplained, summary=unexplained.summary | compared)
 
 
 def _is_worth_searching(

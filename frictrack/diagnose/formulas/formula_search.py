@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,9 +51,17 @@ MAX_COMPARISONS = 2  # of all forms with each other, each time beside the best f
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 
 
+@dataclass(frozen=True)
+class FoundFormulas:
+    """Formulas that fit what a model leaves: JSON entries, most probable first, and the fit of the first one."""
+
+    entries: list[dict[str, Any]] = field(default_factory=list)
+    first: FittedFormula | None = None
+
+
 def search_formulas(
     forces: ResidualForces, extended: Solution | None = None, functions: Sequence[Shape] = ()
-) -> list[dict[str, Any]]:
+) -> FoundFormulas:
     """Search formulas that fit what a model leaves.
 
     Parameters
@@ -67,8 +75,7 @@ def search_formulas(
 
     Returns
     -------
-    list of dict
-        JSON entries, most probable first.
+    FoundFormulas
 
     """
     solution = forces.solution
@@ -81,7 +88,7 @@ def search_formulas(
     probabilities = found.probabilities()
     shown = sorted((f for f in found.formulas if f.delta_bic > 0), key=lambda f: -probabilities[f.form])[:N_SHOWN]
     if not shown:
-        return []
+        return FoundFormulas()
     group = credible_forms(probabilities)
     first = shown[0].form
     entries = []
@@ -89,7 +96,7 @@ def search_formulas(
         others = [form for form in group if form != first] if one is shown[0] else [first] * (one.form in group)
         entry = describe_formula(one, solution)
         entries.append(entry | {"probability": probabilities[one.form], "equivalents": others})
-    return entries
+    return FoundFormulas(entries, shown[0])
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
         verdict, missing, left = found.verdict, found.missing, found.unexplained
         stated = _stated(sealed, found)
     else:
-        left = unexplained_force(fit.solution)
+        left = unexplained_force(fit.solution).summary
     seconds = time.process_time() - begin
     formulas = (left or {}).get("formulas") or []
     return {

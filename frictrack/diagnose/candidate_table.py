@@ -1,0 +1,127 @@
+"""Tabulate the candidates of a finished search: evidence, held-out errors and shares of the misfit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.diagnose.parsimony import explained_shares, nested_models
+from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
+from frictrack.diagnose.rivals import find_rivals
+from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.verdict import Candidate, Importance
+from frictrack.fit.least_squares import Solution
+
+MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
+MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
+MAX_OTHERS_LISTED = 6  # further effects in the table of importance
+N_CANDIDATES_WITH_RIVALS = 3  # the best ones
+
+
+def importance_of_effects(
+    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: HeldOutErrors
+) -> list[Importance]:
+    """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
+    alone = explained_shares(first, first.tried)
+    unit = residual_kind(first.solution.problem).unit
+    excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
+    out: list[Importance] = []
+    chi2, error = first.solution.chi2, None
+    for t, law in zip(found, nested_models(found), strict=True):
+        share = heldout_error = None
+        if law is not None:
+            before, heldout_error, _ = heldout(law)
+            share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
+            improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
+            out, error = (_without_stop(out) if improves else out), heldout_error
+        out.append(
+            Importance(
+                t.effect.name,
+                alone.get(t.effect.name),
+                share,
+                heldout_error,
+                unit,
+                stop=heldout_error is not None and improves,
+            )
+        )
+    names = {t.effect.name for t in found}
+    level = first.tests.level
+    others = [c.effect for c in listed if c.p < level and c.effect not in names and not c.implausible]
+    shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
+    return out + [Importance(name, alone[name], None, None, unit) for name in shown]
+
+
+def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
+    """Return the same rows with `stop` cleared: the last effect worth adding is marked once."""
+    return [replace(row, stop=False) for row in rows]
+
+
+def tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: HeldOutErrors) -> list[Candidate]:
+    """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
+    chosen = {t.effect.name: t for t in found}
+    rivals = {
+        t.effect.name: find_rivals(t, first.tried)
+        for t in first.passing[:N_CANDIDATES_WITH_RIVALS]
+        if t.effect.name not in chosen
+    }
+    simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
+    passing = {t.effect.name for t in first.passing} | chosen.keys()
+    out = []
+    for t in [*found, *(t for t in first.tried if t.effect.name not in chosen)]:
+        name = t.effect.name
+        shown = simulated.get(name, t)
+        refined = chosen.get(name, t)
+        indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
+        shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
+        held = heldout if first.is_significant(t) else None
+        listed = _candidate(shown, held, residual_kind(first.solution.problem))
+        out.append(replace(listed, passes=name in passing and not listed.implausible))
+    return out
+
+
+class HeldOutErrors:
+    """Held-out errors of models and of the bare model; the latter is computed once per hold-out method."""
+
+    def __init__(self, bare: Solution) -> None:
+        self._bare = bare
+        self._bare_errors: dict[str, float] = {}
+        self._heldout_rms = residual_kind(bare.problem).heldout_rms
+
+    def __call__(self, solution: Solution) -> tuple[float, float, str]:
+        """Return the held-out errors of the bare model and of this one, and the hold-out method."""
+        after, how = self._heldout_rms(solution)
+        if how not in self._bare_errors:
+            self._bare_errors[how] = self._heldout_rms(self._bare, how)[0]
+        return self._bare_errors[how], after, how
+
+
+def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, kind: ResidualKind) -> Candidate:
+    """Convert a refined candidate to its entry in the diagnosis."""
+    effect, solution = tried.effect, tried.solution
+    before = after = how = None
+    parameters: dict[str, Any] = {}
+    if solution is not None:
+        if heldout is not None:
+            before, after, how = heldout(solution)
+        parameters = {
+            name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
+            for name, e in kind.estimates(solution).parameters.items()
+            if name.rsplit(".", 1)[0] == effect.name
+        }
+    return Candidate(
+        effect=effect.name,
+        acts_on=effect.acts_on,
+        parameters=parameters,
+        p=tried.p,
+        delta_bic=float(tried.delta_bic),
+        heldout_before=before,
+        heldout_after=after,
+        heldout=how,
+        indistinguishable_from=tried.indistinguishable_from,
+        implausible=tried.objection,
+        words=kind.describe(effect, solution),
+        unit=kind.unit,
+    )
