@@ -1,7 +1,8 @@
 """Run independent tasks on the workers of a Dask cluster, with the interface of `frictrack.workers`.
 
 A task is submitted again where what ran it is lost: Dask does so when a worker dies, this module when the scheduler was
-lost, when the disk of a worker is full, and once more where Dask gave up because workers died.
+lost, when the disk of a worker is full, and once more where Dask gave up because workers died. Dask counts the death of
+a worker against all tasks that were there; the second time, a task runs alone, so that its deaths are its own.
 """
 
 from __future__ import annotations
@@ -81,17 +82,24 @@ class _ClusterTask:
 
 
 class _ClusterPool:
-    """Workers of a Dask cluster. Everything but `submit` and `capacity` runs in the thread of the client."""
+    """Workers of a Dask cluster. Everything but `submit` and `capacity` runs in the thread of the client.
+
+    Tasks run together until workers died of one of them. Such suspects wait until the others have ended, or fill all
+    of the capacity, and run one by one; tasks that are submitted meanwhile are held.
+    """
 
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
         self._threads: dict[str, int] = {}  # by address of the worker
         self._pinned: dict[Any, tuple[str, ...]] = {}  # by future of Dask
-        self._suspects: deque[_ClusterTask] = deque()  # the first one runs, so that no other dies with it
+        self._together = 0  # tasks that are no suspects and under way
+        self._alone = False  # whether a suspect is under way
+        self._suspects: deque[_ClusterTask] = deque()  # that wait
+        self._held: deque[_ClusterTask] = deque()  # other tasks, submitted while a suspect is under way
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         task = _ClusterTask(function, arguments)
-        self._begin(task)
+        self._client.loop.add_callback(self._enter, task)
         return task.found
 
     def capacity(self) -> int:
@@ -111,6 +119,34 @@ class _ClusterPool:
             if not set(workers) & set(self._threads):  # it would wait for workers that have died
                 future.cancel()
         return 2 * max(1, sum(self._threads.values()))
+
+    def _enter(self, task: _ClusterTask) -> None:
+        """Begin a task as soon as it may run."""
+        if task.is_suspect:
+            self._suspects.append(task)
+        elif self._alone:
+            self._held.append(task)
+        else:
+            self._together += 1
+            self._begin(task)
+        self._begin_suspect()
+
+    def _leave(self, task: _ClusterTask) -> None:
+        """Begin what waited for a task that has ended."""
+        if task.is_suspect:
+            self._alone, held = False, [*self._held]
+            self._held.clear()
+            for one in held:
+                self._enter(one)
+        else:
+            self._together -= 1
+        self._begin_suspect()
+
+    def _begin_suspect(self) -> None:
+        """Begin the first suspect if nothing else is under way."""
+        if self._suspects and not self._alone and not self._together:
+            self._alone = True
+            self._begin(self._suspects.popleft())
 
     def _begin(self, task: _ClusterTask) -> None:
         how: dict[str, Any] = {"key": f"{task.function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
@@ -140,9 +176,8 @@ class _ClusterPool:
         from distributed import KilledWorker  # noqa: PLC0415 - optional
 
         if isinstance(error, KilledWorker) and not task.is_suspect:
-            self._suspects.append(replace(task, is_suspect=True))
-            if len(self._suspects) == 1:
-                self._begin(self._suspects[0])
+            self._enter(replace(task, is_suspect=True))
+            self._leave(task)
         elif isinstance(error, DiskFullError) and not task.workers and (others := self._others(error.worker)):
             self._begin(replace(task, workers=others))
         elif isinstance(error, KilledWorker):
@@ -161,10 +196,7 @@ class _ClusterPool:
         self._finish(task, FrictrackError(what))
 
     def _finish(self, task: _ClusterTask, error: BaseException | None, value: Any = None) -> None:
-        if task.is_suspect:
-            self._suspects.popleft()
-            if self._suspects:
-                self._begin(self._suspects[0])
+        self._leave(task)
         if error is not None:
             task.found.set_exception(error)
         else:

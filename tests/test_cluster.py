@@ -10,7 +10,8 @@ import signal
 import socket
 import subprocess
 import sys
-from collections import Counter
+import time
+from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import suppress
@@ -47,6 +48,8 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
 """
 
+KILLERS = {0, 6}  # tasks
+
 
 class Cluster:
     """A scheduler and workers as the command line of Dask starts them."""
@@ -62,7 +65,7 @@ class Cluster:
     def scheduler(self) -> subprocess.Popen[bytes]:
         return self._start("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-show")
 
-    def worker(self, preload: str = "") -> subprocess.Popen[bytes]:
+    def worker(self, preload: str = "", threads: int = 1) -> subprocess.Popen[bytes]:
         number = len(self.processes)
         more: list[str] = []
         if preload:
@@ -70,7 +73,7 @@ class Cluster:
             path.write_text(preload)
             more = ["--preload", str(path)]
         place = str(self.folder / f"worker_{number}")
-        return self._start("dask_worker", self.address, "--nthreads", "1", "--local-directory", place, *more)
+        return self._start("dask_worker", self.address, "--nthreads", str(threads), "--local-directory", place, *more)
 
     def wait_for(self, count: int) -> None:
         from distributed import Client  # noqa: PLC0415
@@ -190,6 +193,32 @@ def test_a_study_that_kills_its_workers(tmp_path: Path, dask: Cluster) -> None:
     assert [(Path(one["study"]).parent.name, one["run"]) for one in found["failed"]] == [("day_2", "")]
     assert f"the workers that computed it died, {deaths} times" in found["failed"][0]["reason"]
     assert studies_in_journal(there) == {f"day_{k}": 1 for k in range(1, 7)}
+
+
+def kill_own_worker(number: int) -> int:
+    """A task that takes a moment; some of them end the process in which they run."""
+    time.sleep(0.1)
+    if number in KILLERS:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(2.0)
+    return number
+
+
+def test_only_tasks_that_kill_workers_are_given_up(dask: Cluster) -> None:
+    """Tasks run two at a time in one worker, so that innocent ones die with the others again and again."""
+    dask.scheduler()
+    dask.worker(threads=2)
+    dask.wait_for(1)
+    todo, running, killed, found = deque(range(12)), {}, set(), set()
+    with cluster.cluster_workers(dask.address) as pool:
+        while todo or running:
+            while todo and len(running) < pool.capacity():
+                number = todo.popleft()
+                running[pool.submit(kill_own_worker, number)] = number
+            for future in wait(running, timeout=0.5, return_when=FIRST_COMPLETED).done:
+                (killed if future.exception() else found).add(running.pop(future))
+    assert killed == KILLERS
+    assert found == set(range(12)) - KILLERS
 
 
 @pytest.mark.parametrize("has_other", [True, False])
