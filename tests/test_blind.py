@@ -231,6 +231,13 @@ def test_every_cause_takes_its_turn():
 
 
 @pytest.mark.usefixtures("short_runs")
+def test_a_draw_hides_nothing_that_its_camera_cannot_show():
+    for seed in range(3):
+        truth = draw_truth(100 + seed, "one", ORDER.index("rolling_shutter"))
+        assert truth.hidden == ("rolling_shutter",)
+        assert truth.fps == 1000.0
+
+
 @pytest.mark.parametrize(
     ("name", "key"), [("drive_error", "push"), ("measured_load", "lift"), ("beam_vibration", "clamp")]
 )

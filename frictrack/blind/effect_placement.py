@@ -146,12 +146,14 @@ def _scale_values(effect: Effect, shape: list[EffectValues], factor: float) -> l
 
 
 def _checked_placement(detector: IdealDetector, effect: Effect, values: list[EffectValues]) -> PlacedEffect | None:
-    """Place an effect and compute its trace; return None if the force is too large or its trace is not linear.
+    """Place an effect and compute its trace; return None if it is not plausible or its trace is not linear.
 
     The trace is shortened to the rise that remains when the scatter of the levels must be estimated, as in a
     diagnosis. Near a stop the trace of a large force can differ from the linearised one.
     """
     if effect.acts_on == "force" and not effect.memory and detector.force_share(effect, values) > MAX_FORCE_SHARE:
+        return None
+    if _is_impossible(detector, effect, values):
         return None
     truth = _with_values(detector, values)
     trace, rise = detector.trace_and_rise(truth)
@@ -161,6 +163,13 @@ def _checked_placement(detector: IdealDetector, effect: Effect, values: list[Eff
         if float(first @ trace) < MIN_COSINE * float(np.linalg.norm(first)) * size:
             return None
     return truth, trace * min(np.sqrt(rise) / max(size, 1e-300), 1.0)
+
+
+def _is_impossible(detector: IdealDetector, effect: Effect, values: list[EffectValues]) -> bool:
+    """Whether the effect itself objects to its values in every run in which it acts."""
+    span = detector.base_study.span(detector.trajectories)
+    present = [of_run[effect.name] for of_run in values if of_run]
+    return effect.plausible is not None and all(effect.plausible(own, span) for own in present)
 
 
 def _scale_to_size(

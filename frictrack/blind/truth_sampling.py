@@ -177,6 +177,7 @@ def _draw_base(
     has_unused = (rng.random(3) < UNUSED_SENSOR_SHARE) & (not film)
     pushed = "drive" in needs or any(effect_named(n).memory for n in names) or has_unused[0]  # memory shows from rest
     lift = float(10 ** rng.uniform(-0.7, 0.3)), float(rng.uniform(12.0, 40.0))  # m/s^2 and Hz
+    max_fps = [effect_named(name).test_draw.max_fps for name in (*law, *names)]
     pitch = FILM_CAMERA["pitch"] if film else _log_uniform(rng, 2e-4, 1e-3)
     return Truth(
         seed=seed,
@@ -184,7 +185,7 @@ def _draw_base(
         model=law,
         law=_draw_law(law, mass * _log_uniform(rng, 4.0, 25.0), rng),
         mass=mass,
-        fps=4000.0 if film else float(rng.choice([2000.0, 4000.0, 4000.0, 6000.0])),
+        fps=min(4000.0 if film else float(rng.choice([2000.0, 4000.0, 4000.0, 6000.0])), *max_fps),
         pitch=pitch,
         noise=pitch * FILM_CAMERA["noise_px"] if film else _log_uniform(rng, 2e-6, 3e-5),
         scatter=float(rng.choice([0.0, 0.01, 0.03, 0.05])),

@@ -97,6 +97,8 @@ class TestDraw:
         The parameter, a time in s, that is put midway between two frames; "" for none.
     coefficients : callable, optional
         Map a `Span` and two random numbers in [0, 1) to values of coefficients at unit size; others are 1.
+    max_fps : float
+        Highest frame rate of a camera that shows it, Hz.
 
     """
 
@@ -108,6 +110,7 @@ class TestDraw:
     own_size: bool = False
     between_frames: str = ""
     coefficients: Callable[[Span, Array], Mapping[str, float]] | None = None
+    max_fps: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span
@@ -49,5 +49,6 @@ rolling_shutter = Effect(
     invariant="the readout time belongs to the camera, whatever the speed and the mass",
     settled_by="turn the camera by 90 degrees, so that its lines lie along the course",
     describe=describe,
+    test_draw=TestDraw(max_fps=MAX_FPS),
     source="textbook: y(t) = x(t + tau x); Ait-Aider et al. 2006 (rolling-shutter geometry)",
 )
