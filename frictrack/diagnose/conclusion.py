@@ -19,7 +19,7 @@ from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, Kno
 from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
-from frictrack.diagnose.formula_comparison import MAX_DELTA_BIC_EQUAL, compare_with_formulas
+from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.joint_search import AlternativeSet
 from frictrack.diagnose.power import Undetermined, find_undetermined
@@ -112,17 +112,13 @@ class Conclusion:
         )
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
-        found, compared = self._with_pattern(found, self._evidence(auxiliary)), self._compared
-        if found.unexplained is None and self._may_be_a_formula:
-            notify("comparing with formulas")
-            compared = self._compare_with_formulas(-MAX_DELTA_BIC_EQUAL)
-            found = replace(found, unexplained=None if compared is None else compared.summary)
+        found = self._with_pattern(found, self._evidence(auxiliary))
         if found.verdict == "unexplained" and self.search.last.leaves_misfit:
             notify("looking for a run that disagrees with the others")
             suspects = suspect_run_remarks(self.search.last.solution, self.fit.runs, self.search.generators[0])
             found = replace(found, remarks=[*found.remarks, *suspects])
         notify("planning the next experiment")
-        return replace(found, next_experiment=self._plan_next(found, compared, notify))
+        return replace(found, next_experiment=self._plan_next(found, notify))
 
     @cached_property
     def _kind(self) -> ResidualKind:
@@ -221,17 +217,11 @@ class Conclusion:
 
     @cached_property
     def _compared(self) -> UnexplainedForce | None:
-        """Formulas that explain as much as the effects found, as far as the verdict may depend on them."""
-        return self._compare_with_formulas(0.0) if self._may_be_a_formula else None
-
-    def _compare_with_formulas(self, min_advantage: float) -> UnexplainedForce | None:
-        """Formulas that explain as much as the effects found."""
+        """Formulas that explain as much as the effects found; None if there are none."""
+        if not self._may_be_a_formula:
+            return None
         return compare_with_formulas(
-            self._pattern.forces,
-            self.search.last.solution,
-            lambda: self._pattern.repeats,
-            self.functions,
-            min_advantage=min_advantage,
+            self._pattern.forces, self.search.last.solution, lambda: self._pattern.repeats, self.functions
         )
 
     @property
@@ -268,9 +258,7 @@ class Conclusion:
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 
-    def _plan_next(
-        self, found: Diagnosis, compared: UnexplainedForce | None, notify: Callable[[str], None]
-    ) -> list[dict[str, Any]]:
+    def _plan_next(self, found: Diagnosis, notify: Callable[[str], None]) -> list[dict[str, Any]]:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
         first, last, effects = self.search.first, self.search.last, self.search.found
         if found.verdict == "unexplained":
@@ -280,6 +268,7 @@ class Conclusion:
         order = sorted(first.passing, key=lambda t: t.effect.name not in best)
         passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
+        compared = self._compared
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
             passing, rivals = [*passing, formula], (formula[0], *rivals)

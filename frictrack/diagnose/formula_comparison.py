@@ -1,9 +1,9 @@
 """Compare the effects found with formulas, which may describe the cause better than any effect of the library.
 
-Formulas are fitted where a smooth force over one variable is more likely than the effects found, or where effects with
-parameters of their own in every run, which imitate much, were found though the misfit repeats over one axis. Both are
-compared by their evidence. Every form has a smaller prior probability than an effect of the library, because there are
-more of them and a cause outside of the library is rarer.
+Formulas are fitted where a smooth force over one variable is about as likely as the effects found, or where effects
+with parameters of their own in every run, which imitate much, were found though the misfit repeats over one axis. Both
+are compared by their evidence. Every form has a smaller prior probability than an effect of the library, because there
+are more of them and a cause outside of the library is rarer.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ def compare_with_formulas(
     found: Solution,
     repeats: Callable[[], Repeatability],
     functions: Sequence[Shape] = (),
-    *,
-    min_advantage: float = 0.0,
 ) -> UnexplainedForce | None:
     """Find formulas of one variable that explain as much as the effects found.
 
@@ -50,8 +48,6 @@ def compare_with_formulas(
         Computes whether the misfit repeats, and over which axis; called only where that matters.
     functions
         Further shapes of formulas.
-    min_advantage
-        Evidence (difference of BIC) by which a smooth force must exceed the effects for formulas to be searched.
 
     Returns
     -------
@@ -63,7 +59,7 @@ def compare_with_formulas(
     """
     start = forces.solution
     evidence = information_criterion(start) - information_criterion(found)
-    if not _is_worth_searching(forces, found, repeats, evidence + min_advantage):
+    if not _is_worth_searching(forces, found, repeats, evidence - MAX_DELTA_BIC_EQUAL):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
     if not unexplained.formulas.entries:
