@@ -14,7 +14,7 @@ from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import models
 from frictrack.cli import main, output
-from frictrack.diagnose import Diagnosis, diagnose
+from frictrack.diagnose import Diagnosis, conclusion, diagnose
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study, read_results
@@ -50,6 +50,20 @@ def study_file(recorded: list[Any], tmp_path: Path) -> Path:
         lines += ["", "[[run]]", f'table = "r{i}.csv"', f"mass = {run.mass}"]
     (tmp_path / "study.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return tmp_path / "study.toml"
+
+
+def test_formulas_are_compared_before_the_verdict_and_not_after_it(
+    recorded: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+
+    def compare(*given: Any, real: Any = conclusion.compare_with_formulas) -> Any:
+        order.append("formulas")
+        return real(*given)
+
+    monkeypatch.setattr(conclusion, "compare_with_formulas", compare)
+    diagnose(fit(LAW, recorded), on_verdict=lambda found: order.append(found.verdict))
+    assert order == ["formulas", "missing"]
 
 
 def test_the_verdict_is_announced_once_and_not_revised(announced: tuple[list[Diagnosis], Diagnosis]) -> None:
