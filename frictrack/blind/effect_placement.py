@@ -146,7 +146,7 @@ def _scale_values(effect: Effect, shape: list[EffectValues], factor: float) -> l
 
 
 def _checked_placement(detector: IdealDetector, effect: Effect, values: list[EffectValues]) -> PlacedEffect | None:
-    """Place an effect and compute its trace; return None if it is not plausible or its trace is not linear.
+    """Place an effect and compute its trace; None if it is too large or impossible, or its trace is not linear.
 
     The trace is shortened to the rise that remains when the scatter of the levels must be estimated, as in a
     diagnosis. Near a stop the trace of a large force can differ from the linearised one.
@@ -167,9 +167,10 @@ def _checked_placement(detector: IdealDetector, effect: Effect, values: list[Eff
 
 def _is_impossible(detector: IdealDetector, effect: Effect, values: list[EffectValues]) -> bool:
     """Whether the effect itself objects to its values in every run in which it acts."""
+    if effect.plausible is None:
+        return False
     span = detector.base_study.span(detector.trajectories)
-    present = [of_run[effect.name] for of_run in values if of_run]
-    return effect.plausible is not None and all(effect.plausible(own, span) for own in present)
+    return all(effect.plausible(of_run[effect.name], span) for of_run in values if of_run)
 
 
 def _scale_to_size(

@@ -218,7 +218,7 @@ def _slope_weights(
     a, b = np.where(smooth, a, 1.0), np.where(smooth, b, 1.0)
     share = np.where(smooth, a / (a + b), 0.0)  # of the step before a sample, in both steps beside it
     rest = np.where(smooth, 1.0 - share, 0.0)
-    at_left, at_right = np.zeros((2, len(step)))
+    at_left, at_right = np.zeros((2, len(step)))  # 1 where a parabola gives the slope at this end of a step
     at_left[1:], at_right[:-1] = smooth, smooth
     left, right = left - (1 - at_right) * right, right - (1 - at_left) * left
     preceding, own, following = np.zeros((3, len(step)))
