@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise, product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -519,3 +520,16 @@ def test_beams_that_differ_in_frequency_share_their_way():
     single = replace(one, before=before)
     each = [beam.columns(single, dict(zip(names, form, strict=True)) | {"phase": 0.3}) for form in forms]
     np.testing.assert_allclose(made, np.concatenate(each), atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("centre", "said"),
+    [(0.20, ""), (0.05, "the course before it"), (0.36, "the course behind it")],
+    ids=["middle", "begin", "end"],
+)
+def test_a_patch_at_an_end_of_the_course_may_be_a_joint(centre, said):
+    values = {"x_c": centre, "w": 0.02}
+    fitted = SimpleNamespace(value=values.get, passes=lambda place: "", course=(0.0, 0.4))
+    words = LIBRARY["patch"].describe(fitted)
+    assert said in words
+    assert ("joint" in words) == bool(said)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,7 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         named=named,
         group=_first_group(diagnosis),
         sets=_stated_sets(diagnosis),
-        equivalents=equivalent_effects(truth, fit.solution) if _has_equivalents(truth) else {},
+        equivalents=equivalent_effects(truth, fit.solution) if _needs_equivalents(truth, named) else {},
         noted=_faults_in_notes(session),
         overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
         limits=limits_over_ideal(truth, diagnosis["detection_limits"]) if truth.kind == "none" and not named else {},
@@ -175,10 +176,14 @@ def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
     return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
 
 
-def _has_equivalents(truth: Truth) -> bool:
-    """Whether equivalents can be computed: an effect of the library is hidden and frames correspond to the truth."""
+def _needs_equivalents(truth: Truth, named: Sequence[str]) -> bool:
+    """Whether equivalents are computed: effects of the library are hidden, and frames correspond to the truth.
+
+    Where exactly several hidden effects are named, they decide nothing.
+    """
     retimed = truth.film and "dropped_frame" in truth.hidden
-    return bool(truth.hidden) and truth.kind != "foreign" and not retimed
+    found = len(truth.hidden) > 1 and set(named) == set(truth.hidden)
+    return bool(truth.hidden) and truth.kind != "foreign" and not retimed and not found
 
 
 def _without_additions(session: Session, noise: float, out: Outcome) -> Outcome:

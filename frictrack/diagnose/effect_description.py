@@ -156,6 +156,12 @@ class FittedEffect:
         longest = max(self.solution.responses, key=lambda r: float(r.piece.t[-1]))
         return self.solution.problem.layout.run_names[longest.piece.run], float(longest.piece.t[-1])
 
+    @property
+    def course(self) -> tuple[float, float]:
+        """Smallest and largest place that any run reaches, m."""
+        x = np.concatenate([position_and_velocity(r)[0] for r in self.solution.responses])
+        return float(x.min()), float(x.max())
+
     @cached_property
     def longest(self) -> EffectRecord:
         """The effect along the run with most frames."""

@@ -36,7 +36,7 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
     near = [t for t in near if best.effect.kind not in t.effect.special_cases]
-    margin = 2 * MIN_CHI2_SEPARATED * unit
+    margin = MIN_CHI2_SEPARATED * unit
     near = [t for t in near if t.is_unrefined or best.delta_bic - t.delta_bic < margin]
     return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))
 

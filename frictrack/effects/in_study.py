@@ -98,6 +98,10 @@ class EffectInStudy(Protocol):
     def longest(self) -> EffectRecord:
         """The effect along the run with most frames."""
 
+    @property
+    def course(self) -> tuple[float, float]:
+        """Smallest and largest place that any run reaches, m."""
+
     def value(self, parameter: str) -> float:
         """Fitted value of a parameter in the main run."""
 

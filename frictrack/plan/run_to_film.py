@@ -49,7 +49,7 @@ from frictrack.plan.traces import PlannedRun, effect_trace, planned_size, simula
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-DECISIVE_DELTA_BIC = 2 * MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
+DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
 MAX_BIC_NEAR = 60.0  # from the best, within which an explanation is compared
 MAX_EXPLANATIONS = 4
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show

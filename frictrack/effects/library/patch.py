@@ -11,6 +11,8 @@ from frictrack.effects.plausibility import within_course
 from frictrack.effects.scans import Span, log_grid
 from frictrack.records import Array, Mask
 
+N_STD_CLEAR = 3.0  # standard deviations from its middle beyond which the course is as everywhere
+
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s exp(-((x - x_c)/w)^2/2), shape (n, 1): N per N of F."""
@@ -30,10 +32,19 @@ def widths(span: Span) -> Array:
 
 
 def describe(effect: EffectInStudy) -> str:
-    """Place, width, and when the first runs pass it."""
+    """Place, width, when the first runs pass it, and whether they show the course on both sides of it."""
     centre, width = effect.value("x_c"), effect.value("w")
+    reach = N_STD_ACTIVE * width
     passes = effect.passes(centre) or "no run"
-    return f"from x = {centre - 2 * width:.3f} to {centre + 2 * width:.3f} m, the middle passed by {passes}"
+    where = f"from x = {centre - reach:.3f} to {centre + reach:.3f} m, the middle passed by {passes}"
+    begin, end = effect.course
+    if begin + N_STD_CLEAR * width <= centre <= end - N_STD_CLEAR * width:
+        return where
+    side = "before" if centre - begin < end - centre else "behind"
+    return (
+        f"{where}; the runs hardly show the course {side} it, so that the friction may as well change only once, as at "
+        "a joint"
+    )
 
 
 def acts_within(t: Array, x: Array, values: Nonlinear, half_width: float) -> Mask:
