@@ -137,6 +137,14 @@ def test_missing_says_what_it_is_and_how_to_confirm():
     assert "To confirm <b>texture</b>: give a <code>reference</code>." in steps
 
 
+def test_ambiguous_with_a_formula_says_how_to_add_either():
+    found = diagnosis("ambiguous", [candidate("patch", 0.001, 300.0)], ["patch"])
+    found["unexplained"] = {"rival": "a formula of place", "axis": "x", "formulas": []}
+    steps = " ".join(next_steps(with_diagnosis(found)))
+    assert "<b>patch</b> explains: <code>frictrack add study.toml patch</code>" in steps
+    assert "a formula of place explains: <code>frictrack add study.toml formula:1</code>" in steps
+
+
 def test_ambiguous_names_the_group_and_what_would_settle_it(quick):
     best = candidate("vibration", 0.001, 300.0, ["camera_shake"])
     found = diagnosis("ambiguous", [best, candidate("camera_shake", 0.001, 299.0, ["vibration"])], ["vibration"])

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from frictrack.effects.path import Path
 from frictrack.records import Array, Mask
 
-MAX_SERIES_STEP = 0.5  # step below which the moments of the exponential are summed as a series
-N_SERIES_TERMS = 14
+MAX_SERIES_STEP = 0.1  # step below which the moments of the exponential are summed as a series
+N_SERIES_TERMS = 8  # to 1e-15 there
 MAX_PRECEDING_SAMPLES = 400  # samples of the motion before a path that its states still know
 MAX_STEP_RATIO = 8.0  # ratio of neighbouring steps beyond which no parabola is laid through them
 
@@ -234,14 +234,13 @@ def _moments(step: Array) -> tuple[Array, Array, Array]:
     """Integrals over theta in (0, 1) of theta^j exp(-step (1 - theta)), j = 0, 1, 2."""
     small = step < MAX_SERIES_STEP
     tiny = np.where(small, step, 0.0)
-    term, series = np.full_like(step, 1 / 3), np.full_like(step, 1 / 3)
-    for k in range(1, N_SERIES_TERMS):
-        term = term * -tiny / (k + 3)
-        series = series + term
+    series = np.ones_like(step)  # of 3 m2, from the innermost bracket outward: 1 - step/4 (1 - step/5 (1 - ...
+    for k in range(3 + N_SERIES_TERMS, 3, -1):
+        series = 1.0 - series * tiny / k
     big = np.where(small, 1.0, step)
     up0 = -np.expm1(-big) / big
     up1 = (1 - up0) / big
-    m2 = np.where(small, series, (1 - 2 * up1) / big)
+    m2 = np.where(small, series / 3, (1 - 2 * up1) / big)
     m1 = np.where(small, (1 - tiny * m2) / 2, up1)
     m0 = np.where(small, 1 - tiny * m1, up0)
     return m0, m1, m2

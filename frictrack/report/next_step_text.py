@@ -74,6 +74,8 @@ def _ambiguous(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
     first = [*certain_effects(diagnosis), *rivals][0]
     yield from _experiment(diagnosis) or _confirm(diagnosis, rivals)
     yield Markup("To see how much <b>{}</b> explains: {}.").format(first, _command("add", study, first))
+    if formula := (diagnosis.get("unexplained") or {}).get("rival"):
+        yield Markup("To see how much {} explains: {}.").format(formula, _command("add", study, "formula:1"))
 
 
 def _unexplained(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
