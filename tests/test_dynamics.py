@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from frictrack.effects import Path, direction_of_motion
 from frictrack.effects.library.presliding import bending
 from frictrack.errors import FrictrackError
-from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
+from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, Panels, solve_motion
 
 NM = 1e-9
 
@@ -179,3 +179,15 @@ def test_a_stiff_contact_that_sticks_first_is_followed_stretch_after_stretch():
     stuck = panels.edges < 3e-3  # until the drive overcomes friction the contact only bends
     assert np.max(np.abs(motion.x_edge[stuck])) < 2e-5
     assert np.ptp(motion.x_edge) > 5e-4
+
+
+def test_a_state_that_is_forgotten_entirely_still_responds_to_forces():
+    """Under a_v = -1e4/s the state of the first edge falls below the smallest number; x'' = a_v v + g, v -> g/|a_v|."""
+    panels = Panels(np.linspace(0.0, 1.0, 2001))
+    damping = 1e4
+    linear = LinearResponse(panels, np.zeros(6000), np.full(6000, -damping))
+    response = EdgeResponse(linear)
+    assert response.stiff
+    x = response(np.ones((1, 2001)))[0]
+    t = panels.edges
+    np.testing.assert_allclose(x[100:], (t[100:] - 1 / damping) / damping, rtol=1e-3)

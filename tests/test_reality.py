@@ -17,7 +17,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
 from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.effects import LIBRARY, Span
-from frictrack.fit import fit
+from frictrack.fit import fit, restore, state
 from frictrack.fit.measured_friction import friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.noise import strokes
 from frictrack.fit.segments.swings import join_swings
@@ -290,6 +290,14 @@ def test_what_a_pendulum_lacks_is_found_without_dry_friction_in_the_law():
     runs = [swinging(s, (-1.2, 0.0), c=0.0, seconds=1.5) for s in range(2)]
     found = diagnose(fit(models.of(["viscous"]) + gravity, runs), quick=True)
     assert found.missing == ["coulomb"]
+
+
+def test_a_swing_under_a_law_that_lets_it_rest_is_fitted_and_restored():
+    """Without a spring the simulated mass runs out while the measured one swings on."""
+    run = swinging(0, (-1.2, 0.0), seconds=3.0)
+    fitted = fit(models.of(["coulomb", "viscous"]), [run])
+    again = restore([run], state(fitted))
+    assert again.solution.objective == pytest.approx(fitted.solution.objective, rel=1e-6)
 
 
 def test_a_blow_that_turns_a_mass_is_no_swing():

@@ -43,6 +43,7 @@ MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
 N_DRAWS_LATER_ROUND = 199  # of a later round, where they show clearly that nothing is left
 MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
 MAX_CANDIDATES_SIMULATED = 6
+MAX_MISFIT_RATIO_SIMULATED = 4.0  # to the least misfit that is left along the measured motion by one that was simulated
 MIN_BIC_RATIO_SIMULATED = 0.95  # of the best evidence that a linearised candidate must promise
 
 Notify = Callable[[str], None]
@@ -81,6 +82,12 @@ class RefinedCandidate:
     objection: str = ""
     linear_trial: tuple[LinearisedModel, CandidateTrial] | None = None
     is_unrefined: bool = False
+
+    @property
+    def misfit(self) -> float:
+        """What it leaves along the measured motion."""
+        assert self.linear_trial is not None
+        return self.linear_trial[1].misfit
 
     @property
     def law(self) -> Solution:
@@ -383,7 +390,10 @@ def _simulated(candidate: RefinedCandidate, own: float, known: Solution | None) 
 
 def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, min_evidence: float) -> bool:
     """Whether a trial may be as good as the best so far, and as `min_evidence`."""
-    simulated_gains = [t.delta_bic for t in done if t.solution is not None and not t.objection]
+    simulated = [t for t in done if t.solution is not None and not t.objection]
+    simulated_gains = [t.delta_bic for t in simulated]
+    if new.misfit > MAX_MISFIT_RATIO_SIMULATED * min((t.misfit for t in simulated), default=np.inf):
+        return False
     near = (
         new.delta_bic
         > MIN_BIC_RATIO_SIMULATED * max([min_evidence, *simulated_gains]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED

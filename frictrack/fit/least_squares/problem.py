@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
+SHARPENING = 1.5  # by which the speed of a reversal falls from step to step, where a swing cannot be solved at once
 
 
 @dataclass(frozen=True)
@@ -354,7 +355,27 @@ class LeastSquaresProblem:
         if extrapolated is not None:
             with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
                 return self._solve(law, starts, extrapolated, near)
+        if simulation.previous is None and any(piece.slack for piece in law.joined.pieces):
+            with suppress(FrictrackError):
+                return self._solve(law, starts, guess, near)
+            return self._solve_sharpening(law, starts, guess)
         return self._solve(law, starts, guess, near)
+
+    def _solve_sharpening(
+        self, law: JoinedLaw, starts: Array, guess: Array
+    ) -> tuple[CollocationSolution, MotionResponse]:
+        """Solve swinging masses whose dry friction turns slowly at a reversal first, then as sharply as it does.
+
+        A mass that swings in the record and comes to rest under the law has no other near motion to begin with
+        (continuation: Allgower & Georg 1990, Numerical Continuation Methods).
+        """
+        pieces = law.joined.pieces
+        widest = max(float(np.max(np.abs(q.v_hat))) / q.slack for q in pieces if q.slack)
+        for k in range(max(int(np.ceil(np.log(widest) / np.log(SHARPENING))), 1), -1, -1):
+            wider = JoinedPieces(tuple(replace(q, slack=q.slack * SHARPENING**k) for q in pieces))
+            motion, linear = self._solve(self._law(wider, law.p), starts, guess, None)
+            guess = motion.a
+        return motion, linear
 
     def _solve(
         self, law: JoinedLaw, starts: Array, guess: Array, near: MotionResponse | None

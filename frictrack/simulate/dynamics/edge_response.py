@@ -49,11 +49,11 @@ class EdgeResponse:
         self._first_edge = first
         self._kick = linear.end_gain @ weights  # (p, 2, 4)
         self.fundamental = _fundamental(linear.transition)  # (p + 1, 2, 2)
-        inverse = np.linalg.inv(self.fundamental)
-        size = np.abs(self.fundamental).max(axis=(1, 2)) * np.abs(inverse).max(axis=(1, 2))
-        self.stiff = not float(size.max()) < MAX_CONDITION
+        with np.errstate(all="ignore"):  # singular where a state that is forgotten falls below the smallest number
+            condition = np.abs(self.fundamental).max(axis=(1, 2)) ** 2 / np.abs(np.linalg.det(self.fundamental))
+        self.stiff = not float(condition.max()) < MAX_CONDITION
         if not self.stiff:
-            sums, own = self._running_sums(inverse[1:] @ self._kick)
+            sums, own = self._running_sums(np.linalg.inv(self.fundamental)[1:] @ self._kick)
             self.weights = np.concatenate([sums, self.fundamental[:, 0].T, own[None]])
 
     @property

@@ -8,6 +8,7 @@ preconditioner (Newton-Krylov methods: Knoll & Keyes 2004, J. Comput. Phys. 193,
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,13 +17,38 @@ from frictrack.records import Array
 from frictrack.simulate.dynamics.linear_response import LinearResponse
 
 MAX_KRYLOV_DIRECTIONS = 80
+N_FIRST_DIRECTIONS = 16  # that have room at first
 MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
 SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
 NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
 
-_Direction = tuple[
-    Array, Array, Array
-]  # orthonormal input (3 p,), its node accelerations (3 p,), edge states (p + 1, 2)
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Solved directions: orthonormal inputs (m, 3 p), their node accelerations (m, 3 p) and edge states (m, 2 p + 2).
+
+    The arrays have room for more; `count` are in use.
+    """
+
+    inputs: Array
+    accelerations: Array
+    edges: Array
+    count: int = 0
+
+    def followed_by(self, w: Array, a: Array, edges: Array) -> _Directions:
+        """The directions and one more, which takes the next free row, or the first of rows that are doubled."""
+        parts = [self.inputs, self.accelerations, self.edges]
+        if self.count == len(self.inputs):
+            parts = [np.concatenate([q, np.empty_like(q)]) for q in parts]
+        for rows, new in zip(parts, (w, a, edges), strict=True):
+            rows[self.count] = new
+        return _Directions(parts[0], parts[1], parts[2], self.count + 1)
+
+    def along(self, inputs: Array, last: int = 0) -> tuple[Array, Array, Array]:
+        """Parts of an input (3 p,) in the directions from `last` on: in inputs, accelerations and edge states."""
+        used = slice(last, self.count)
+        c = self.inputs[used] @ inputs
+        return c @ self.inputs[used], c @ self.accelerations[used], c @ self.edges[used]
 
 
 class KrylovResponse:
@@ -42,7 +68,8 @@ class KrylovResponse:
 
     def __init__(self, local: LinearResponse, tangent: Callable[[Array, Array], Array]) -> None:
         self._local, self._tangent = local, tangent
-        self._directions: list[_Direction] = []
+        nodes, edges = (N_FIRST_DIRECTIONS, len(local.panels.t)), (N_FIRST_DIRECTIONS, 2 * len(local.panels.edges))
+        self._directions = _Directions(np.empty(nodes), np.empty(nodes), np.empty(edges))
 
     def newton_step(self, residual: Array) -> tuple[Array, Array]:
         """Newton correction (node accelerations (3 p,), edge positions (p + 1,)) for a residual (3 p,)."""
@@ -96,44 +123,37 @@ class KrylovResponse:
         Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20, 345-357.
 
         """
+        with np.errstate(all="ignore"):  # a response that grows beyond all bounds becomes NaN
+            return self._solve(g, start, rtol)
+
+    def _solve(self, g: Array, start: Array, rtol: float) -> tuple[Array, Array]:
         a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
         residual = g + self._tangent(a, start) - a if np.any(start) else g
         tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
-        for direction in self._directions:
-            a, edges, residual = _apply_direction(a, edges, residual, direction)
-        for _ in range(MAX_KRYLOV_DIRECTIONS):
-            size = float(np.linalg.norm(residual))
-            if size <= tolerance:
-                return a, edges
-            found = self._add_direction(residual / size)
-            if found is None:
+        known = 0  # directions that the residual is free of
+        for left in range(MAX_KRYLOV_DIRECTIONS, -1, -1):
+            own, a_own, edges_own = self._directions.along(residual, known)
+            a, edges, residual = a + a_own, edges + edges_own.reshape(edges.shape), residual - own
+            known, size = self._directions.count, float(np.linalg.norm(residual))
+            if size <= tolerance or not left or not self._add_direction(residual / size):
                 break
-            a, edges, residual = _apply_direction(a, edges, residual, found)
         if not np.all(np.isfinite(residual)):
             return np.full_like(a, np.nan), np.full_like(edges, np.nan)
         return a, edges
 
-    def _add_direction(self, toward: Array) -> _Direction | None:
-        """Solve one more direction, orthogonal to all before; return None if nothing new remains of it."""
+    def _add_direction(self, toward: Array) -> bool:
+        """Solve one more direction, orthogonal to all before; False if nothing new remains of it."""
         a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
-        w = a - self._tangent(a, np.zeros(2))
+        w, edges = a - self._tangent(a, np.zeros(2)), edges.ravel()
         full_size = float(np.linalg.norm(w))
         for _ in range(2):  # Gram-Schmidt twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
-            for v, b, b_edges in self._directions:
-                c = float(v @ w)
-                w, a, edges = w - c * v, a - c * b, edges - c * b_edges
+            own, a_own, edges_own = self._directions.along(w)
+            w, a, edges = w - own, a - a_own, edges - edges_own
         size = float(np.linalg.norm(w))
         if not size > MIN_NEW_SHARE * full_size:
-            return None
-        self._directions.append((w / size, a / size, edges / size))
-        return self._directions[-1]
-
-
-def _apply_direction(a: Array, edges: Array, residual: Array, direction: _Direction) -> tuple[Array, Array, Array]:
-    """Move a response along a solved direction as far as that reduces the residual."""
-    w, b, b_edges = direction
-    c = float(w @ residual)
-    return a + c * b, edges + c * b_edges, residual - c * w
+            return False
+        self._directions = self._directions.followed_by(w / size, a / size, edges / size)
+        return True
 
 
 MotionResponse = LinearResponse | KrylovResponse

@@ -31,6 +31,7 @@ SWEEP_TOLERANCE_M = 1e-12  # at which a window of a sweep has converged
 MAX_SIMPLIFIED_STEPS = 25
 MAX_CHORD_STEPS, MAX_CHORD_RATE = 12, 0.3  # steps with the response of a near motion; by which their size has to fall
 SEGMENT_PANELS = 16  # panels per segment where all panels together do not converge
+MAX_MARCHED_PANELS = 2048  # the time of segments grows with the square of their number
 SEGMENT_TOLERANCE_M = 1e-10  # at which a segment has converged
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
@@ -164,7 +165,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         if solved is None:
             guess = _sweep_windows(law, guess) if memory else guess
             solved = _newton(law, guess, tolerance)
-        if solved is None and memory:
+        if solved is None and memory and near is None and len(panels.h) <= MAX_MARCHED_PANELS:
             marched = _march_segments(law, guess)
             solved = None if marched is None else _newton(law, marched, tolerance)
     if solved is None:
