@@ -16,6 +16,7 @@ from frictrack import effects, models
 from frictrack.fit import fit
 from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms, refine
 from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised.gains import _inverse_root
 from frictrack.fit.linearised.measured_motion import linearise_about_measurement
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.segments import reference_of
@@ -221,3 +222,13 @@ def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
     (found,) = deepen_trials(beside_law, [try_effect(beside_law, collision, scans, series.coordinates[:, 0])])
     times = {n[len("collision.time") :]: p for n, p in zip(found.layout.names, found.p, strict=True) if ".time" in n}
     assert times == {f"[r{i}]": pytest.approx(b[1], abs=4e-3) for i, b in enumerate(BLOWS.values()) if b}
+
+
+def test_a_direction_that_others_absorb_entirely_gains_nothing():
+    """Neglected shares may leave a little less than nothing of it: the rest is whitened as if it were not there."""
+    axes, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
+    left = np.stack([axes @ np.diag(size) @ axes.T for size in ([-1e-3, 0.2, 1.0], [1e-4, 0.2, 1.0])])
+    root = _inverse_root(left)
+    inverse = np.swapaxes(root, -1, -2) @ root
+    np.testing.assert_allclose(inverse[0], axes @ np.diag([0.0, 5.0, 1.0]) @ axes.T, atol=1e-9)
+    np.testing.assert_allclose(inverse[1] @ left[1], np.eye(3), atol=1e-9)

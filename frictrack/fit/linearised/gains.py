@@ -26,6 +26,7 @@ Products = Array | Float32Array
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
 MAX_NEGLECTED_SHARE = 1e-4  # of a gain, as in sums of plain waves: by a shared column, or another scatter of the levels
+MAX_ABSORBED_LEFT = 10 * MAX_NEGLECTED_SHARE  # of a shared direction that is absorbed but for what was neglected
 MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
 
 
@@ -55,6 +56,20 @@ def inverse_cholesky(gram: Array) -> Array:
     out[..., 0, 0], out[..., 1, 1] = first, second
     out[..., 1, 0] = -across * first * second
     return out
+
+
+def _inverse_root(gram: Array) -> Array:
+    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing.
+
+    A difference from the identity may come out indefinite, because small shares of its columns were neglected.
+    """
+    try:
+        return inverse_cholesky(gram)
+    except np.linalg.LinAlgError:
+        left, axes = np.linalg.eigh(gram)
+        floor = np.where(left[..., :1] > 0, 0.0, MAX_ABSORBED_LEFT)
+        size = np.where(left > floor, 1 / np.sqrt(np.maximum(left, MIN_UNEXPLAINED_SHARE)), 0.0)
+        return np.asarray(size[..., :, None] * np.swapaxes(axes, -1, -2))
 
 
 class SeriesProducts(Protocol):
@@ -222,7 +237,7 @@ class _Coupled:
         left = self._left[points]
         diagonal = np.arange(left.shape[1])
         left[:, diagonal, diagonal] += MIN_UNEXPLAINED_SHARE
-        root = np.asarray(inverse_cholesky(left), dtype=self._products.dtype)
+        root = np.asarray(_inverse_root(left), dtype=self._products.dtype)
         whitened: Products = np.matmul(root, self._products[points])
         return points, np.einsum("gkd,gkd->gd", whitened, whitened)
 
