@@ -392,8 +392,8 @@ def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, mi
     """Whether a trial may be as good as the best so far, and as `min_evidence`."""
     simulated = [t for t in done if t.solution is not None and not t.objection]
     simulated_gains = [t.delta_bic for t in simulated]
-    if new.misfit > MAX_MISFIT_RATIO_SIMULATED * min((t.misfit for t in simulated), default=np.inf):
-        return False
+    if simulated and new.misfit > MAX_MISFIT_RATIO_SIMULATED * min(t.misfit for t in simulated):
+        return new.delta_bic > max(simulated_gains)
     near = (
         new.delta_bic
         > MIN_BIC_RATIO_SIMULATED * max([min_evidence, *simulated_gains]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED

@@ -44,7 +44,7 @@ class _Directions:
             rows[self.count] = new
         return _Directions(parts[0], parts[1], parts[2], self.count + 1)
 
-    def along(self, inputs: Array, last: int = 0) -> tuple[Array, Array, Array]:
+    def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array, Array]:
         """Parts of an input (3 p,) in the directions from `last` on: in inputs, accelerations and edge states."""
         used = slice(last, self.count)
         c = self.inputs[used] @ inputs
@@ -132,7 +132,7 @@ class KrylovResponse:
         tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
         known = 0  # directions that the residual is free of
         for left in range(MAX_KRYLOV_DIRECTIONS, -1, -1):
-            own, a_own, edges_own = self._directions.along(residual, known)
+            own, a_own, edges_own = self._directions.components(residual, known)
             a, edges, residual = a + a_own, edges + edges_own.reshape(edges.shape), residual - own
             known, size = self._directions.count, float(np.linalg.norm(residual))
             if size <= tolerance or not left or not self._add_direction(residual / size):
@@ -147,7 +147,7 @@ class KrylovResponse:
         w, edges = a - self._tangent(a, np.zeros(2)), edges.ravel()
         full_size = float(np.linalg.norm(w))
         for _ in range(2):  # Gram-Schmidt twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
-            own, a_own, edges_own = self._directions.along(w)
+            own, a_own, edges_own = self._directions.components(w)
             w, a, edges = w - own, a - a_own, edges - edges_own
         size = float(np.linalg.norm(w))
         if not size > MIN_NEW_SHARE * full_size:

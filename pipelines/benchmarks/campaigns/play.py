@@ -196,6 +196,7 @@ def score(played: Sequence[dict[str, Any]]) -> dict[str, Any]:
             / n,
             "wrong_name": sum(one[name][rule]["wrong_name"] for one in played),
             "complete_though_hidden": sum(one[name][rule]["missed"] for one in played),
+            "ambiguous_no_run_separates": sum(_is_left_open(one[name]["steps"]) for one in played),
             "mean_runs": float(np.mean([r or MAX_RUNS for r in needed])),
         }
 
@@ -207,6 +208,11 @@ def score(played: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "within_factor_two": sum(p["factor_two"] for p in rated) / max(len(rated), 1),
         "in_interval": sum(p["inside"] for p in rated) / max(len(rated), 1),
     }
+
+
+def _is_left_open(steps: Sequence[dict[str, Any]]) -> bool:
+    """Whether a campaign ended before its last run, because no run of the set-up separates what explains the runs."""
+    return bool(steps[-1]["verdict"] == "ambiguous" and steps[-1]["runs"] < MAX_RUNS)
 
 
 def tell_one(one: dict[str, Any], tell: Callable[[str], None]) -> None:
