@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.linearised.gains import ColumnSums, SeriesProducts
+from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, ColumnSums, SeriesProducts
 from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece
 from frictrack.fit.linearised.series import Float32Array, ScannedSeries, coordinate_rows
@@ -208,7 +208,7 @@ def _direct_sums(piece: _Piece, points: slice) -> ColumnSums:
     columns = left.reshape(shape)
     gram = columns @ columns.transpose(0, 2, 1)
     size = np.sqrt(np.einsum("gkk->gk", gram))
-    scale = np.where(size > 0, size, 1.0).ravel()
+    scale = np.where(size > np.sqrt(MIN_COLUMN_SQUARE), size, 1.0).ravel()  # smaller ones gain nothing
     products = _neighbour_products(piece, whitened, scale)
     if products is None:
         products = piece.with_series(left, coordinates, scale)
