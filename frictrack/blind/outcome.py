@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,7 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         named=named,
         group=_first_group(diagnosis),
         sets=_stated_sets(diagnosis),
-        equivalents=equivalent_effects(truth, fit.solution) if _needs_equivalents(truth, named) else {},
+        equivalents=_equivalents(truth, fit, named),
         noted=_faults_in_notes(session),
         overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
         limits=limits_over_ideal(truth, diagnosis["detection_limits"]) if truth.kind == "none" and not named else {},
@@ -174,6 +175,14 @@ def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
     exchanged = [[rival if n == name else n for n in named] for name in named for rival in rivals.get(name) or []]
     others = [one["effects"] for one in diagnosis["alternatives"]]
     return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
+
+
+def _equivalents(truth: Truth, fit: Fit, named: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Equivalents of the hidden effects; none where a law without one of these cannot be followed from the truth."""
+    if _needs_equivalents(truth, named):
+        with suppress(FrictrackError):
+            return equivalent_effects(truth, fit.solution)
+    return {}
 
 
 def _needs_equivalents(truth: Truth, named: Sequence[str]) -> bool:
