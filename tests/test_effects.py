@@ -524,7 +524,7 @@ def test_beams_that_differ_in_frequency_share_their_way():
 
 @pytest.mark.parametrize(
     ("centre", "said"),
-    [(0.20, ""), (0.05, "the course before it"), (0.36, "the course behind it")],
+    [(0.20, ""), (0.05, "the course at smaller x"), (0.36, "the course at larger x")],
     ids=["middle", "begin", "end"],
 )
 def test_a_patch_at_an_end_of_the_course_may_be_a_joint(centre, said):

@@ -391,14 +391,11 @@ def _simulated(candidate: RefinedCandidate, own: float, known: Solution | None) 
 def _is_worth_simulating(done: list[RefinedCandidate], new: RefinedCandidate, min_evidence: float) -> bool:
     """Whether a trial may be as good as the best so far, and as `min_evidence`."""
     simulated = [t for t in done if t.solution is not None and not t.objection]
-    simulated_gains = [t.delta_bic for t in simulated]
-    if simulated and new.misfit > MAX_MISFIT_RATIO_SIMULATED * min(t.misfit for t in simulated):
-        return new.delta_bic > max(simulated_gains)
-    near = (
-        new.delta_bic
-        > MIN_BIC_RATIO_SIMULATED * max([min_evidence, *simulated_gains]) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED
-    )
-    return near and len(simulated_gains) < MAX_CANDIDATES_SIMULATED
+    best = max((t.delta_bic for t in simulated), default=-np.inf)
+    near = new.delta_bic > MIN_BIC_RATIO_SIMULATED * max(min_evidence, best) - MAX_CHI2_NEAR - 2 * MIN_CHI2_SEPARATED
+    least = min((t.misfit for t in simulated), default=np.inf)
+    may_win = new.delta_bic > best or new.misfit <= MAX_MISFIT_RATIO_SIMULATED * least
+    return near and may_win and len(simulated) < MAX_CANDIDATES_SIMULATED
 
 
 def _extra_penalty(law: LinearisedModel, layout: ParameterLayout) -> float:

@@ -40,10 +40,10 @@ def describe(effect: EffectInStudy) -> str:
     begin, end = effect.course
     if begin + N_STD_CLEAR * width <= centre <= end - N_STD_CLEAR * width:
         return where
-    side = "before" if centre - begin < end - centre else "behind"
+    side = "smaller" if centre - begin < end - centre else "larger"
     return (
-        f"{where}; the runs hardly show the course {side} it, so that the friction may as well change only once, as at "
-        "a joint"
+        f"{where}; the runs hardly show the course at {side} x, so that the friction may as well change only once, as "
+        "at a joint"
     )
 
 

@@ -355,11 +355,12 @@ class LeastSquaresProblem:
         if extrapolated is not None:
             with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
                 return self._solve(law, starts, extrapolated, near)
-        if simulation.previous is None and any(piece.slack for piece in law.joined.pieces):
-            with suppress(FrictrackError):
-                return self._solve(law, starts, guess, near)
-            return self._solve_sharpening(law, starts, guess)
-        return self._solve(law, starts, guess, near)
+        try:
+            return self._solve(law, starts, guess, near)
+        except FrictrackError:  # after a previous motion the caller rather takes a shorter step
+            if simulation.previous is not None or not any(piece.slack for piece in law.joined.pieces):
+                raise
+        return self._solve_sharpening(law, starts, guess)
 
     def _solve_sharpening(
         self, law: JoinedLaw, starts: Array, guess: Array

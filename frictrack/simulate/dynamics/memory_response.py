@@ -23,7 +23,7 @@ SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
 NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Directions:
     """Solved directions: orthonormal inputs (m, 3 p), their node accelerations (m, 3 p) and edge states (m, 2 p + 2).
 
@@ -35,14 +35,14 @@ class _Directions:
     edges: Array
     count: int = 0
 
-    def followed_by(self, w: Array, a: Array, edges: Array) -> _Directions:
-        """The directions and one more, which takes the next free row, or the first of rows that are doubled."""
-        parts = [self.inputs, self.accelerations, self.edges]
+    def append(self, w: Array, a: Array, edges: Array) -> None:
+        """Add a direction; the room is doubled where it is used up."""
         if self.count == len(self.inputs):
-            parts = [np.concatenate([q, np.empty_like(q)]) for q in parts]
-        for rows, new in zip(parts, (w, a, edges), strict=True):
-            rows[self.count] = new
-        return _Directions(parts[0], parts[1], parts[2], self.count + 1)
+            self.inputs, self.accelerations, self.edges = (
+                np.concatenate([q, np.empty_like(q)]) for q in (self.inputs, self.accelerations, self.edges)
+            )
+        self.inputs[self.count], self.accelerations[self.count], self.edges[self.count] = w, a, edges
+        self.count += 1
 
     def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array, Array]:
         """Parts of an input (3 p,) in the directions from `last` on: in inputs, accelerations and edge states."""
@@ -100,6 +100,7 @@ class KrylovResponse:
         """Compute the change of the state at the edges, (p + 1, 2, k), under inputs g (3 p, k) and starts (2, k)."""
         return self.respond(g, start)[1]
 
+    @np.errstate(all="ignore")  # a response that grows beyond all bounds becomes NaN
     def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:
         """Solve for one input by generalised conjugate residuals, preconditioned from the right.
 
@@ -123,10 +124,6 @@ class KrylovResponse:
         Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20, 345-357.
 
         """
-        with np.errstate(all="ignore"):  # a response that grows beyond all bounds becomes NaN
-            return self._solve(g, start, rtol)
-
-    def _solve(self, g: Array, start: Array, rtol: float) -> tuple[Array, Array]:
         a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
         residual = g + self._tangent(a, start) - a if np.any(start) else g
         tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
@@ -152,7 +149,7 @@ class KrylovResponse:
         size = float(np.linalg.norm(w))
         if not size > MIN_NEW_SHARE * full_size:
             return False
-        self._directions = self._directions.followed_by(w / size, a / size, edges / size)
+        self._directions.append(w / size, a / size, edges / size)
         return True
 
 

@@ -165,6 +165,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         if solved is None:
             guess = _sweep_windows(law, guess) if memory else guess
             solved = _newton(law, guess, tolerance)
+        # beside a near motion the caller rather takes a shorter step
         if solved is None and memory and near is None and len(panels.h) <= MAX_MARCHED_PANELS:
             marched = _march_segments(law, guess)
             solved = None if marched is None else _newton(law, marched, tolerance)
