@@ -121,9 +121,9 @@ class Panel:
         self.canvas.text((min(float(x), right - _font(size).getlength(text)), float(y)), text, size, "ld", colour)
 
     def title(self, text: str, size: float) -> None:
-        """Write a text above the middle of the panel, or from its left edge if it is wider than the panel."""
+        """Write a text above the middle of the panel, or from near its left edge if it is wider than the panel."""
         is_wide = _font(size).getlength(text) > self._size[0]
-        middle = 0.0 if is_wide else self._size[0] / 2
+        middle = 2.0 * LABEL_GAP_PX if is_wide else self._size[0] / 2  # clear of the name of the vertical axis
         self.canvas.text((self._corner[0] + middle, self._corner[1] - 6), text, size, "ld" if is_wide else "md")
 
     def label_edges(self, size: float) -> None:
