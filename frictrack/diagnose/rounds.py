@@ -205,14 +205,20 @@ def _test_library(
 
 
 def _refine_candidates(
-    solution: Solution, draws: NullEnsemble, tests: SearchTests, notify: Notify
+    solution: Solution,
+    draws: NullEnsemble,
+    tests: SearchTests,
+    notify: Notify,
+    is_beaten: Callable[[float], bool] = lambda misfit: False,
 ) -> list[RefinedCandidate]:
-    """Refine the significant candidates, and simulate the best."""
+    """Refine the significant candidates, and simulate the best unless the misfit that it leaves is beaten."""
     data = draws.series.coordinates[:, 0]
     notify("refining significant candidates")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
     significant = deepen_trials(draws.law, [t for t in trials if tests.p[t.effect.name] < tests.level])
     others = [t for t in trials if tests.p[t.effect.name] >= tests.level]  # not to be added whatever they explain
+    if is_beaten(min((t.misfit for t in significant), default=0.0)):
+        return _linearised(draws.law, [*significant, *others], tests.p)
     return simulate_promising(draws.law, solution, significant, tests.p) + _linearised(draws.law, others, tests.p)
 
 
@@ -222,6 +228,7 @@ def run_later_round(
     rng: np.random.Generator,
     notify: Notify,
     level: float = ALPHA / 2,
+    is_beaten: Callable[[float], bool] = lambda misfit: False,
 ) -> Round:
     """Test a model with the effects found; few draws do where these show clearly that nothing is left.
 
@@ -241,6 +248,9 @@ def run_later_round(
         Called with the current step.
     level
         Significance level of the test for lack of fit, and of that of all candidates together.
+    is_beaten
+        Whether another explanation in place of all effects leaves far less than a given misfit. If the best candidate
+        promises no better, none is simulated, so that none can be added.
 
     Returns
     -------
@@ -259,7 +269,7 @@ def run_later_round(
             return Round(solution, draws, tests, [], excluded)
     draws, tests, excluded = _run_all_tests(solution, own, rng, notify, level)
     significant = min(tests.p.values(), default=1.0) < level
-    refined = _refine_candidates(solution, draws, tests, notify) if significant else []
+    refined = _refine_candidates(solution, draws, tests, notify, is_beaten) if significant else []
     return Round(solution, draws, tests, refined, excluded)
 
 
@@ -331,7 +341,10 @@ def _restart_special_case(
         if candidate.solution is None or other.solution is None or other.delta_bic <= candidate.delta_bic:
             continue
         if candidate.effect.kind in other.effect.special_cases:
-            found = _refined_from(candidate, other)
+            try:
+                found = _refined_from(candidate, other)
+            except FrictrackError:  # the larger effect is followed there, but not this one
+                continue
             gain = own - information_criterion(found)
             if gain > candidate.delta_bic:
                 candidate = replace(candidate, solution=found, delta_bic=gain)
@@ -362,11 +375,15 @@ def _best_first(candidate: RefinedCandidate) -> tuple[bool, float]:
 def _linearised(
     law: LinearisedModel, trials: Sequence[CandidateTrial], p: Mapping[str, float]
 ) -> list[RefinedCandidate]:
-    """The candidates as they are along the measured motion, with the evidence that they promise there."""
-    misfit = baseline_misfit(law)
+    """The candidates as they are along the measured motion, with the evidence that they promise there.
+
+    A candidate promises to take the same share of the simulated misfit, from which the misfit along the measured motion
+    differs where the model is far from the data.
+    """
+    scale = law.solution.objective / baseline_misfit(law)
     out = []
     for t in trials:
-        promised = misfit - t.misfit - _extra_penalty(law, t.layout)
+        promised = law.solution.objective - scale * t.misfit - _extra_penalty(law, t.layout)
         new = RefinedCandidate(t.effect, None, promised, p[t.effect.name], linear_trial=(law, t))
         out.append(replace(new, objection=physical_objection(t.layout, t.p, t.effect)))
     return sorted(out, key=_best_first)

@@ -7,7 +7,8 @@ effect reduces it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
-from frictrack.diagnose.formulas import Shape, shapes_of_functions
+from frictrack.diagnose.formulas import Shape, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
@@ -24,6 +25,7 @@ from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import RefinedCandidate, Round, refine_fully, run_later_round, run_round
 from frictrack.diagnose.search_budget import describe_cut, search_budget
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
@@ -37,6 +39,8 @@ from frictrack.threads import one_thread
 
 MAX_EFFECTS = 4  # that are added
 MAX_ROUNDS = 6  # of testing and adding
+MIN_REDUCED_CHI2_FAR = 100.0  # above which effects are no explanation, whatever they take of the misfit
+MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one formula leaves in place of all of them
 
 Progress = Callable[[int, int, str], None]
 
@@ -136,7 +140,7 @@ def _conclude(
     joined = join_segments(fit)
     if joined is not None:
         joined, remark = subsample_frames(joined)
-        found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify))
+        found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify), shapes)
         conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])), shapes)
         if not found.last.leaves_misfit:
             notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
@@ -145,7 +149,7 @@ def _conclude(
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
     start, remarks = residual_kind(start.problem).prepare(start)
-    found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify))
+    found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify), shapes)
     notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
     return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])), shapes)
 
@@ -155,6 +159,7 @@ def _search(
     start: Solution,
     signals: tuple[Sequence[Effect], AuxiliarySignals | None],
     means: tuple[np.random.Generator, float, Progress],
+    shapes: tuple[Shape, ...],
 ) -> FinishedSearch:
     """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, level, progress)."""
     (own, auxiliary), (rng, level, notify) = signals, means
@@ -164,6 +169,7 @@ def _search(
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
     first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what), level)
     tested, unrefined, found = [first.tested], first.unrefined, list[RefinedCandidate]()
+    formula = _FormulaInstead(start, shapes, kind.imitates)
     compared: list[str] = []  # effects of which other sets were compared, and these sets
     alternatives: list[AlternativeSet] = []
     for done in range(1, MAX_ROUNDS + 1):
@@ -187,13 +193,39 @@ def _search(
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_later_round(kind.before_round(law), own, rng, notify_round, level)
+        last = run_later_round(
+            kind.before_round(law),
+            own,
+            rng,
+            notify_round,
+            level,
+            formula.beats if kind.imitates else lambda misfit: False,
+        )
         tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
     found = with_rivals_of_sets(found, alternatives)  # at the end: a review names its own rivals
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     cut = describe_cut(budget, unrefined, found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     return FinishedSearch(start, first, last, found, generators, cut, alternatives)
+
+
+@dataclass(frozen=True, eq=False)
+class _FormulaInstead:
+    """One formula in place of all effects: where it explains far more, and they leave most, no more are added."""
+
+    start: Solution
+    shapes: tuple[Shape, ...]
+    is_comparable: bool  # whether the residual is one that formulas are fitted to
+
+    @cached_property
+    def misfit(self) -> float:
+        """Misfit that the best formula of one term leaves in the model without any effect found."""
+        return least_misfit(ResidualForces(self.start), self.shapes)
+
+    def beats(self, misfit: float) -> bool:
+        """Whether it leaves far less than a misfit, which is far above the noise itself."""
+        is_far = misfit > MIN_REDUCED_CHI2_FAR * self.start.problem.n_frames
+        return self.is_comparable and is_far and MIN_RATIO_BEATEN * self.misfit < misfit
 
 
 def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:

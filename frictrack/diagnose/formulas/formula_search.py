@@ -79,14 +79,12 @@ def search_formulas(
 
     """
     solution = forces.solution
-    fitter = _FormulaFitter(
-        information_criterion(solution), _excess_chi2(solution), solution.tau or 0.0, (*SHAPES, *functions)
-    )
+    fitter = _FormulaFitter.of(solution, functions)
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found.formulas):
         found = found.joined(_find_formulas(ResidualForces(extended), fitter, None))
     probabilities = found.probabilities()
-    shown = sorted((f for f in found.formulas if f.delta_bic > 0), key=lambda f: -probabilities[f.form])[:N_SHOWN]
+    shown = sorted((f for f in found.formulas if f.delta_bic > 0), key=lambda f: -found.weights[f.form])[:N_SHOWN]
     if not shown:
         return FoundFormulas()
     group = credible_forms(probabilities)
@@ -99,13 +97,40 @@ def search_formulas(
     return FoundFormulas(entries, shown[0])
 
 
+def least_misfit(forces: ResidualForces, functions: Sequence[Shape] = ()) -> float:
+    """Misfit that is left by the best formula of one term over one of the axes, fitted in full.
+
+    Parameters
+    ----------
+    forces
+        Smooth forces in the residual of the fitted model.
+    functions
+        Further shapes, of the user's own functions.
+
+    Returns
+    -------
+    float
+        At most that of the model.
+
+    """
+    fitter = _FormulaFitter.of(forces.solution, functions)
+    terms = scan_forms(forces.compressed, fitter.shapes, N_REFINED_FIRST).terms
+    best_by_axis = {t.axis: t for t in reversed(terms)}
+    tried = fitter.add_terms(forces.solution, (), list(best_by_axis.values()))
+    return min([forces.solution.objective, *(f.solution.objective for f in tried)])
+
+
 @dataclass(frozen=True)
 class _Found:
-    """Fitted formulas, and logarithms of the weights of all forms compared and of a cause outside of the grammar."""
+    """Fitted formulas, and logarithms of the weights of all forms compared and of a cause outside of the grammar.
+
+    `free` is the latter's weight as a smooth force of any shape, whatever the formulas leave.
+    """
 
     formulas: list[FittedFormula]
     weights: dict[str, float]
     none: float
+    free: float = -np.inf
 
     def joined(self, other: _Found) -> _Found:
         """Both, of forms in both the one of the higher weight."""
@@ -114,7 +139,8 @@ class _Found:
             form: max(weight, self.weights.get(form, -np.inf)) for form, weight in other.weights.items()
         }
         better = {f.form: f for f in self.formulas if weights[f.form] == self.weights[f.form]}
-        return _Found(list((formulas | better).values()), weights, max(self.none, other.none))
+        none, free = max(self.none, other.none), max(self.free, other.free)
+        return _Found(list((formulas | better).values()), weights, none, free)
 
     def probabilities(self) -> dict[str, float]:
         """Probability of every form, highest first."""
@@ -135,42 +161,67 @@ def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | 
         return single
     second = scan_forms(ResidualForces(best.solution).compressed, fitter.shapes, N_REFINED_FIRST)
     pairs = fitter.add_terms(best.solution, best.terms, second.terms[:N_SECOND_FITTED])
-    unit = _unit(best.solution)
-    own = max(single.weights.values())
+    if not pairs:
+        return single
+    leader = max(pairs, key=lambda f: f.delta_bic).solution
+    unit, own = _unit(leader), max(single.weights.values())
     more = {
         f.form: own + (f.delta_bic - best.delta_bic) / (2 * unit) + log_prior(f.terms[-1].size, scan.sizes)
         for f in pairs
     }
-    return single.joined(_Found(pairs, more, -np.inf))
+    both = single.joined(_Found(pairs, more, -np.inf))
+    left = float(logsumexp(list(both.weights.values()))) + remaining_evidence(leader)
+    return replace(both, none=max(single.free, float(np.log(PRIOR_NONE)) + left))
 
 
 def _compare_forms(fitter: _FormulaFitter, best: FittedFormula) -> tuple[_Found, FittedFormula, Scan]:
     """Compare all forms beside the model with the best formula, where the linearised model is accurate.
 
-    The weights are relative to the model without a formula: half the fall of BIC of the best formula and the
-    differences of evidence beside it.
+    Where a form that is fitted in full proves better than that one, they are compared beside it once more.
     """
-    for _ in range(MAX_COMPARISONS):
+    for comparison in range(MAX_COMPARISONS):
         compressed = fitter.compress_without(best.solution)
         scan = scan_forms(compressed, fitter.shapes, N_REFINED)
-        new = fitter.exchange_term(best, scan.terms[0]) if scan.terms else None
-        if new is None or new.delta_bic < best.delta_bic + MIN_RISE_COMPARED_AGAIN:
+        if not scan.terms:
+            return _Found([best], {best.form: best.delta_bic / 2}, 0.0), best, scan
+        new, is_last = fitter.exchange_term(best, scan.terms[0]), comparison == MAX_COMPARISONS - 1
+        if new is not None and _is_better(new, best):
+            best = new
+            if not is_last:
+                continue
+        found = _weigh_forms(fitter, best, scan, compressed)
+        leader = max(found.formulas, key=lambda f: f.delta_bic, default=best)
+        if is_last or not _is_better(leader, best):
             break
-        best = new
-    if not scan.terms:
-        return _Found([best], {best.form: best.delta_bic / 2}, 0.0), best, scan
+        best = leader
+    return found, best, scan
+
+
+def _is_better(new: FittedFormula, old: FittedFormula) -> bool:
+    return new.delta_bic >= old.delta_bic + MIN_RISE_COMPARED_AGAIN
+
+
+def _weigh_forms(fitter: _FormulaFitter, best: FittedFormula, scan: Scan, compressed: CompressedResidual) -> _Found:
+    """Weigh the forms that were refined beside the model with the best formula, and fit the most probable in full.
+
+    The weights are relative to the model without a formula: half the fall of BIC of the best formula and the
+    differences of evidence beside it, for forms fitted in full as they are there.
+    """
     unit = _unit(best.solution)
     power = max(t.gain for t in scan.terms)
-    evidence = [relative_evidence(t, power, unit) for t in scan.terms]
-    base = best.delta_bic / (2 * unit) - max(evidence)
-    weights = {t.form: base + one for t, one in zip(scan.terms, evidence, strict=True)}
-    prior = log_prior(0, scan.sizes)
-    free = base + smooth_evidence(compressed, power, unit) - prior
-    left = float(logsumexp(list(weights.values()))) + remaining_evidence(best.solution)
-    none = float(np.log(PRIOR_NONE)) + max(free, left)
-    order = sorted(scan.terms, key=lambda t: -weights[t.form])
-    fitted = [f for t in order[:N_SHOWN] if (f := fitter.exchange_term(best, t)) is not None]
-    return _Found(fitted, weights, none), best, scan
+    evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
+    base = best.delta_bic / (2 * unit) - max(evidence.values())
+    weights = {form: base + one for form, one in evidence.items()}
+    gains = {t.form: t.gain for t in scan.terms}
+    order = sorted(scan.terms, key=lambda t: -weights[t.form])[:N_SHOWN]
+    fitted = [f for t in order if (f := fitter.exchange_term(best, t)) is not None]
+    for one in fitted:
+        gain = gains.get(best.form, max(gains.values())) + best.solution.objective - one.solution.objective
+        weights[one.form] += (gain - gains[one.form]) / (2 * unit)
+    outside = float(np.log(PRIOR_NONE))
+    free = outside + base + smooth_evidence(compressed, power, unit) - log_prior(0, scan.sizes)
+    left = outside + float(logsumexp(list(weights.values()))) + remaining_evidence(best.solution)
+    return _Found(fitted, weights, max(free, left), free)
 
 
 def _unit(solution: Solution) -> float:
@@ -186,6 +237,11 @@ class _FormulaFitter:
     excess: float
     scatter: float  # of the friction levels, of the bare model
     shapes: tuple[Shape, ...]
+
+    @classmethod
+    def of(cls, bare: Solution, functions: Sequence[Shape]) -> _FormulaFitter:
+        """The fitter of formulas in the residual of a model, with further shapes."""
+        return cls(information_criterion(bare), _excess_chi2(bare), bare.tau or 0.0, (*SHAPES, *functions))
 
     def evaluate(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """Return a fitted formula with its gain."""

@@ -122,6 +122,8 @@ class JoinedLaw:
         The unknowns.
     remembers : bool
         Whether the force depends on the motion since the start of the piece.
+    so_far : Path, optional
+        The motion that the law continues, up to the last of its nodes; by default it begins at the start of the piece.
 
     """
 
@@ -130,6 +132,7 @@ class JoinedLaw:
     joined: JoinedPieces
     p: Array
     remembers: bool
+    so_far: Path | None = None
 
     @property
     def model(self) -> Model:
@@ -169,7 +172,22 @@ class JoinedLaw:
         if not self.remembers:
             return self._fixed - self._force(self.structure.moving, x, v) / self.joined.mass
         piece, force = self.joined.pieces[0], self.model.force(self._path(x, v, t, values, levels), values)
-        return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
+        return np.asarray(piece.known[piece.rows_after(self._first, len(t))] - force / piece.mass)
+
+    def after(self, x: Array, v: Array, t: Array) -> JoinedLaw:
+        """Return the law of what follows a motion (n,), from its last node on; its memory need not be read again."""
+        values, levels = self._inputs
+        path = self._path(x, v, t, values, levels)
+        motion = np.stack([t, x, v])[:, :-1]
+        before = motion if path.before is None else np.concatenate([path.before, motion], axis=1)
+        return replace(self, so_far=replace(path, before=before, states=self.model.states(path, values)))
+
+    @property
+    def _first(self) -> int:
+        """How many nodes of the piece the motion has passed that the law continues."""
+        if self.so_far is None:
+            return 0
+        return int(np.searchsorted(self.joined.panels.t, self.so_far.t[-1], side="right"))
 
     def slopes(self, x: Array, v: Array, ex: Array, ev: Array) -> tuple[Array, Array, Array]:
         """Return the acceleration (3 p,) of a model without memory, and its derivatives by x and v.
@@ -201,8 +219,11 @@ class JoinedLaw:
         """The path of a motion; a model with memory begins it with its states at the start."""
         if not self.remembers:
             return self.joined.path_at_nodes(x, v, levels)
+        path = self.joined.pieces[0].path_since_start(x, v, t, levels[0], self._first)
+        if self.so_far is not None:
+            return replace(path, before=self.so_far.before, states=self.so_far.states)
         states = self._states if values is self._inputs[0] else self._initial_states(values)
-        return replace(self.joined.pieces[0].path_since_start(x, v, t, levels[0]), states=states)
+        return replace(path, states=states)
 
     @cached_property
     def _states(self) -> dict[str, Array]:

@@ -382,9 +382,18 @@ class LeastSquaresProblem:
         self, law: JoinedLaw, starts: Array, guess: Array, near: MotionResponse | None
     ) -> tuple[CollocationSolution, MotionResponse]:
         """Solve the motion of pieces from a first guess of the accelerations (3 p,) and the response of a near one."""
-        slopes = None if law.remembers else law.slopes
-        initial, panels = _by_motion(starts), law.joined.panels
-        return solve_motion(law.acceleration, panels, initial, guess, slopes=slopes, memory=law.remembers, near=near)
+        memory = law.remembers
+        slopes, continued = (None, law) if memory else (law.slopes, None)
+        return solve_motion(
+            law.acceleration,
+            law.joined.panels,
+            _by_motion(starts),
+            guess,
+            slopes=slopes,
+            memory=memory,
+            near=near,
+            continued=continued,
+        )
 
     def column(self, effect: str, parameter: str) -> int:
         """Return which column of an effect a linear parameter multiplies."""

@@ -112,19 +112,27 @@ class Piece:
         """Return the direction of motion (3 p,) at the nodes for velocities there."""
         return self._direction(v) if self.turns else self.path.s
 
-    def path_since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
-        """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory."""
-        k = len(t) - 1
-        s = self._direction(v) if self.turns else np.append(self.path.s[0], self.path.s[:k])
-        series = self._series(lambda q: np.append(q[0], q[:k]))
+    def path_since_start(self, x: Array, v: Array, t: Array, level: float, first: int = 0) -> Path:
+        """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory.
+
+        With `first`, it begins at the last of so many nodes instead of the start.
+        """
+        rows = self.rows_after(first, len(t))
+        s = self._direction(v, begins=not first) if self.turns else self.path.s[rows]
+        series = self._series(lambda q: q[rows])
         return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
-    def _direction(self, v: Array) -> Array:
-        """Sign of the velocity (n,), at rest the last one; 0 at first where the piece begins at rest."""
+    @staticmethod
+    def rows_after(first: int, n: int) -> Rows:
+        """Rows of n nodes from the last of the `first` ones on; the start takes the values of the first node."""
+        return np.maximum(np.arange(first - 1, first - 1 + n), 0)
+
+    def _direction(self, v: Array, *, begins: bool = True) -> Array:
+        """Sign of the velocity (n,), at rest the last one; 0 at first where the piece begins, and at rest."""
         if self.slack:
             return np.clip(v / self.slack, -1.0, 1.0)
         s = direction_of_motion(v)
-        if self.path.s[0] == 0:
+        if begins and self.path.s[0] == 0:
             s[0] = 0.0
         return s
 

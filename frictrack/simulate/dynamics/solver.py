@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -39,6 +40,16 @@ Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each 
 Slopes = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
 
 
+class ContinuedLaw(Protocol):
+    """A law with memory that need not be told again what it remembers."""
+
+    def acceleration(self, x: Array, v: Array, t: Array) -> Array:
+        """Acceleration (1 + n,), m/s^2, along a motion (1 + n,) that begins where the law continues an earlier one."""
+
+    def after(self, x: Array, v: Array, t: Array) -> ContinuedLaw:
+        """The law that continues this motion, from its last node on."""
+
+
 @dataclass(frozen=True)
 class _Law:
     """The problem to solve: acceleration law, time axis and start (m, m/s).
@@ -52,6 +63,7 @@ class _Law:
     start: tuple[Start, Start]
     memory: bool
     slopes: Slopes | None = None
+    continued: ContinuedLaw | None = None
 
     def at(self, x: Array, v: Array, start: tuple[Start, Start] | None = None) -> Array:
         """Acceleration at the nodes (3 p,) for a motion there."""
@@ -108,6 +120,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     slopes: Slopes | None = None,
     memory: bool = False,
     near: MotionResponse | None = None,
+    continued: ContinuedLaw | None = None,
 ) -> tuple[CollocationSolution, MotionResponse]:
     """Solve x'' = acceleration(x, v, t) from a given start, or several such motions together.
 
@@ -131,6 +144,8 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         Whether the law depends on the whole motion so far.
     near
         Response of a near motion, for a law with memory: Newton's method takes its derivatives while it converges.
+    continued
+        The same law with memory, which can be continued: a long motion is then not read again in every window.
 
     Returns
     -------
@@ -157,7 +172,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     [0.0, -1.22625, -4.905]
 
     """
-    law = _Law(acceleration, panels, start, memory, slopes)
+    law = _Law(acceleration, panels, start, memory, slopes, continued)
     guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a diverging law is reported below
         tolerance = max(tolerance, MEMORY_TOLERANCE_M) if memory else tolerance
@@ -302,15 +317,22 @@ def _sweep_windows(law: _Law, a: Array) -> Array:
     """Improve node accelerations (3 p,) under a law with memory, window by window, as far as windows converge."""
     a, done, window, total = a.copy(), 0, SWEEP_PANELS, len(law.panels.h)
     start = float(law.start[0]), float(law.start[1])
-    x, v, edges = np.empty(0), np.empty(0), law.panels.edges
+    edges, t = law.panels.edges, np.append(law.panels.edges[0], law.panels.t)
+    x, v, present = np.array(start[:1]), np.array(start[1:]), law.continued  # the motion from where the law continues
     while done < total:
         until = min(done + window, total)
-        part, rows = replace(law, panels=Panels(edges[: until + 1])), slice(3 * done, 3 * until)
+        now = t[3 * done + 1 - len(x) : 3 * until + 1]
+        rows = slice(3 * done, 3 * until)
+        acceleration = law.acceleration if present is None else present.acceleration
 
         def at(
-            x_new: Array, v_new: Array, part: _Law = part, rows: slice = rows, solved: tuple[Array, Array] = (x, v)
+            x_new: Array,
+            v_new: Array,
+            acceleration: Acceleration = acceleration,
+            before: tuple[Array, Array] = (x, v),
+            now: Array = now,
         ) -> Array:
-            return part.at(np.append(solved[0], x_new), np.append(solved[1], v_new))[rows]
+            return acceleration(np.append(before[0], x_new), np.append(before[1], v_new), now)[len(before[0]) :]
 
         motion = solve_simplified_newton(at, Panels(edges[done : until + 1]), start, a[rows], SWEEP_TOLERANCE_M)
         if motion is None:
@@ -320,6 +342,9 @@ def _sweep_windows(law: _Law, a: Array) -> Array:
             continue
         a[rows], start = motion.a, (float(motion.x_edge[-1]), float(motion.v_edge[-1]))
         x, v, done = np.append(x, motion.x), np.append(v, motion.v), until
+        if present is not None:
+            present = present.after(x, v, now)
+            x, v = x[-1:], v[-1:]
     return a
 
 
