@@ -3,6 +3,7 @@
 Truth comes from closed forms, from SciPy's integrator, and from records made by others; see each test.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -298,6 +299,22 @@ def test_a_swing_under_a_law_that_lets_it_rest_is_fitted_and_restored():
     fitted = fit(models.of(["coulomb", "viscous"]), [run])
     again = restore([run], state(fitted))
     assert again.solution.objective == pytest.approx(fitted.solution.objective, rel=1e-6)
+
+
+def test_the_force_that_a_swing_lacks_most_is_found_as_a_formula_instead_of_effects_that_leave_most_of_it():
+    run = swinging(1, (-1.2, 0.0), seconds=1.5)
+    found = diagnose(fit(models.of(["coulomb", "viscous"]), [run]))
+    assert found.verdict == "unexplained"
+    assert set(found.missing) <= {"spring"}  # what one formula beats by far is not completed by further effects
+    first = found.unexplained["formulas"][0]
+    assert first["probability"] > 0.5
+    assert first["reduced_chi2"] == pytest.approx(1.0, abs=0.1)
+    best_single = min(
+        (f for f in found.unexplained["formulas"] if f["variables"] == ["x"]), key=lambda f: f["unknowns"]
+    )
+    assert best_single["form"] == "F_1 * sin(2*pi*f*x) + F_2 * cos(2*pi*f*x)"
+    frequency = float(re.search(r"2 pi ([\d.]+) 1/m x", best_single["formula"])[1])
+    assert frequency == pytest.approx(1 / (2 * np.pi), rel=0.01)
 
 
 def test_a_blow_that_turns_a_mass_is_no_swing():

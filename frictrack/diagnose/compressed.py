@@ -22,6 +22,7 @@ from scipy.interpolate import BSpline
 
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.segments import Rows
 from frictrack.records import Array
@@ -109,7 +110,7 @@ class CompressedResidual:
 
 
 def compress_residual(solution: Solution, without: str = "") -> CompressedResidual:
-    """Compress the residual of a fit.
+    """Compress the residual of a fit, linearised about the measured motion.
 
     Parameters
     ----------
@@ -123,6 +124,7 @@ def compress_residual(solution: Solution, without: str = "") -> CompressedResidu
     CompressedResidual
 
     """
+    solution = linearise_about_measurement(solution)
     responses, layout = solution.responses, solution.problem.layout
     per_piece = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
     parts = [_compress_piece(solution, r, per_piece) for r in responses]
@@ -209,7 +211,8 @@ def _knots(first: float, last: float, count: int) -> Array:
 def _path_at_rows(solution: Solution, response: PieceResponse, rows: Rows) -> Path:
     """Path of one piece at some of its frames."""
     piece, motion = response.piece, response.motion
-    _, level = solution.problem.layout.values(solution.p, piece.run)
+    is_level_one = is_linearised_about_measurement(solution.problem)
+    level = 1.0 if is_level_one else solution.problem.layout.values(solution.p, piece.run)[1]
     path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
     n = len(piece.t)
     series = vars(path).items()
