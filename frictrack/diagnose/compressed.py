@@ -22,7 +22,7 @@ from scipy.interpolate import BSpline
 
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
+from frictrack.fit.linearised import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.segments import Rows
 from frictrack.records import Array

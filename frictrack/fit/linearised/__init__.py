@@ -2,6 +2,7 @@
 
 from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE
 from frictrack.fit.linearised.grid import candidate_grids, has_per_run_coefficients
+from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
 from frictrack.fit.linearised.scan import CandidateScan, scan_candidate, scan_candidates
 from frictrack.fit.linearised.series import Float32Array, ScannedSeries, measured_series
@@ -16,7 +17,9 @@ __all__ = [
     "ScannedSeries",
     "candidate_grids",
     "has_per_run_coefficients",
+    "is_linearised_about_measurement",
     "linearise",
+    "linearise_about_measurement",
     "measured_series",
     "scan_candidate",
     "scan_candidates",
