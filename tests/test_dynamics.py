@@ -7,9 +7,11 @@ import pytest
 from runs import BASE, FPS, HIDDEN, MASS, SHIFTS, Slider, force, integrate
 from scipy.integrate import solve_ivp
 
+from frictrack import models
 from frictrack.effects import Path, direction_of_motion
 from frictrack.effects.library.presliding import bending
 from frictrack.errors import FrictrackError
+from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, Panels, solve_motion
 
 NM = 1e-9
@@ -191,3 +193,10 @@ def test_a_state_that_is_forgotten_entirely_still_responds_to_forces():
     x = response(np.ones((1, 2001)))[0]
     t = panels.edges
     np.testing.assert_allclose(x[100:], (t[100:] - 1 / damping) / damping, rtol=1e-3)
+
+
+def test_a_law_without_a_value_at_rest_is_refused_in_words():
+    law, values = models.of(["coulomb", "viscous"]), {"coulomb": {"F_c": np.nan}, "viscous": {"F_v": 0.1}}
+    conditions = Conditions(mass=1.0, drive=lambda t: 5.0 * t)
+    with pytest.raises(FrictrackError, match="no finite value there"):
+        simulate(law, values, conditions, np.arange(200) / 1000, (0.0, 0.0))

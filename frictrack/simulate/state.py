@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from frictrack.effects import Path, direction_of_motion
+from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.conditions import Conditions
@@ -156,7 +157,13 @@ class SimulationState:
     def excess_force(self, x: float, t: Array, s: float) -> Array:
         """Driving force minus friction, N, of a mass at rest at x that is about to move in direction s."""
         zero = np.zeros_like(t)
-        return s * (self.driving_force(t) - self.force(zero + x, zero, t, s))
+        excess = s * (self.driving_force(t) - self.force(zero + x, zero, t, s))
+        if not np.all(np.isfinite(excess)):
+            raise FrictrackError(
+                "expected a force on the resting mass but the law or the drive has no finite value there; "
+                "check its parameters and the drive"
+            )
+        return np.asarray(excess)
 
 
 def nodes_and_edges(motion: CollocationSolution) -> list[tuple[Array, Array]]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.fit.linearised.gains import sign_limits, whitener
+from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, sign_limits, whitener
 from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedModel
 from frictrack.fit.linearised.products import whitened_columns
@@ -137,5 +137,6 @@ def _add_piece(law: LinearisedModel, sums: SmallGrids, i: int, series: ScannedSe
     sums.gram[at[:, None], at] += left @ left.T
     sums.data[at] += left @ series.measured[frames]
     sums.coordinates[at, law.coordinate_slices[i]] = coordinates
-    size = np.maximum(np.linalg.norm(left, axis=1), np.finfo(float).tiny)[:, None]
+    size = np.linalg.norm(left, axis=1)[:, None]
+    size = np.where(size > np.sqrt(MIN_COLUMN_SQUARE), size, 1.0)  # smaller ones gain nothing
     sums.products[at] += size * ((left / size).astype(np.float32) @ series.residuals[frames])
