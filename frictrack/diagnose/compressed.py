@@ -31,6 +31,7 @@ MAX_COMPONENTS = 800  # over all pieces, approximately
 MIN_COMPONENTS_PER_PIECE = 4
 POINTS_PER_SPLINE = 3  # points per spline at which a force is read
 SPLINE_DEGREE = 3
+MIN_REDUCED_CHI2_FAR = 100.0  # above which a model is far from the data, whatever it explains
 
 Force = Callable[[Path], Array]  # along one piece (n,): columns (n, k), N
 
@@ -109,8 +110,13 @@ class CompressedResidual:
         return np.split(columns, np.cumsum([len(p.t) for p in self.paths])[:-1])
 
 
-def compress_residual(solution: Solution, without: str = "") -> CompressedResidual:
-    """Compress the residual of a fit, linearised about the measured motion.
+def is_far_from_data(solution: Solution) -> bool:
+    """Whether the simulated motion is so far from the measured one that a force acts elsewhere along it."""
+    return solution.chi2 > MIN_REDUCED_CHI2_FAR * solution.problem.n_frames
+
+
+def compress_residual(solution: Solution, without: str = "", *, about_measurement: bool = False) -> CompressedResidual:
+    """Compress the residual of a fit, linearised about its own motion.
 
     Parameters
     ----------
@@ -118,16 +124,20 @@ def compress_residual(solution: Solution, without: str = "") -> CompressedResidu
         The fit.
     without
         Name of an effect whose force counts as residual.
+    about_measurement
+        Linearise about the measured motion, if the problem allows it.
 
     Returns
     -------
     CompressedResidual
 
     """
-    solution = linearise_about_measurement(solution)
+    about_measurement = about_measurement and is_linearised_about_measurement(solution.problem)
+    if about_measurement:
+        solution = linearise_about_measurement(solution)
     responses, layout = solution.responses, solution.problem.layout
     per_piece = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
-    parts = [_compress_piece(solution, r, per_piece) for r in responses]
+    parts = [_compress_piece(solution, r, per_piece, unit_level=about_measurement) for r in responses]
     jac, data = solution.jac, solution.random_effect_data()
     removed = np.array([slot.effect == without for slot in layout.slots])
     data = data + jac[:, removed] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[removed]
@@ -184,7 +194,7 @@ def _square_root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
 
 
 def _compress_piece(
-    solution: Solution, response: PieceResponse, max_components: int
+    solution: Solution, response: PieceResponse, max_components: int, *, unit_level: bool
 ) -> tuple[Array, Path, Array, Rows]:
     """Orthonormal traces (n, m) of one piece, its path at the points of a force, the map to the traces, and rows."""
     piece = response.piece
@@ -200,7 +210,7 @@ def _compress_piece(
     rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS_PER_SPLINE * count).round().astype(int))
     read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, SPLINE_DEGREE).toarray())
     back = (s[keep, None] * vt[keep]) * scale
-    return u[:, keep], _path_at_rows(solution, response, rows), back @ read, rows
+    return u[:, keep], _path_at_rows(solution, response, rows, unit_level=unit_level), back @ read, rows
 
 
 def _knots(first: float, last: float, count: int) -> Array:
@@ -208,11 +218,10 @@ def _knots(first: float, last: float, count: int) -> Array:
     return np.concatenate([[first] * SPLINE_DEGREE, inner, [last] * SPLINE_DEGREE])
 
 
-def _path_at_rows(solution: Solution, response: PieceResponse, rows: Rows) -> Path:
-    """Path of one piece at some of its frames."""
+def _path_at_rows(solution: Solution, response: PieceResponse, rows: Rows, *, unit_level: bool) -> Path:
+    """Path of one piece at some of its frames, at its own friction level or at one."""
     piece, motion = response.piece, response.motion
-    is_level_one = is_linearised_about_measurement(solution.problem)
-    level = 1.0 if is_level_one else solution.problem.layout.values(solution.p, piece.run)[1]
+    level = 1.0 if unit_level else solution.problem.layout.values(solution.p, piece.run)[1]
     path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
     n = len(piece.t)
     series = vars(path).items()

@@ -15,6 +15,7 @@ import numpy as np
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
+from frictrack.diagnose.compressed import MIN_REDUCED_CHI2_FAR
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.formulas import Shape, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
@@ -25,7 +26,7 @@ from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import RefinedCandidate, Round, refine_fully, run_later_round, run_round
 from frictrack.diagnose.search_budget import describe_cut, search_budget
-from frictrack.diagnose.smooth_forces import ResidualForces
+from frictrack.diagnose.smooth_forces import forces_of
 from frictrack.diagnose.subsampling import subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
@@ -39,7 +40,6 @@ from frictrack.threads import one_thread
 
 MAX_EFFECTS = 4  # that are added
 MAX_ROUNDS = 6  # of testing and adding
-MIN_REDUCED_CHI2_FAR = 100.0  # above which effects are no explanation, whatever they take of the misfit
 MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one formula leaves in place of all of them
 
 Progress = Callable[[int, int, str], None]
@@ -220,7 +220,7 @@ class _FormulaInstead:
     @cached_property
     def misfit(self) -> float:
         """Misfit that the best formula of one term leaves in the model without any effect found."""
-        return least_misfit(ResidualForces(self.start), self.shapes)
+        return least_misfit(forces_of(self.start), self.shapes)
 
     def beats(self, misfit: float) -> bool:
         """Whether it leaves far less than a misfit, which is far above the noise itself."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BSpline
 
-from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual
+from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual, is_far_from_data
 from frictrack.effects import Path
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
@@ -109,20 +109,28 @@ class ResidualForces:
     ----------
     solution
         The fit.
+    about_measurement
+        Whether it is linearised about the measured motion instead of its own.
 
     """
 
     solution: Solution
+    about_measurement: bool = False
 
     @cached_property
     def compressed(self) -> CompressedResidual:
         """The compressed residual."""
-        return compress_residual(self.solution)
+        return compress_residual(self.solution, about_measurement=self.about_measurement)
 
     @cached_property
     def smooth(self) -> list[SmoothForce]:
         """The most likely smooth force over every axis, largest gain first."""
         return smooth_forces(self.compressed)
+
+
+def forces_of(solution: Solution) -> ResidualForces:
+    """Return the forces in the residual of a fit, about the measured motion where its own is far from the data."""
+    return ResidualForces(solution, is_far_from_data(solution))
 
 
 def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis] = ()) -> list[SmoothForce]:

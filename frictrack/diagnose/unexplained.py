@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from frictrack.axes import AXES
+from frictrack.diagnose.compressed import is_far_from_data
 from frictrack.diagnose.formulas import EFFECT_NAME, FoundFormulas, Shape, search_formulas
-from frictrack.diagnose.smooth_forces import ResidualForces
+from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 
@@ -81,8 +82,9 @@ def unexplained_force(
     """
     law = keep_compared_frames(solution)
     extended = law if extended is None or extended is solution else keep_compared_frames(extended)
-    forces = forces if forces is not None and forces.solution is law else ResidualForces(law)
-    smooth = (forces if extended is law else ResidualForces(extended)).smooth
+    if forces is None or forces.solution is not law or is_far_from_data(law):
+        forces = forces_of(law)
+    smooth = (forces if extended is law else forces_of(extended)).smooth
     best = smooth[0]
     formulas = search_formulas(forces, extended, functions)
     stated = sum(f["probability"] for f in formulas.entries)

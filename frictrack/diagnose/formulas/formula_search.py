@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from frictrack.diagnose.compressed import CompressedResidual, compress_residual
+from frictrack.diagnose.compressed import CompressedResidual, compress_residual, is_far_from_data
 from frictrack.diagnose.formulas.formula_text import describe_formula
 from frictrack.diagnose.formulas.probability import (
     PRIOR_NONE,
@@ -37,7 +37,7 @@ from frictrack.diagnose.formulas.terms import (
     parameter_names,
 )
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.diagnose.smooth_forces import ResidualForces
+from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
@@ -82,7 +82,7 @@ def search_formulas(
     fitter = _FormulaFitter.of(solution, functions)
     found = _find_formulas(forces, fitter, solution.problem.model)
     if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found.formulas):
-        found = found.joined(_find_formulas(ResidualForces(extended), fitter, None))
+        found = found.joined(_find_formulas(forces_of(extended), fitter, None))
     probabilities = found.probabilities()
     shown = sorted((f for f in found.formulas if f.delta_bic > 0), key=lambda f: -found.weights[f.form])[:N_SHOWN]
     if not shown:
@@ -159,7 +159,7 @@ def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | 
     single, best, scan = _compare_forms(fitter, best)
     if _is_noise(best.solution):
         return single
-    second = scan_forms(ResidualForces(best.solution).compressed, fitter.shapes, N_REFINED_FIRST)
+    second = scan_forms(forces_of(best.solution).compressed, fitter.shapes, N_REFINED_FIRST)
     pairs = fitter.add_terms(best.solution, best.terms, second.terms[:N_SECOND_FITTED])
     if not pairs:
         return single
@@ -254,7 +254,8 @@ class _FormulaFitter:
 
         The formula may take up the scatter of few friction levels by chance; that of the bare model is kept.
         """
-        return compress_residual(replace(solution, tau=max(solution.tau or 0.0, self.scatter)), EFFECT_NAME)
+        bare = replace(solution, tau=max(solution.tau or 0.0, self.scatter))
+        return compress_residual(bare, EFFECT_NAME, about_measurement=is_far_from_data(solution))
 
     def add_terms(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[FittedFormula]:
         """Add each term to a model and fit it in full; skip those that cannot be integrated."""
