@@ -193,14 +193,7 @@ def _search(
                 break
         notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_later_round(
-            kind.before_round(law),
-            own,
-            rng,
-            notify_round,
-            level,
-            formula.beats if kind.imitates else lambda misfit: False,
-        )
+        last = run_later_round(kind.before_round(law), own, rng, notify_round, level, formula.beats)
         tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
     found = with_rivals_of_sets(found, alternatives)  # at the end: a review names its own rivals
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
