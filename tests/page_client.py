@@ -7,12 +7,14 @@ import http.client
 import json
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlencode
 
 from browser import LIMIT_S, Server
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+T = TypeVar("T")
 
 
 class Client:
@@ -128,9 +130,10 @@ class Client:
         self._loop.close()
 
 
-def wait_for(true: Callable[[], Any]) -> None:
-    """Wait until something holds."""
+def wait_for(true: Callable[[], T]) -> T:
+    """Wait until something holds, and return it."""
     until = time.monotonic() + LIMIT_S
-    while not true():
+    while not (value := true()):
         assert time.monotonic() < until
         time.sleep(0.02)
+    return value

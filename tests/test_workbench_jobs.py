@@ -81,16 +81,14 @@ def test_a_killed_server_is_replaced_and_its_job_goes_on(study_file: Path, page:
 def test_the_process_that_waits_starts_a_job_quickly_and_ends_with_the_server(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     assert client.state["exists"]
-    wait_for(lambda: spare_processes(client.server))
-    spare = spare_processes(client.server)[0]
+    spare = wait_for(lambda: spare_processes(client.server))[0]
     wait_for(lambda: is_idle(spare))  # its imports are done
     folder = study_file.parent / "study_results/.frictrack/jobs/0001"
     client.work("fit")
     wait_for((folder / "began").exists)
     assert str(folder) in " ".join(one.path for one in spare.open_files())
     assert client.hear_end()["state"] == "done"
-    wait_for(lambda: spare_processes(client.server))
-    (other,) = spare_processes(client.server)
+    (other,) = wait_for(lambda: [p for p in spare_processes(client.server) if p != spare])
     client.server.stop(signal.SIGKILL)
     wait_for(lambda: not other.is_running() or other.status() == psutil.STATUS_ZOMBIE)
 
@@ -110,9 +108,16 @@ def spare_processes(server: Server) -> list[psutil.Process]:
     assert server.process is not None
     try:
         children = psutil.Process(server.process.pid).children()
-        return [p for p in children if "--wait" in p.cmdline()]
     except psutil.NoSuchProcess:
         return []
+    return [p for p in children if _waits(p)]
+
+
+def _waits(process: psutil.Process) -> bool:
+    try:
+        return "--wait" in process.cmdline()
+    except psutil.NoSuchProcess:  # it has ended since
+        return False
 
 
 def _works_for(process: psutil.Process, study: Path) -> bool:
