@@ -407,10 +407,12 @@ def fit_with_scatter(
     return _run_refinement(refinement, refinement.at(p, list(starts), tau), max_steps, min_fall)
 
 
-def refit_with_scatter(solution: Solution, tau: float) -> Solution:
-    """Refine an existing solution and the scatter of its levels to convergence."""
+def refit_with_scatter(
+    solution: Solution, tau: float, *, max_steps: int = MAX_STEPS_WITH_SCATTER, min_fall: float = MIN_CHI2_FALL
+) -> Solution:
+    """Refine an existing solution and the scatter of its levels; see `fit_with_scatter`."""
     refinement = _estimating_scatter(solution.problem, solution.p)
-    return _run_refinement(refinement, solution.with_scatter(tau), MAX_STEPS_WITH_SCATTER, MIN_CHI2_FALL)
+    return _run_refinement(refinement, solution.with_scatter(tau), max_steps, min_fall)
 
 
 def _estimating_scatter(problem: LeastSquaresProblem, p: Array) -> _Refinement:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -168,22 +169,30 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
 
 
 def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
-    """Refine a trial in simulation; if its motion cannot be integrated, refit the coefficients first."""
-    layout, about_measurement = trial.layout, linearised.solution
-    problem = rebuild_problem(about_measurement.problem, layout)
-    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in about_measurement.responses]
-    if not problem.simulates:
-        starts = problem.first_starts()
-    tau, min_fall = about_measurement.tau or 0.03, _trial_min_fall(trial.misfit, problem.n_frames)
+    """Refine a trial in simulation: from its values, or from the model without the effect where they are worse.
+
+    Along the measured motion the other unknowns may have moved to where the law diverges or is led astray.
+    """
+    model = linearised.solution
+    problem, tau = rebuild_problem(model.problem, trial.layout), model.tau or 0.03
+    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
     try:
-        return fit_with_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
-    except FrictrackError:  # the motion diverges with the effect: start without it
-        known_values = dict(zip(about_measurement.problem.layout.names, about_measurement.p, strict=True))
-        trial_slots = [s.linear and s.effect == trial.effect.name for s in layout.slots]
-        kept = zip(layout.names, trial.p, trial_slots, strict=True)
-        p = np.array([known_values.get(n, 0.0 if removed else value) for n, value, removed in kept])
-        first = refine(problem, p, about_measurement.starts, tau=tau, free=layout.coefficients, max_steps=4)
-        return fit_with_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
+        first = refine(problem, trial.p, starts if problem.simulates else problem.first_starts(), tau=tau, max_steps=0)
+    except FrictrackError:
+        first = None
+    if first is None or first.objective > model.objective:
+        first = _without_effect(problem, trial, model)
+    min_fall = _trial_min_fall(trial.misfit, problem.n_frames)
+    return refit_with_scatter(first, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
+
+
+def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: Solution) -> Solution:
+    """The model without the effect on trial, with its coefficients refined."""
+    layout, known = trial.layout, dict(zip(model.problem.layout.names, model.p, strict=True))
+    own = [s.linear and s.effect == trial.effect.name for s in layout.slots]
+    slots = zip(layout.names, trial.p, own, strict=True)
+    p = np.array([known.get(name, 0.0 if removed else value) for name, value, removed in slots])
+    return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
 
 def _trial_min_fall(misfit: float, frames: int) -> float:
@@ -239,7 +248,21 @@ def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL
     layout = replace(old, model=model_without(solution, name), absent=absent)
     values = dict(zip(old.names, solution.p, strict=True))
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    p = np.array([values[n] for n in layout.names])
-    if problem.simulates and not solution.problem.model.memory:  # the rest takes over what it can of the effect
-        p = refine_on_measured_motion(linearise(solution), layout, p)
-    return fit_with_scatter(problem, p, solution.starts, solution.tau or 0.03, min_fall=min_fall)
+    firsts = [np.array([values[n] for n in layout.names])]
+    if problem.simulates:  # the rest takes over what it can of the effect
+        firsts.append(refine_on_measured_motion(linearise(solution), layout, firsts[0]))
+    first = _best_start(problem, firsts, solution.starts, solution.tau or 0.03)
+    return refit_with_scatter(first, first.tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
+
+
+def _best_start(problem: LeastSquaresProblem, firsts: Sequence[Array], starts: Sequence[Array], tau: float) -> Solution:
+    """The model at those of some unknowns (P,) that fit best."""
+    found = []
+    for p in firsts:
+        try:
+            found.append(refine(problem, p, starts, tau=tau, max_steps=0))
+        except FrictrackError as error:
+            failure = error
+    if not found:
+        raise failure
+    return min(found, key=lambda at: at.objective)

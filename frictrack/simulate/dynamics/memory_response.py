@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
@@ -18,6 +19,7 @@ from frictrack.simulate.dynamics.linear_response import LinearResponse
 
 MAX_KRYLOV_DIRECTIONS = 80
 N_FIRST_DIRECTIONS = 16  # that have room at first
+MAX_CANCELLATION = 0.7  # share that remains after orthogonalisation; below it rounding errors are removed once more
 MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
 SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
 NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
@@ -25,30 +27,59 @@ NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step correc
 
 @dataclass(eq=False)
 class _Directions:
-    """Solved directions: orthonormal inputs (m, 3 p), their node accelerations (m, 3 p) and edge states (m, 2 p + 2).
+    """Solved directions: their inputs, node accelerations (m, 3 p) and edge states (m, 2 p + 2).
 
-    The arrays have room for more; `count` are in use.
+    The inputs are kept orthonormal (m, 3 p); `upper` (m, m) holds how the solved inputs are made of them. The arrays
+    have room for more; `count` are in use.
     """
 
     inputs: Array
+    upper: Array
     accelerations: Array
     edges: Array
     count: int = 0
 
-    def append(self, w: Array, a: Array, edges: Array) -> None:
-        """Add a direction; the room is doubled where it is used up."""
+    @classmethod
+    def with_room(cls, nodes: int, edges: int) -> _Directions:
+        """No directions yet."""
+        m = N_FIRST_DIRECTIONS
+        return cls(np.empty((m, nodes)), np.zeros((m, m)), np.empty((m, nodes)), np.empty((m, edges)))
+
+    def append(self, w: Array, a: Array, edges: Array) -> bool:
+        """Add the solution of an input w (3 p,); False if the known directions make up all of it."""
+        made_of, new = self._orthogonalised(w)
+        size = float(np.linalg.norm(new))
+        if not size > MIN_NEW_SHARE * float(np.linalg.norm(w)):
+            return False
         if self.count == len(self.inputs):
             self.inputs, self.accelerations, self.edges = (
                 np.concatenate([q, np.empty_like(q)]) for q in (self.inputs, self.accelerations, self.edges)
             )
-        self.inputs[self.count], self.accelerations[self.count], self.edges[self.count] = w, a, edges
+            self.upper = np.pad(self.upper, (0, self.count))
+        self.inputs[self.count], self.accelerations[self.count], self.edges[self.count] = new / size, a, edges
+        self.upper[: self.count, self.count], self.upper[self.count, self.count] = made_of, size
         self.count += 1
+        return True
 
-    def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array, Array]:
-        """Parts of an input (3 p,) in the directions from `last` on: in inputs, accelerations and edge states."""
-        used = slice(last, self.count)
-        c = self.inputs[used] @ inputs
-        return c @ self.inputs[used], c @ self.accelerations[used], c @ self.edges[used]
+    def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array]:
+        """Components of an input (3 p,) in the orthonormal inputs from `last` on, and what is left of it."""
+        used = self.inputs[last : self.count]
+        c = used @ inputs
+        return c, inputs - c @ used
+
+    def _orthogonalised(self, w: Array) -> tuple[Array, Array]:
+        """Components (m,) of an input in the known ones, and what is left of it."""
+        made_of, left = self.components(w)
+        if np.linalg.norm(left) < MAX_CANCELLATION * np.linalg.norm(w):
+            again, left = self.components(left)  # twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
+            made_of = made_of + again
+        return made_of, left
+
+    def solution(self, components: Array) -> tuple[Array, Array]:
+        """Node accelerations (3 p,) and edge states (2 p + 2,) under an input of given components (m,)."""
+        m = len(components)
+        c = solve_triangular(self.upper[:m, :m], components, check_finite=False) if m else components
+        return c @ self.accelerations[:m], c @ self.edges[:m]
 
 
 class KrylovResponse:
@@ -68,8 +99,7 @@ class KrylovResponse:
 
     def __init__(self, local: LinearResponse, tangent: Callable[[Array, Array], Array]) -> None:
         self._local, self._tangent = local, tangent
-        nodes, edges = (N_FIRST_DIRECTIONS, len(local.panels.t)), (N_FIRST_DIRECTIONS, 2 * len(local.panels.edges))
-        self._directions = _Directions(np.empty(nodes), np.empty(nodes), np.empty(edges))
+        self._directions = _Directions.with_room(len(local.panels.t), 2 * len(local.panels.edges))
 
     def newton_step(self, residual: Array) -> tuple[Array, Array]:
         """Newton correction (node accelerations (3 p,), edge positions (p + 1,)) for a residual (3 p,)."""
@@ -127,30 +157,21 @@ class KrylovResponse:
         a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
         residual = g + self._tangent(a, start) - a if np.any(start) else g
         tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
-        known = 0  # directions that the residual is free of
+        components = np.zeros(0)
         for left in range(MAX_KRYLOV_DIRECTIONS, -1, -1):
-            own, a_own, edges_own = self._directions.components(residual, known)
-            a, edges, residual = a + a_own, edges + edges_own.reshape(edges.shape), residual - own
-            known, size = self._directions.count, float(np.linalg.norm(residual))
+            own, residual = self._directions.components(residual, len(components))
+            components, size = np.append(components, own), float(np.linalg.norm(residual))
             if size <= tolerance or not left or not self._add_direction(residual / size):
                 break
         if not np.all(np.isfinite(residual)):
             return np.full_like(a, np.nan), np.full_like(edges, np.nan)
-        return a, edges
+        a_own, edges_own = self._directions.solution(components)
+        return a + a_own, edges + edges_own.reshape(edges.shape)
 
     def _add_direction(self, toward: Array) -> bool:
-        """Solve one more direction, orthogonal to all before; False if nothing new remains of it."""
+        """Solve one more direction; False if nothing new remains of it."""
         a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
-        w, edges = a - self._tangent(a, np.zeros(2)), edges.ravel()
-        full_size = float(np.linalg.norm(w))
-        for _ in range(2):  # Gram-Schmidt twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
-            own, a_own, edges_own = self._directions.components(w)
-            w, a, edges = w - own, a - a_own, edges - edges_own
-        size = float(np.linalg.norm(w))
-        if not size > MIN_NEW_SHARE * full_size:
-            return False
-        self._directions.append(w / size, a / size, edges / size)
-        return True
+        return self._directions.append(a - self._tangent(a, np.zeros(2)), a, edges.ravel())
 
 
 MotionResponse = LinearResponse | KrylovResponse
