@@ -164,15 +164,18 @@ def _check_against_viscous(one: MassEvidence, others: Sequence[MassEvidence], po
     """Find a mass with which viscous friction differs by a power of ten from that of the others.
 
     It is an error if that is a step of units, or if the mass differs from one of the others by the same power of ten.
+    A mass that other runs share is not mistyped in one of them; there the friction differs.
     """
-    if not power:
+    is_unit = abs(power) in UNIT_POWERS
+    is_shared = any(abs(np.log10(one.mass / w.mass)) < EXACT_DECADES for w in others)
+    if not power or (is_shared and not is_unit):
         return None
     line = _correction_line(one.mass, power)
     words = (
         f"mass = {one.mass:g} kg is {_times_text(power)}: friction that depends on the speed slows it as it would slow "
         f"{one.mass / 10.0**power:.4g} kg in the other runs; give {line}"
     )
-    is_significant = abs(power) in UNIT_POWERS or any(_exact_power(one.mass, w.mass) == power for w in others)
+    is_significant = is_unit or any(_exact_power(one.mass, w.mass) == power for w in others)
     return Finding("mass", words, line, one.run.name, ERROR if is_significant else WARNING, contradicts=True)
 
 
