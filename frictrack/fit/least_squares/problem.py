@@ -169,7 +169,10 @@ class LeastSquaresProblem:
         """Return the same problem, whose first simulation begins at these motions of the pieces."""
         near = copy(self)
         near._simulations = {}
-        near._first_accelerations = [motion.a for motion in motions]
+        near._first_accelerations = [
+            np.interp(piece.panels.t, motion.panels.t, motion.a)
+            for piece, motion in zip(self.pieces, motions, strict=True)
+        ]
         return near
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:

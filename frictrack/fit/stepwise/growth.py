@@ -192,6 +192,8 @@ def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: 
     own = [s.linear and s.effect == trial.effect.name for s in layout.slots]
     slots = zip(layout.names, trial.p, own, strict=True)
     p = np.array([known.get(name, 0.0 if removed else value) for name, value, removed in slots])
+    if problem.simulates:
+        problem = problem.beginning_at([r.motion for r in model.responses])
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
 
