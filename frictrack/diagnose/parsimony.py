@@ -80,14 +80,14 @@ def stronger_of_smooth_pair(tested: Round, best: RefinedCandidate) -> RefinedCan
     margin = MAX_BIC_BARE_MENTION * unit if is_strong else -MIN_BIC_DECISIVE * unit
     law = tested.draws.law
     smooth = [s.effect for s in tested.tests.scanned if is_smooth(s.effect)]
-    pairs = {pair: try_linear_effects(law, pair) for pair in combinations(smooth, 2)}
-    if not pairs:
+    if len(smooth) < 2:
         return None
 
     def criterion(trial: CandidateTrial) -> float:
         return trial.misfit + parameter_penalty(trial.layout, problem)
 
-    pair, trial = min(pairs.items(), key=lambda item: criterion(item[1]))
+    pair = min(combinations(smooth, 2), key=lambda pair: criterion(try_linear_effects(law, pair, rough=True)))
+    trial = try_linear_effects(law, pair)
     if not is_strong and (best.linear_trial is None or criterion(trial) > criterion(best.linear_trial[1]) + margin):
         return None
     try:

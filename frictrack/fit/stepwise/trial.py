@@ -133,8 +133,10 @@ def try_together(
     return _trial(effects[-1], problem, problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL))
 
 
-def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
-    """Fit a model with several more effects whose free parameters are all linear."""
+def try_linear_effects(
+    linearised: LinearisedModel, effects: Sequence[Effect], *, rough: bool = False
+) -> CandidateTrial:
+    """Fit a model with several more effects whose free parameters are all linear; `rough` is enough for a ranking."""
     old = linearised.solution.problem.layout
     layout = replace(old, model=Model((*old.model.effects, *effects)))
     known_values = dict(zip(old.names, linearised.solution.p, strict=True))
@@ -142,6 +144,8 @@ def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -
     p = np.array(
         [known_values.get(name, _start_value({}, s)) for name, s in zip(layout.names, layout.slots, strict=True)]
     )
+    if rough:
+        return _trial(effects[0], problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))
     return _trial(effects[0], *_refined(problem, problem.at(p)))
 
 
@@ -272,8 +276,10 @@ def deepen_trials(
     max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
     if misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit:
         return trials
+    promising = [max_expected_misfit <= t.misfit < misfit - min_gain for t in trials]
     return sorted(
-        (t if t.misfit < max_expected_misfit else _search_again(linearised, t) for t in trials), key=lambda t: t.misfit
+        (_search_again(linearised, t) if again else t for t, again in zip(trials, promising, strict=True)),
+        key=lambda t: t.misfit,
     )
 
 
