@@ -69,7 +69,7 @@ def _without(last: Solution, run: str) -> Solution | None:
     problem = last.problem
     kept = [i for i, piece in enumerate(problem.pieces) if problem.layout.run_names[piece.run] != run]
     fewer = problem.rebuild(problem.layout, [problem.pieces[i] for i in kept])
-    fewer = fewer.beginning_at([last.responses[i].motion for i in kept])
+    fewer = fewer.beginning_at([last.responses[i] for i in kept])
     try:
         return fit_with_scatter(fewer, last.p, [last.starts[i] for i in kept], last.tau)
     except FrictrackError:

@@ -278,6 +278,8 @@ class _FormulaFitter:
         new_values = {f"{EFFECT_NAME}.{name}": value for name, value in term_values.items()}
         p = np.array([(old_values | new_values)[name] for name in layout.names])
         problem = best.solution.problem.rebuild(layout, best.solution.problem.pieces)
+        if problem.simulates:
+            problem = problem.beginning_at(best.solution.responses)
         try:
             return self.evaluate((term,), fit_with_scatter(problem, p, best.solution.starts, best.solution.tau or 0.03))
         except FrictrackError:

@@ -108,15 +108,31 @@ class _Simulation:
         The pieces.
     columns : list of list of int
         Groups of unknowns that affect each piece.
-    first : array of shape (3 p,)
-        First guess of the accelerations.
+    near : list of PieceResponse
+        Known motions near which the first one is, perhaps on other panels; none by default.
 
     """
 
     joined: JoinedPieces
     columns: list[list[int]]
-    first: Array
+    near: list[PieceResponse]
     previous: _PreviousMotion | None = None
+
+    @property
+    def response(self) -> MotionResponse | None:
+        """Response of a near motion on the same panels; None if none is known."""
+        if self.previous is not None:
+            return self.previous.linear
+        alone = self.near[0] if len(self.near) == 1 else None
+        return alone.linear if alone and len(alone.motion.a) == len(self.joined.panels.t) else None
+
+    @cached_property
+    def first(self) -> Array:
+        """First guess of the accelerations (3 p,): those of near motions, else those of the measured ones."""
+        if not self.near:
+            return np.concatenate([piece.a_hat for piece in self.joined.pieces])
+        pairs = zip(self.joined.pieces, (one.motion for one in self.near), strict=True)
+        return np.concatenate([np.interp(piece.panels.t, motion.panels.t, motion.a) for piece, motion in pairs])
 
     def guess(self, law: JoinedLaw, starts: Array) -> tuple[Array, Array | None]:
         """First guess of the accelerations (3 p,): the previous ones, and if there are any, the extrapolated ones."""
@@ -163,16 +179,12 @@ class LeastSquaresProblem:
         together = model.memory or any(piece.turns for piece in self.pieces)
         self._structure = LawStructure.of(layout, together=together)
         self._simulations: dict[tuple[int, ...], _Simulation] = {}
-        self._first_accelerations = [piece.a_hat for piece in self.pieces]
+        self._near: list[PieceResponse] = []
 
-    def beginning_at(self, motions: Sequence[CollocationSolution]) -> LeastSquaresProblem:
-        """Return the same problem, whose first simulation begins at these motions of the pieces."""
+    def beginning_at(self, responses: Sequence[PieceResponse]) -> LeastSquaresProblem:
+        """Return the same problem, whose first simulation begins at known motions of the pieces."""
         near = copy(self)
-        near._simulations = {}
-        near._first_accelerations = [
-            np.interp(piece.panels.t, motion.panels.t, motion.a)
-            for piece, motion in zip(self.pieces, motions, strict=True)
-        ]
+        near._simulations, near._near = {}, list(responses)
         return near
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
@@ -256,8 +268,8 @@ class LeastSquaresProblem:
         if rows not in self._simulations:
             pieces = tuple(self.pieces[i] for i in rows)
             columns = [self._columns_of(q.run) for q in pieces]
-            first = np.concatenate([self._first_accelerations[i] for i in rows])
-            self._simulations[rows] = _Simulation(JoinedPieces(pieces), columns, first)
+            near = [self._near[i] for i in rows] if self._near else []
+            self._simulations[rows] = _Simulation(JoinedPieces(pieces), columns, near)
         return self._simulations[rows]
 
     def _columns_of(self, run: int) -> list[int]:
@@ -354,7 +366,11 @@ class LeastSquaresProblem:
     ) -> tuple[CollocationSolution, MotionResponse]:
         """Solve the motion of pieces, from the extrapolated previous one where that is close enough."""
         guess, extrapolated = simulation.guess(law, starts)
-        near = simulation.previous.linear if law.remembers and simulation.previous else None
+        near = simulation.response if law.remembers else None
+        if simulation.previous is None and near is not None:
+            with suppress(FrictrackError):  # the law may have changed too much
+                return self._solve(law, starts, guess, near)
+            near = None
         if extrapolated is not None:
             with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
                 return self._solve(law, starts, extrapolated, near)

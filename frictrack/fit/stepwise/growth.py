@@ -176,6 +176,8 @@ def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solut
     model = linearised.solution
     problem, tau = rebuild_problem(model.problem, trial.layout), model.tau or 0.03
     starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
+    if problem.simulates and model.problem.model.memory:  # its motion takes long to find from afar
+        problem = problem.beginning_at(model.responses)
     try:
         first = refine(problem, trial.p, starts if problem.simulates else problem.first_starts(), tau=tau, max_steps=0)
     except FrictrackError:
@@ -193,7 +195,7 @@ def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: 
     slots = zip(layout.names, trial.p, own, strict=True)
     p = np.array([known.get(name, 0.0 if removed else value) for name, value, removed in slots])
     if problem.simulates:
-        problem = problem.beginning_at([r.motion for r in model.responses])
+        problem = problem.beginning_at(model.responses)
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
 
@@ -223,7 +225,7 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     p = np.array([values[n] for n in layout.names])
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
     if problem.simulates:  # a motion up to its stop may not be found again from afar
-        problem = problem.beginning_at([r.motion for r in solution.responses])
+        problem = problem.beginning_at(solution.responses)
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
