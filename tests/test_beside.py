@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
-from frictrack import effects, models
+from frictrack import effects, models, samples
 from frictrack.fit import fit
 from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms, refine
 from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
@@ -232,3 +232,15 @@ def test_a_direction_that_others_absorb_entirely_gains_nothing():
     inverse = np.swapaxes(root, -1, -2) @ root
     np.testing.assert_allclose(inverse[0], axes @ np.diag([0.0, 5.0, 1.0]) @ axes.T, atol=1e-9)
     np.testing.assert_allclose(inverse[1] @ left[1], np.eye(3), atol=1e-9)
+
+
+class TestTrials:
+    @pytest.mark.parametrize("factor", [1, 3, 50])
+    def test_a_trial_that_leads_astray_begins_at_the_model_without_the_effect(self, factor):
+        model = fit(["coulomb", "viscous"], samples.runs()[1:2]).solution
+        linearised, effect = linearise(model), effects.get("texture")
+        series = measured_series(linearised)
+        scans = [scan_candidate(linearised, grid, series) for grid in candidate_grids(linearised, effect)]
+        trial = try_effect(linearised, effect, scans, series.coordinates[:, 0])
+        astray = trial.p * [factor if name == "viscous.F_v" else 1 for name in trial.layout.names]
+        assert simulate_trial(linearised, replace(trial, p=astray)).objective == pytest.approx(trial.misfit, rel=1e-3)
