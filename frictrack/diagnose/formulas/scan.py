@@ -69,9 +69,9 @@ def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refine
     """
     scanned = list(_scan_shapes(compressed, shapes))
     sizes = [starts[0].size for starts in scanned]
-    if not scanned:
+    best = max((starts[0].gain for starts in scanned), default=0.0)
+    if not best > 0:  # no form fits in what the data determine
         return Scan([], sizes)
-    best = max(starts[0].gain for starts in scanned)
     tried = sorted((s for s in scanned if s[0].gain > MIN_GAIN_RATIO_REFINED * best), key=lambda s: -s[0].gain)
     refined = [max((_refine_term(compressed, t) for t in s), key=lambda t: t.gain) for s in tried[:n_refined]]
     power = max(t.gain for t in refined)
