@@ -69,9 +69,10 @@ def _insignificant(solution: Solution, effect: Effect) -> str:
 
 
 def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
-    """Standard deviations of some parameters while the others of their effect are held."""
+    """Standard deviations of some parameters while the others of their effect, and those at a bound, are held."""
     layout = solution.problem.layout
-    free = [i for i, s in enumerate(layout.slots) if s.effect != effect.name or i in at]
+    others = [s.effect != effect.name and not held for s, held in zip(layout.slots, solution.held, strict=True)]
+    free = [i for i, is_free in enumerate(others) if is_free or i in at]
     rows = np.vstack([solution.few_rows, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])
     covariance, _ = inverse_normal_matrix(rows[:, free])
     return np.sqrt(np.maximum(np.diag(covariance)[[free.index(i) for i in at]], 0.0))

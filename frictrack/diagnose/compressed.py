@@ -132,6 +132,7 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     CompressedResidual
 
     """
+    held = solution.held
     about_measurement = about_measurement and is_linearised_about_measurement(solution.problem)
     if about_measurement:
         solution = linearise_about_measurement(solution)
@@ -142,7 +143,7 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     removed = np.array([slot.effect == without for slot in layout.slots])
     data = data + jac[:, removed] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[removed]
     prior_jac = np.array(prior_jacobian(layout, solution.p))
-    jac[:, removed], prior_jac[:, removed] = 0.0, 0.0
+    jac[:, removed | held], prior_jac[:, removed] = 0.0, 0.0
     basis = jacobian_basis(jac, layout.levels, prior_jac)
     starts = np.cumsum([0, *(len(r.r) for r in responses)])
     on_law = []
@@ -168,18 +169,19 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
         n_frames=solution.problem.n_frames,
         excess=chi2 - free,
     )
-    return replace(compressed, leakage=_leakage(compressed, solution, without))
+    not_projected = {without, *(slot.effect for slot, one in zip(layout.slots, held, strict=True) if one)}
+    return replace(compressed, leakage=_leakage(compressed, solution, not_projected))
 
 
-def _leakage(compressed: CompressedResidual, solution: Solution, without: str) -> float:
-    """Largest share of the square of a model column that the projection leaves."""
+def _leakage(compressed: CompressedResidual, solution: Solution, without: set[str]) -> float:
+    """Largest share of the square of a model column that the projection leaves, `without` some effects."""
     layout = solution.problem.layout
     columns_by_piece = [
         layout.model.force_columns(p, layout.values(solution.p, r)[0])
         for p, r in zip(compressed.paths, compressed.runs, strict=True)
     ]
     shares = [0.0]
-    for name in columns_by_piece[0].keys() - {without}:
+    for name in columns_by_piece[0].keys() - without:
         rows = np.concatenate([m @ own[name] for m, own in zip(compressed.force_maps, columns_by_piece, strict=True)])
         squares = np.sum(rows**2, axis=0)
         shares += (np.sum(compressed.project_out_model(rows) ** 2, axis=0)[squares > 0] / squares[squares > 0]).tolist()

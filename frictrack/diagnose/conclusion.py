@@ -150,7 +150,8 @@ class Conclusion:
         limits, curves = _limits(first)
         kind = residual_kind(self.fit.solution.problem)
         noise, misfit = kind.noise(self.fit)
-        verdict, undetermined = self._judge(listed, misfit, find_undetermined(self.fit, first, curves))
+        grown = found[-1].law if found else None
+        verdict, undetermined = self._judge(listed, misfit, find_undetermined(self.fit, first, curves, grown))
         named = [] if verdict == "undetermined" else found
         return Diagnosis(
             model=self.fit.model.names,
@@ -185,7 +186,7 @@ class Conclusion:
         else:
             verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
         decisive = ratio < MAX_ERROR_RATIO_DECISIVE or all(gap.uncertainty is None for gap in gaps)
-        unclear = misfit < 1 or (verdict != "unexplained" and not decisive)
+        unclear = misfit < 1 if verdict == "unexplained" else not decisive
         return ("undetermined", gaps) if gaps and unclear else (verdict, [])
 
     def _error_ratio(self, listed: Sequence[Candidate]) -> float:

@@ -16,7 +16,9 @@ from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.rounds import Round
 from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import LinearisedPiece
+from frictrack.fit.uncertainty import Estimate, linear_estimates
 from frictrack.records import Array
 
 MIN_DETECTABLE_SHARE = 0.10  # of the mean friction, rms
@@ -54,7 +56,9 @@ class Undetermined:
         return {"what": self.what, "why": self.why, "settled_by": self.settled_by, "limit_over_friction": self.limit}
 
 
-def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
+def find_undetermined(
+    fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]], grown: Solution | None = None
+) -> list[Undetermined]:
     """List what the runs of a fit leave open.
 
     Parameters
@@ -65,6 +69,9 @@ def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, 
         First round of the search.
     curves
         Detection limits over all settings, by effect.
+    grown
+        The model with the effects found, by which the coefficients of the law are judged; None if there are none.
+        Without them their standard deviations also hold what the effects explain.
 
     Returns
     -------
@@ -72,7 +79,8 @@ def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, 
 
     """
     friction = mean_friction(first)
-    found = [*_undetermined_parameters(fit), *_uncertain_coefficients(fit, first, friction)]
+    known = fit.parameters if grown is None else linear_estimates(grown).parameters
+    found = [*_undetermined_parameters(fit), *_uncertain_coefficients(known, first, friction)]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
         if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
@@ -150,11 +158,11 @@ def _significant_effects(fit: Fit) -> set[str]:
     return {name for name, found in estimates if name and found.is_significant(MIN_SIGNIFICANCE)}
 
 
-def _uncertain_coefficients(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
+def _uncertain_coefficients(known: Mapping[str, Estimate], first: Round, friction: float) -> Iterator[Undetermined]:
     """Coefficients of the friction law whose standard deviation is a tenth of the mean friction or more."""
     for effect in first.solution.problem.model.effects:
         for k, p in enumerate(effect.linear):
-            found = fit.parameters.get(f"{effect.name}.{p.name}")
+            found = known.get(f"{effect.name}.{p.name}")
             if not (effect.basic or effect.kind == "coulomb") or p.per_run or found is None or not found.std:
                 continue
             columns = [

@@ -30,6 +30,7 @@ from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
+MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same for motions with reversals, which are not smooth between nodes
@@ -112,6 +113,16 @@ class Solution:
     def _basis_of(self, rows: Array) -> JacobianBasis:
         layout = self.problem.layout
         return jacobian_basis(rows, layout.levels, prior_jacobian(layout, self.p))
+
+    @cached_property
+    def held(self) -> Mask:
+        """Unknowns (P,) at a bound beyond which the objective would fall: there they are not free."""
+        rows, right = self.few_rows_and_residual
+        layout = self.problem.layout
+        penalty = penalty_jacobian(layout, self.tau, self.p).T @ penalty_residual(layout, self.p, self.tau)
+        descent, margin = rows.T @ right - penalty, MAX_DISTANCE_HELD * (1 + np.abs(self.p))
+        low, high = layout.bounds
+        return ((self.p <= low + margin) & (descent < 0)) | ((self.p >= high - margin) & (descent > 0))
 
     def random_effect_data(self) -> Array:
         """Return the residual with the fitted deviations of levels and priors added back, (N,).

@@ -24,7 +24,7 @@ from frictrack.fit.linearised.stacked_pieces import ForceMap, stack_blocks
 from frictrack.fit.parameters import JacobianBasis
 from frictrack.fit.separable import BlockStack, DataBlock, path_at_compared, rows_at_compared, tiled_path
 from frictrack.models import Model, Values
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
@@ -293,10 +293,11 @@ def linearise(solution: Solution) -> LinearisedModel:
     Returns
     -------
     LinearisedModel
-        Its linearisation about the measured motion.
+        Its linearisation about the measured motion. Unknowns that a bound holds are not free: the misfit that they
+        would take up beyond it is left for candidates.
 
     """
-    about_measurement = linearise_about_measurement(solution)
+    about_measurement = _without_held(linearise_about_measurement(solution), solution.held)
     basis = about_measurement.basis
     pieces = [_linearised_piece(about_measurement, r) for r in about_measurement.responses]
     frame_slices = [
@@ -309,6 +310,16 @@ def linearise(solution: Solution) -> LinearisedModel:
     return LinearisedModel(
         about_measurement, basis, pieces, np.concatenate(basis_parts), frame_slices, coordinate_slices
     )
+
+
+def _without_held(solution: Solution, held: Mask) -> Solution:
+    """The solution without sensitivities to some unknowns (P,)."""
+    if not np.any(held):
+        return solution
+    responses = [replace(r, jac=np.where(held[r.active], 0.0, r.jac)) for r in solution.responses]
+    fewer = replace(solution, responses=responses)
+    vars(fewer)["held"] = held  # without their sensitivities it does not show
+    return fewer
 
 
 def _linearised_piece(solution: Solution, response: PieceResponse) -> LinearisedPiece:

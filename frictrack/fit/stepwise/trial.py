@@ -245,7 +245,8 @@ def deepen_trials(
     """Search those trials again that may be best but were not found in one scan.
 
     Events of single runs were found one by one, beside a model that lacked them all. If no trial reaches the noise,
-    or much is missing, the model may be at a wrong position; then all quick scans are repeated.
+    or much is missing, the model may be at a wrong position; then all quick scans are repeated. So it may be where a
+    bound holds a scanned parameter of the model, which then imitates what is missing.
 
     Parameters
     ----------
@@ -274,9 +275,14 @@ def deepen_trials(
     ]
     frames = sum(len(b.data) for b in linearised.blocks)
     max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
-    if misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit:
+    solution = linearised.solution
+    slots = zip(solution.problem.layout.slots, solution.held, strict=True)
+    imitates = any(held and not slot.linear for slot, held in slots)
+    reached = misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit
+    if reached and not imitates:
         return trials
-    promising = [max_expected_misfit <= t.misfit < misfit - min_gain for t in trials]
+    enough = 0.0 if imitates else max_expected_misfit
+    promising = [enough <= t.misfit < misfit - min_gain for t in trials]
     return sorted(
         (_search_again(linearised, t) if again else t for t, again in zip(trials, promising, strict=True)),
         key=lambda t: t.misfit,
