@@ -132,6 +132,21 @@ def test_a_law_whose_runs_never_slow_is_undetermined():
     assert "film a run that slows to a stop" in gap.settled_by
 
 
+def test_a_bound_that_holds_a_parameter_hides_no_misfit():
+    fast = [Spec(v, 1, 0.1) for v in (4.0, 5.0, 6.0, -5.0, 3.5)]
+    law = {"coulomb": {"F_c": 8.0}, "viscous": {"F_v": 1.2}, "flash_weakening": {"dF": 4.0, "v_w": 8.0}}
+    runs = study(models.of(law), law, fast, sigma=2e-6, rng=np.random.default_rng(2))[0]
+    model = fit(TUSTIN, runs)  # its Stribeck velocity would have to be far above every speed
+    held = [
+        s.parameter for s, held in zip(model.solution.problem.layout.slots, model.solution.held, strict=True) if held
+    ]
+    assert held == ["v_s"]
+    found = diagnose(model, quick=True)
+    assert found.p_lack_of_fit < 0.005
+    assert found.verdict in ("missing", "ambiguous")
+    assert any("stribeck.v_s is held by its bound" in remark for remark in found.remarks)
+
+
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_rounded_positions_raise_no_alarm(seed):
     runs = []

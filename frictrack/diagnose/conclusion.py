@@ -21,6 +21,7 @@ from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
+from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.joint_search import AlternativeSet
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.repaired_frames import rests_on_repairs
@@ -167,7 +168,11 @@ class Conclusion:
             detection_limits=limits,
             undetermined=undetermined,
             alternatives=[one.summary() for one in self.search.alternatives] if named else [],
-            remarks=[*_remarks(self.fit, first.excluded), *self.remarks],
+            remarks=[
+                *_remarks(self.fit, first.excluded),
+                *self.remarks,
+                *(held_remarks(self.search.start, found[-1].law) if named else []),
+            ],
             figures=curves,
             complete=False,
             alpha=2 * first.tests.level,
