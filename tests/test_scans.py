@@ -49,7 +49,7 @@ def test_interpolated_waves_gain_what_waves_computed_at_every_frequency_gain(ens
     np.testing.assert_allclose(fast.gains, slow.gains, rtol=2e-3, atol=2e-2)
     assert ensemble.series.waves or name == "texture"  # plain waves in time are shared by effects
     np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-3)
-    left = ensemble.residual_projector
+    left = ensemble.unbounded_projector
     np.testing.assert_allclose(fast.schur(left), slow.schur(left), rtol=0, atol=2e-3 * np.abs(slow.schur(left)).max())
     g = int(np.argmax(slow.gains))
     data = ensemble.series.coordinates[:, 0]
@@ -101,7 +101,7 @@ def test_grids_scanned_together_gain_what_each_gains_alone(ensemble):
         np.testing.assert_allclose(found.gains, alone.gains, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(found.max_gains, alone.max_gains, rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(found.gram, alone.gram, rtol=1e-6, atol=1e-9 * np.abs(alone.gram).max())
-        left, data, g = ensemble.residual_projector, ensemble.series.coordinates[:, 0], int(np.argmax(alone.gains))
+        left, data, g = ensemble.unbounded_projector, ensemble.series.coordinates[:, 0], int(np.argmax(alone.gains))
         np.testing.assert_allclose(found.coefficients(g, left, data), alone.coefficients(g, left, data), rtol=1e-4)
 
 

@@ -71,7 +71,7 @@ def detection_limit(
     threshold = scanned.quantile + critical
     if len(scanned.scans) > 1:
         threshold += 2 * np.log(len(draws.series.measured))
-    per_amplitude = _unit_gain(first_scan, draws.residual_projector)
+    per_amplitude = _unit_gain(first_scan, draws.unbounded_projector)
     needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
     visited = per_amplitude > MIN_RELATIVE_GAIN * np.median(per_amplitude)

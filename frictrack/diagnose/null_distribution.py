@@ -52,10 +52,10 @@ class NullEnsemble:
     series: ScannedSeries
 
     @property
-    def residual_projector(self) -> Array:
-        """Projector of the model's residual at the data's own spread, (L, L)."""
+    def unbounded_projector(self) -> Array:
+        """Projector of the model's residual at the data's own spread, as if no bound held an unknown, (L, L)."""
         own_group = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
-        return self.series.residual_projectors[own_group]
+        return self.law.unbounded_projector(float(self.series.taus[own_group]))
 
 
 def count_draws(level: float) -> int:

@@ -234,6 +234,8 @@ class LinearisedModel:
         Rows of every piece among all N frames.
     coordinate_slices : list of slice
         Coordinates of every piece among all L.
+    unbounded : tuple of JacobianBasis and array
+        Basis and its coordinates with the sensitivities to the unknowns that a bound holds.
 
     """
 
@@ -243,6 +245,7 @@ class LinearisedModel:
     basis_coordinates: Array
     rows: list[slice]
     coordinate_slices: list[slice]
+    unbounded: tuple[JacobianBasis, Array]
 
     @property
     def runs(self) -> list[int]:
@@ -274,12 +277,23 @@ class LinearisedModel:
 
         `tau` is the scatter of the friction levels.
         """
-        absorbed = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
-        return np.asarray(np.eye(len(absorbed)) - absorbed)
+        return _projector(self.basis, self.basis_coordinates, tau)
+
+    def unbounded_projector(self, tau: float) -> Array:
+        """Compute the same projector (L, L) as if no bound held an unknown.
+
+        A missing effect moves such an unknown away from its bound before it leaves any misfit.
+        """
+        return _projector(*self.unbounded, tau)
 
     def fitted_coordinates(self, coordinates: Array, tau: float) -> Array:
         """Compute the coordinates (P', D) in `basis` of the fits to data with coordinates (L, D), at one scatter."""
         return np.asarray(self.basis.shrink(tau) @ (self.basis_coordinates.T @ coordinates))
+
+
+def _projector(basis: JacobianBasis, coordinates: Array, tau: float) -> Array:
+    """Projector (L, L) on what a basis of given coordinates leaves at one scatter of the levels."""
+    return np.asarray(np.eye(len(coordinates)) - coordinates @ basis.shrink(tau) @ coordinates.T)
 
 
 def linearise(solution: Solution) -> LinearisedModel:
@@ -297,25 +311,37 @@ def linearise(solution: Solution) -> LinearisedModel:
         would take up beyond it is left for candidates.
 
     """
-    about_measurement = _without_held(linearise_about_measurement(solution), solution.held)
-    basis = about_measurement.basis
+    about_measurement = linearise_about_measurement(solution)
     pieces = [_linearised_piece(about_measurement, r) for r in about_measurement.responses]
     frame_slices = [
         slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(r.r) for r in about_measurement.responses]]).tolist())
     ]
-    basis_parts = [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, frame_slices, strict=True)]
+
+    def with_coordinates(basis: JacobianBasis) -> tuple[JacobianBasis, list[Array]]:
+        parts = [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, frame_slices, strict=True)]
+        return basis, parts
+
+    bounded, (unbounded, unbounded_parts) = about_measurement, with_coordinates(about_measurement.basis)
+    basis, basis_parts = unbounded, unbounded_parts
+    if np.any(solution.held):
+        bounded = _without_held(about_measurement, solution.held)
+        basis, basis_parts = with_coordinates(bounded.basis)
     coordinate_slices = [
         slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(part) for part in basis_parts]]).tolist())
     ]
     return LinearisedModel(
-        about_measurement, basis, pieces, np.concatenate(basis_parts), frame_slices, coordinate_slices
+        bounded,
+        basis,
+        pieces,
+        np.concatenate(basis_parts),
+        frame_slices,
+        coordinate_slices,
+        (unbounded, np.concatenate(unbounded_parts)),
     )
 
 
 def _without_held(solution: Solution, held: Mask) -> Solution:
     """The solution without sensitivities to some unknowns (P,)."""
-    if not np.any(held):
-        return solution
     responses = [replace(r, jac=np.where(held[r.active], 0.0, r.jac)) for r in solution.responses]
     fewer = replace(solution, responses=responses)
     vars(fewer)["held"] = held  # without their sensitivities it does not show
