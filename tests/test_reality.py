@@ -321,12 +321,11 @@ def test_the_force_that_a_swing_lacks_most_is_found_as_a_formula_instead_of_effe
     found = diagnose(fit(models.of(["coulomb", "viscous"]), [run]))
     assert found.verdict == "unexplained"
     assert set(found.missing) <= {"spring"}  # what one formula beats by far is not completed by further effects
-    first = found.unexplained["formulas"][0]
-    assert first["probability"] > 0.5
+    formulas = found.unexplained["formulas"]
+    first = formulas[0]  # forms of its second, small term may be alike
+    assert sum(f["probability"] for f in formulas if f["form"].startswith("F_1_a * sin(2*pi*f_a*x)")) > 0.5
     assert first["reduced_chi2"] == pytest.approx(1.0, abs=0.1)
-    best_single = min(
-        (f for f in found.unexplained["formulas"] if f["variables"] == ["x"]), key=lambda f: f["unknowns"]
-    )
+    best_single = min((f for f in formulas if f["variables"] == ["x"]), key=lambda f: f["unknowns"])
     assert best_single["form"] == "F_1 * sin(2*pi*f*x) + F_2 * cos(2*pi*f*x)"
     frequency = float(re.search(r"2 pi ([\d.]+) 1/m x", best_single["formula"])[1])
     assert frequency == pytest.approx(1 / (2 * np.pi), rel=0.01)
