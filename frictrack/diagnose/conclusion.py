@@ -171,7 +171,7 @@ class Conclusion:
             remarks=[
                 *_remarks(self.fit, first.excluded),
                 *self.remarks,
-                *(held_remarks(self.search.start, found[-1].law) if named else []),
+                *(held_remarks(self.search.start, grown) if named and grown else []),
             ],
             figures=curves,
             complete=False,

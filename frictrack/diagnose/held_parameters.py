@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain
 
@@ -23,7 +22,7 @@ def held_remarks(model: Solution, grown: Solution) -> list[str]:
     Returns
     -------
     list of str
-        None if no bound matters; linear coefficients are not named, because another sign of them is no law.
+        Empty if no bound matters. Linear coefficients are not named, because another sign of them is no law.
 
     """
     slots = model.problem.layout.slots
@@ -32,18 +31,15 @@ def held_remarks(model: Solution, grown: Solution) -> list[str]:
         return []
     names = " and ".join(f"{slots[i].effect}.{slots[i].parameter}" for i in named)
     values = " and ".join(f"{model.p[i]:.3g} {slots[i].unit}".removesuffix(" 1") for i in named)
-    are, their = ("is", "its bound") if len(named) == 1 else ("are", "their bounds")
+    are, its_bound, it = ("is", "its bound", "it") if len(named) == 1 else ("are", "their bounds", "them")
     return [
-        f"{names} {are} held by {their}, {values}; beyond it the model alone would explain much of the misfit: where "
-        f"such a value is possible, give {names} wider bounds and fit again"
+        f"{names} {are} held by {its_bound}, {values}; beyond {it} the model alone would explain much of the misfit: "
+        f"where such a value is possible, give {names} wider bounds and fit again"
     ]
 
 
 def _fall_beyond_bounds(model: Solution) -> float:
     """Fall of the objective by the best step of all unknowns, whatever their bounds."""
-    layout = model.problem.layout
-    rows, right = model.few_rows_and_residual
-    rows = np.vstack([rows, penalty_jacobian(layout, model.tau, model.p)])
-    right = np.concatenate([right, -penalty_residual(layout, model.p, model.tau)])
+    rows, right = model.penalised_rows_and_residual
     step = np.linalg.lstsq(rows, right, rcond=None)[0]
     return float(right @ right - np.sum((right - rows @ step) ** 2))

@@ -110,6 +110,14 @@ class Solution:
         """The linearised model in few rows: Jacobian (M, P) and residual (M,)."""
         return triangular(self.responses, len(self.p))
 
+    @property
+    def penalised_rows_and_residual(self) -> tuple[Array, Array]:
+        """The linearised objective in few rows: Jacobian (M, P) and residual (M,), penalties included."""
+        rows, right = self.few_rows_and_residual
+        layout = self.problem.layout
+        rows = np.vstack([rows, penalty_jacobian(layout, self.tau, self.p)])
+        return rows, np.concatenate([right, -penalty_residual(layout, self.p, self.tau)])
+
     def _basis_of(self, rows: Array) -> JacobianBasis:
         layout = self.problem.layout
         return jacobian_basis(rows, layout.levels, prior_jacobian(layout, self.p))
@@ -117,11 +125,9 @@ class Solution:
     @cached_property
     def held(self) -> Mask:
         """Unknowns (P,) at a bound beyond which the objective would fall: there they are not free."""
-        rows, right = self.few_rows_and_residual
-        layout = self.problem.layout
-        penalty = penalty_jacobian(layout, self.tau, self.p).T @ penalty_residual(layout, self.p, self.tau)
-        descent, margin = rows.T @ right - penalty, MAX_DISTANCE_HELD * (1 + np.abs(self.p))
-        low, high = layout.bounds
+        rows, right = self.penalised_rows_and_residual
+        descent, margin = rows.T @ right, MAX_DISTANCE_HELD * (1 + np.abs(self.p))
+        low, high = self.problem.layout.bounds
         return ((self.p <= low + margin) & (descent < 0)) | ((self.p >= high - margin) & (descent > 0))
 
     def random_effect_data(self) -> Array:
@@ -364,10 +370,7 @@ def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], ta
 
 def _step(state: Solution, region: TrustRegion, bounds: tuple[Array, Array]) -> DampedStep:
     """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
-    layout = state.problem.layout
-    rows, right = state.few_rows_and_residual
-    rows = np.vstack([rows, penalty_jacobian(layout, state.tau, state.p)])
-    right = np.concatenate([right, -penalty_residual(layout, state.p, state.tau)])
+    rows, right = state.penalised_rows_and_residual
     rows[:, bounds[1] <= bounds[0]] = 0.0
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
         raise FrictrackError("the motion under this law could not be integrated; check mass, drive and units")

@@ -317,15 +317,16 @@ def linearise(solution: Solution) -> LinearisedModel:
         slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(r.r) for r in about_measurement.responses]]).tolist())
     ]
 
-    def with_coordinates(basis: JacobianBasis) -> tuple[JacobianBasis, list[Array]]:
-        parts = [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, frame_slices, strict=True)]
-        return basis, parts
+    def coordinates_of(basis: JacobianBasis) -> list[Array]:
+        return [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, frame_slices, strict=True)]
 
-    bounded, (unbounded, unbounded_parts) = about_measurement, with_coordinates(about_measurement.basis)
+    bounded, unbounded = about_measurement, about_measurement.basis
+    unbounded_parts = coordinates_of(unbounded)
     basis, basis_parts = unbounded, unbounded_parts
     if np.any(solution.held):
         bounded = _without_held(about_measurement, solution.held)
-        basis, basis_parts = with_coordinates(bounded.basis)
+        basis = bounded.basis
+        basis_parts = coordinates_of(basis)
     coordinate_slices = [
         slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(part) for part in basis_parts]]).tolist())
     ]
