@@ -124,11 +124,16 @@ class Solution:
 
     @cached_property
     def held(self) -> Mask:
-        """Unknowns (P,) at a bound beyond which the objective would fall: there they are not free."""
+        """Parameters (P,) at a bound beyond which the objective would fall: there they are not free.
+
+        Friction levels count as free: their bounds only keep them finite.
+        """
         rows, right = self.penalised_rows_and_residual
         descent, margin = rows.T @ right, MAX_DISTANCE_HELD * (1 + np.abs(self.p))
         low, high = self.problem.layout.bounds
-        return ((self.p <= low + margin) & (descent < 0)) | ((self.p >= high - margin) & (descent > 0))
+        held = ((self.p <= low + margin) & (descent < 0)) | ((self.p >= high - margin) & (descent > 0))
+        held[self.problem.layout.levels] = False
+        return held
 
     def random_effect_data(self) -> Array:
         """Return the residual with the fitted deviations of levels and priors added back, (N,).
