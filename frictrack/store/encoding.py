@@ -55,6 +55,7 @@ def new_group(parent: h5py.Group, name: str) -> h5py.Group:
     for part in between:
         parent = parent[part] if part in parent else new_group(parent, part)
     creation = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+    creation.set_obj_track_times(False)  # else the same content makes other bytes a second later
     creation.set_attr_phase_change(_MAX_COMPACT_ATTRIBUTES, _MAX_COMPACT_ATTRIBUTES // 2)
     return h5py.Group(h5py.h5g.create(parent.id, last.encode(), gcpl=creation))
 
