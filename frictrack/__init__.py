@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
     from frictrack.repairing import repair, suspect_spans
+    from frictrack.run_history import with_earlier_runs
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
@@ -79,6 +80,7 @@ _MODULE_OF = {
     "Track": "records",
     "effect": "effects",
     "Run": "records",
+    "with_earlier_runs": "run_history",
     "FrictrackError": "errors",
     "__version__": "version",
 }
@@ -129,6 +131,7 @@ __all__ = [
     "suspect_spans",
     "track",
     "trend",
+    "with_earlier_runs",
 ]
 
 

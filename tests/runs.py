@@ -57,6 +57,9 @@ TOLD = {
     "log_velocity": {"a": -0.2, "v_0": 1e-6},
     "power_law_viscosity": {"c": 1.0, "n": 0.6},
     "adhesion": {"F": 2.0},
+    "load_exponent": {"excess": -0.3},
+    "run_in": {"dF": 1.5, "length": 0.7},
+    "heating": {"k": 3.0, "tau": 40.0},
     "rolling_shutter": {"tau": 2e-4},
     "out_of_plane": {"k": 0.02},
 }
@@ -82,12 +85,15 @@ def angle(t):
     return 0.08 * sin(2 * pi * 35.0 * t + 0.3)
 
 
+EARLIER = ((95.0, 0.4), (12.0, 0.55))  # s since its end, m slid in it, of the two runs before
 # What the runs of an effect must tell.
 KNOWN = {
     "beam_vibration": {"clamp_x": -0.1, "beam_length": 0.9},
     "measured_load": {"lift": lift},
     "drive_error": {"drive": drive},
     "target_rotation": {"angle": angle},
+    "run_in": {"earlier": EARLIER},
+    "heating": {"earlier": EARLIER},
 }
 
 
@@ -144,13 +150,20 @@ LAWS = {
     "log_velocity": lambda q, x, v, t, s, slider: slider.load * s * q["a"] * np.log(1 + abs(v) / q["v_0"]),
     "power_law_viscosity": lambda q, x, v, t, s, slider: s * q["c"] * abs(v) ** q["n"],
     "adhesion": lambda q, x, v, t, s, slider: s * q["F"] + 0 * v,
+    "run_in": lambda q, x, v, t, s, slider: (
+        slider.load * s * q["dF"] * (exp(-(0.4 + 0.55 + slider.slid) / q["length"]) - 1)
+    ),
+    "heating": lambda q, x, v, t, s, slider: (
+        -slider.load * s * q["k"] * (slider.slid + 0.4 * exp(-95.0 / q["tau"]) + 0.55 * exp(-12.0 / q["tau"]))
+    ),
     "atm2:1": _atm2_1,
 }
 # What multiplies the effects that a modifier reshapes, all of them dry friction but in one case.
 FACTORS = {
-    "load_modulation": lambda q, t: 1 + q["depth"] * sine(q, "frequency", t),
-    "measured_load": lambda q, t: np.maximum(G + q["coefficient"] * lift(t), 0) / G,
-    "viscous_modulation": lambda q, t: 1 + q["depth"] * sine(q, "frequency", t),
+    "load_modulation": lambda q, t, slider: 1 + q["depth"] * sine(q, "frequency", t),
+    "measured_load": lambda q, t, slider: np.maximum(G + q["coefficient"] * lift(t), 0) / G,
+    "viscous_modulation": lambda q, t, slider: 1 + q["depth"] * sine(q, "frequency", t),
+    "load_exponent": lambda q, t, slider: slider.mass_ratio ** q["excess"],
 }
 # Metres that each effect shifts the picture.
 SHIFTS = {
@@ -169,18 +182,17 @@ MOVED = {
 DRY = ("coulomb", "stribeck")  # what a modulation of the load reshapes
 
 
-def reshaped(values, name, t):
+def reshaped(values, name, t, slider):
     """What modifiers make of the force of one effect, as a factor."""
-    modifiers = {"viscous_modulation"} if name == "viscous" else {"load_modulation", "measured_load"}
+    modifiers = {"viscous_modulation"} if name == "viscous" else FACTORS.keys() - {"viscous_modulation"}
     touched = modifiers & values.keys() if name in (*DRY, "viscous") else ()
-    return np.prod([FACTORS[m](values[m], t) for m in touched], axis=0)
+    return np.prod([FACTORS[m](values[m], t, slider) for m in touched], axis=0)
 
 
 def force(values, x, v, t, s, slider=Slider()):
     """Friction force in N."""
-    return sum(
-        LAWS[name](q, x, v, t, s, slider) * reshaped(values, name, t) for name, q in values.items() if name in LAWS
-    )
+    own = {name: q for name, q in values.items() if name in LAWS}
+    return sum(LAWS[name](q, x, v, t, s, slider) * reshaped(values, name, t, slider) for name, q in own.items())
 
 
 def picture(values, x, t, slider=Slider(), v=None):
@@ -301,6 +313,8 @@ def study(model: Model | str = "tustin", values=BASE, specs=SIX, *, sigma=1e-8, 
     made, levels = [], 1 + scatter * rng.standard_normal(len(specs))
     for i, (spec, level) in enumerate(zip(specs, levels, strict=True)):
         t = np.arange(round(spec.duration * FPS)) / FPS
+        if "earlier" in known:  # every run has a past of its own
+            known |= {"earlier": tuple((rest * 0.7**i, slid * i) for rest, slid in EARLIER)}
         own = {k: dict(q) for k, q in values.items()}
         for name in PER_RUN_PHASE:
             if name in own:
@@ -318,7 +332,7 @@ def study(model: Model | str = "tustin", values=BASE, specs=SIX, *, sigma=1e-8, 
 def telling(run, known):
     """The run with what else was measured exactly."""
     t = run.motion.t
-    told = {key: value for key, value in known.items() if key in ("clamp_x", "beam_length")}
+    told = {key: value for key, value in known.items() if key in ("clamp_x", "beam_length", "earlier")}
     if "drive" in known:
         told["drive"] = known["drive"](t)
     if "lift" in known:

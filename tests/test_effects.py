@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from runs import (
     BASE,
+    EARLIER,
     FACTORS,
     FOUR,
     FPS,
@@ -64,7 +65,7 @@ SCALING = {
     **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-", "decaying_vibration": "-", "thermal": "L", "drift": "L"},
     **{"drive_error": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
     **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-"},
-    **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-"},
+    **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-", "run_in": "L", "heating": "L"},
 }
 
 
@@ -72,7 +73,8 @@ def path_of(n=40, *, s=1.0, load=1.0, mass_ratio=1.0):
     """A motion that begins at rest and reaches every place and time of `SPAN`."""
     t = np.linspace(0, SPAN.duration, n)
     x = np.linspace(SPAN.x_min, SPAN.x_max, n)[:: int(s)]
-    known = {"drive": drive(t), "drive_at": drive, "lift": lift(t), "angle": angle(t), "clamp_x": -0.1}
+    known = {"drive": drive(t), "drive_at": drive, "lift": lift(t), "angle": angle(t)}
+    known |= {"clamp_x": -0.1, "earlier": (EARLIER,)}
     return Path(t, x, s * np.linspace(0, SPAN.v_max, n), np.full(n, s), load, mass_ratio, PITCH, **known)
 
 
@@ -380,7 +382,7 @@ def slow_and_back(n=2000):
 
 def beam_path(rows, **known):
     t, x, v = (q[rows] for q in slow_and_back())
-    return Path(t, x, v, np.sign(v), clamp_x=-0.1, **known)
+    return Path(t, x, v, np.sign(v), clamp_x=-0.1, earlier=(EARLIER,), **known)
 
 
 def test_a_beam_rings_on_along_the_way_before_the_path():

@@ -10,10 +10,12 @@ from runs import BASE, TOLD, Spec, study
 
 from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.diagnose.rounds import RefinedCandidate, _restart_special_case
 from frictrack.effects import LIBRARY
 from frictrack.fit import fit
+from frictrack.fit.linearised import linearise
+from frictrack.fit.stepwise import gain_by_smaller_scatter, try_together
 
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
 SPEEDS = (  # m/s, mass over the reference, s: none stops
@@ -34,7 +36,9 @@ def group(found):
     return {found.missing[0], *found.candidates[0].indistinguishable_from}
 
 
-@pytest.mark.parametrize("name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"])
+@pytest.mark.parametrize(
+    "name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"]
+)
 def test_a_hidden_effect_is_named(name):
     found = diagnose(fit(list(LAW), runs_with(name)), quick=True)
     assert found.verdict in ("missing", "ambiguous")
@@ -72,6 +76,33 @@ def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
     assert found.parameters["coulomb.F_c"].value == pytest.approx(
         LAW["coulomb"]["F_c"] + TOLD["adhesion"]["F"], rel=1e-3
     )
+
+
+@pytest.mark.parametrize("name", ["adhesion", "load_exponent"])
+def test_two_masses_cannot_part_adhesion_from_a_power_of_the_load_and_a_third_is_asked_for(name):
+    runs = runs_with(name, specs=SPEEDS[:6])
+    found = diagnose(fit(list(LAW), runs))
+    assert found.verdict == "ambiguous"
+    assert group(found) == {"adhesion", "load_exponent"}
+    assert found.next_experiment[0]["separates"] == ["adhesion", "load_exponent"]
+    assert found.next_experiment[0]["settings"]["mass"] not in {run.mass for run in runs}
+
+
+@pytest.mark.parametrize("name", ["adhesion", "load_exponent"])
+def test_three_masses_part_adhesion_from_a_power_of_the_load(name):
+    found = diagnose(fit(list(LAW), runs_with(name)), quick=True)
+    assert (found.verdict, found.missing) == ("missing", [name])
+
+
+def test_a_trial_that_needs_no_scatter_of_the_levels_promises_what_its_fit_gains():
+    """The levels of two masses differ by 0.1, which the model without adhesion takes for their scatter."""
+    runs = runs_with("adhesion", specs=SPEEDS[:6])
+    law = linearise(fit(list(LAW), runs).solution)
+    trial = try_together(law, [LIBRARY["adhesion"]], {("adhesion", "F", None): 1.0})
+    fitted = fit([*LAW, "adhesion"], runs).solution
+    promised = law.solution.objective - trial.misfit + gain_by_smaller_scatter(law, trial)
+    assert law.solution.objective - trial.misfit < 10 < promised
+    assert promised == pytest.approx(likelihood_gain(law.solution, fitted), abs=3)
 
 
 def test_a_camera_does_not_read_for_longer_than_a_frame():

@@ -34,6 +34,7 @@ GROUPS = {
     "Forces that belong to friction": (
         *("coulomb", "stribeck", "viscous", "drag", "thermal", "drift", "asymmetry"),
         *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
+        *("load_exponent", "run_in", "heating"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
         *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
     ),

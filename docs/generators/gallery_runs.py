@@ -16,7 +16,7 @@ import numpy as np
 from frictrack import models
 from frictrack.models import Model
 from frictrack.motion import differentiate, low_pass
-from frictrack.records import Array, Displacement, Run
+from frictrack.records import Array, Displacement, EarlierRuns, Run
 from frictrack.simulate import Conditions, Trajectory, simulate
 
 Values = Mapping[str, Mapping[str, float]]
@@ -36,13 +36,17 @@ TUSTIN: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a design: its name, start speed (m/s), mass over the reference, longest duration (s), drive (N)."""
+    """One run of a design: its name, start speed (m/s), mass over the reference, longest duration (s), drive (N).
+
+    `earlier` holds the rest (s) since each run before it, and the distance (m) that was slid in that.
+    """
 
     name: str
     speed: float
     mass_ratio: float = 1.0
     duration: float = 0.6
     drive: Callable[[Array], Array] | None = None
+    earlier: EarlierRuns | None = None
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,12 @@ CREEPS = (  # less than a pixel per frame
     PlannedRun("0.2 m/s", 0.2),
     PlannedRun("double mass", 0.25, 2.0),
 )
+SERIES = (  # the same run after 60 s, at once, and after ten minutes
+    PlannedRun("first", 2.6, earlier=()),
+    PlannedRun("after 60 s", 2.6, earlier=((60.0, 0.5),)),
+    PlannedRun("after 5 s", 2.6, earlier=((65.0, 0.5), (5.0, 0.5))),
+    PlannedRun("after 10 min", 2.6, earlier=((665.0, 0.5), (605.0, 0.5), (600.0, 0.5))),
+)
 PHASES = {"slow": 0.4, "fast": 2.1, "double mass": -1.3, "reversed": 3.0}
 
 
@@ -163,6 +173,7 @@ def _simulate_run(
     values = {name: dict(own) for name, own in example.truth.items()}
     values[effect] |= example.per_run.get(planned.name, {})
     known = dict(example.conditions) | ({"drive": planned.drive} if planned.drive else {})
+    known |= {} if planned.earlier is None else {"earlier": planned.earlier}
     ratio = planned.mass_ratio
     held = Conditions(MASS_KG * ratio, ratio, ratio, PITCH_M, **known)
     t = np.arange(round(planned.duration * example.fps)) / example.fps
@@ -195,7 +206,7 @@ def _measured(planned: PlannedRun, truth: Trajectory, known: Mapping[str, Any], 
         mass=MASS_KG * planned.mass_ratio,
         name=planned.name,
         drive=known["drive"](t) if "drive" in known else None,
-        **{key: known[key] for key in ("clamp_x", "beam_length") if key in known},
+        **{key: known[key] for key in ("clamp_x", "beam_length", "earlier") if key in known},
     )
 
 
@@ -261,6 +272,9 @@ EXAMPLES: dict[str, Example] = {
     "log_velocity": _with("log_velocity", {"a": 0.03, "v_0": 1e-6}, axis="v"),
     "power_law_viscosity": _with("power_law_viscosity", {"c": 0.2, "n": 0.5}, axis="v"),
     "adhesion": _with("adhesion", {"F": 0.3}, axis="v"),
+    "load_exponent": _with("load_exponent", {"excess": -0.33}, axis="v"),
+    "run_in": _with("run_in", {"dF": 0.5, "length": 0.6}, design=SERIES, axis="x"),
+    "heating": _with("heating", {"k": 0.5, "tau": 30.0}, design=SERIES, axis="x"),
     "rolling_shutter": _with("rolling_shutter", {"tau": 1e-3}, axis="v"),
     "out_of_plane": _with("out_of_plane", {"k": 0.01}, axis="x"),
     "presliding": _with("presliding", {"stiffness": 3e-4, "exponent": 1.0}, design=SWINGS, axis="x"),

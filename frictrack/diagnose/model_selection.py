@@ -62,12 +62,8 @@ def information_criterion(solution: Solution) -> float:
     Schwarz (1978), Ann. Stat. 6, 461-464.
 
     """
-    layout = solution.problem.layout
-    spread = 0.0
-    if solution.levels_are_random:
-        levels = solution.few_rows[:, layout.levels]
-        spread = float(np.linalg.slogdet(np.eye(levels.shape[1]) + solution.tau**2 * (levels.T @ levels))[1])
-    return solution.objective + spread + parameter_penalty(layout, solution.problem)
+    penalty = solution.scatter_penalty(solution.tau) + parameter_penalty(solution.problem.layout, solution.problem)
+    return solution.objective + penalty
 
 
 def likelihood_gain(bare: Solution, fitted: Solution) -> float:

@@ -34,6 +34,7 @@ from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
     deepen_trials,
+    gain_by_smaller_scatter,
     refine_to_end,
     simulate_trial,
     try_effect,
@@ -384,6 +385,7 @@ def _linearised(
     out = []
     for t in trials:
         promised = law.solution.objective - scale * t.misfit - _extra_penalty(law, t.layout)
+        promised += gain_by_smaller_scatter(law, t)
         new = RefinedCandidate(t.effect, None, promised, p[t.effect.name], linear_trial=(law, t))
         out.append(replace(new, objection=physical_objection(t.layout, t.p, t.effect)))
     return sorted(out, key=_best_first)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.records import GRAVITY, Array
+from frictrack.records import GRAVITY, Array, EarlierRuns
 
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
 
@@ -22,7 +22,8 @@ class Path:
     friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
     what integrates along the path begins anew at each of `starts`. Several `runs` may be laid end to end too; what
     differs between them is then an array with one value per sample. `before` (3, k) holds t, x, v of the run's motion
-    from release up to where the path begins, for what depends on the way so far.
+    from release up to where the path begins, for what depends on the way so far; `earlier` holds for every stretch the
+    runs that were made before on the same surfaces, where they are known.
     """
 
     t: Array  # s since release
@@ -43,6 +44,7 @@ class Path:
     travelled: float | Array = 0.0  # m slid from release to `begins`
     begins: float | Array | None = None  # m, a place of this path; default its first
     before: Array | None = None
+    earlier: tuple[EarlierRuns, ...] | None = None  # of each of `starts`; of many, they repeat
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
     states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
     begin: Array | None = None  # that of the effect at hand, (P, k)
@@ -58,6 +60,11 @@ class Path:
         """Distance slid since release, m."""
         first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
         return np.asarray(self.travelled + np.abs(self.x - first))
+
+    def each_earlier(self) -> list[EarlierRuns]:
+        """The runs before each of `starts`."""
+        assert self.earlier is not None
+        return list(self.earlier) * (len(self.starts) // len(self.earlier))
 
     def apart(self) -> Iterator[tuple[slice, Path]]:
         """Rows and path of every run that is joined here."""
@@ -78,4 +85,5 @@ NEEDS = {
     "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
     "angle": ("the angle of the target", "give a film: a table has no angle"),
     "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
 }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.records import Array
+from frictrack.records import Array, EarlierRuns
 
 MAX_SPEED_SLOW_MACHINE = 0.05  # m/s: a machine that is never faster gets a scan on its own scale of speeds
 
@@ -24,6 +24,7 @@ class Span:
     fps: float  # Hz
     clamp_x: float | None = None  # m
     beam_length: float | None = None  # m, where it is known
+    earlier: EarlierRuns = ()  # the longest series before a run, where it is known
 
 
 MIN_SCAN_VALUES = 9  # of a scan between bounds

@@ -225,4 +225,5 @@ def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
         angle=read(path.angle),
         clamp_x=path.clamp_x,
         beam_length=path.beam_length,
+        earlier=None if path.earlier is None else path.earlier[0],
     )

@@ -17,6 +17,7 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.priors import Prior
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
+from frictrack.run_history import with_earlier_runs
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
@@ -62,7 +63,8 @@ class TriedModels:
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
         if self._runs is None:
-            self._runs = [pipeline.to_run() for pipeline in self._pipelines]
+            pauses = [pipeline.run.pause for pipeline in self._pipelines]
+            self._runs = with_earlier_runs([pipeline.to_run() for pipeline in self._pipelines], pauses)
         return self._runs
 
     @property
@@ -253,6 +255,7 @@ class TriedModels:
                 p.key("friction"),
                 p.key("motion"),
                 *_instrument_noise(p.run),
+                *([] if p.run.pause is None else [p.run.pause]),
             ]
             for p in self._pipelines
         ]

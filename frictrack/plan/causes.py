@@ -21,6 +21,7 @@ REASON_BY_NEED = {
     "lift": "needs the vertical motion of the mass",
     "angle": "needs the rotation of the target",
     "clamp_x": "needs the position of the clamp",
+    "earlier": "needs pauses of known length between the runs",
 }
 
 

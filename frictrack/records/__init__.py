@@ -19,7 +19,7 @@ from frictrack.records.measured import (
     Track,
 )
 from frictrack.records.modelled import Curve, ModelledMotion
-from frictrack.records.run import GRAVITY, Run
+from frictrack.records.run import GRAVITY, EarlierRuns, Run
 
 __all__ = [
     "GRAVITY",
@@ -29,6 +29,7 @@ __all__ = [
     "Curve",
     "CutoffTradeOff",
     "Displacement",
+    "EarlierRuns",
     "Filtered",
     "FrameTable",
     "Friction",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 GRAVITY = 9.80665  # m/s^2, standard
+EarlierRuns = tuple[tuple[float, float], ...]  # (s since its end, m slid in it) of every run before
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +47,9 @@ class Run(NotebookView):
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
         Position of the clamp of a beam under the course and its free length, m.
+    earlier
+        For every earlier run on the same surfaces, the rest since its end (s) and the distance slid in it (m); None
+        where it is not known. `with_earlier_runs` makes it from the pauses.
     role
         "fit", or "validation" for a run that is predicted and not fitted.
     group
@@ -82,6 +86,7 @@ class Run(NotebookView):
     free: tuple[float, float] | None = None  # s
     clamp_x: float | None = scalar("m", default=None)
     beam_length: float | None = scalar("m", default=None)
+    earlier: EarlierRuns | None = None
     role: str = "fit"
     group: str = ""
     noise: float | None = None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.effects import Path
-from frictrack.records import GRAVITY, Array
+from frictrack.records import GRAVITY, Array, EarlierRuns
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class Conditions:
         Angle of the target, rad, counter-clockwise; None for none.
     clamp_x, beam_length
         Place of the clamp and length of the beam under the course, m.
+    earlier
+        For every run before, the rest since its end (s) and the distance slid in it (m); None where it is not known.
 
     """
 
@@ -48,6 +50,7 @@ class Conditions:
     angle: Callable[[Array], Array] | None = None
     clamp_x: float | None = None
     beam_length: float | None = None
+    earlier: EarlierRuns | None = None
 
     def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
         """Path of a motion x (m), v (m/s), t (s), each (n,), in direction s (1 or -1) under these conditions."""
@@ -67,6 +70,7 @@ class Conditions:
             angle=None if self.angle is None else self.angle(t),
             clamp_x=self.clamp_x,
             beam_length=self.beam_length,
+            earlier=None if self.earlier is None else (self.earlier,),
         )
 
 

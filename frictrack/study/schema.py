@@ -447,6 +447,7 @@ Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Angle = Annotated[float, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
+Pause = Annotated[float, _number("s", above=0.0)]
 
 
 Cost = Annotated[float, BeforeValidator(_cost)]
@@ -587,6 +588,9 @@ class RunTable(Keys):
         Position at which the beam under the course is clamped, for `beam_vibration`.
     beam_length
         Free length of that beam.
+    pause
+        Time since the end of the run before it in this list, on the same surfaces, for `run_in` and `heating`; given
+        for all runs from the second on.
     template
         Number of the frame in which `target` is given; default the first.
     exclude
@@ -645,6 +649,7 @@ class RunTable(Keys):
     targets: Targets = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
+    pause: Pause | None = None
     template: Annotated[int, Field(ge=0)] | None = None
     exclude: Areas = ()
     obstacles: Areas = ()

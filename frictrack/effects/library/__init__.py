@@ -26,7 +26,8 @@ ORDER = (
     *("spring", "collision", "thermal", "drift", "asymmetry", "slope", "load_modulation", "measured_load"),
     *("viscous_modulation", "drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame", "timebase"),
     *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen"),
-    *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
+    *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"),
+    *("run_in", "heating"),
     *("rolling_shutter", "out_of_plane"),
     *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
 )

@@ -39,10 +39,9 @@ def _cycles(path: Path, nonlinear: Nonlinear) -> Array:
     count, n = len(path.starts), len(path.t) // len(path.starts)
     if count == 1 or not _is_shared(path, n):
         return _counted(path, nonlinear)
-    frequency, *rest = (np.broadcast_to(nonlinear[name], path.t.shape)[::n] for name in ("frequency", "r"))
-    rest.append(np.broadcast_to(path.beam_length or nonlinear["beam_length"], path.t.shape)[::n])
-    forms, which = np.unique(np.stack(rest, axis=1), axis=0, return_inverse=True)
-    one = replace(path, starts=(0,), **{name: getattr(path, name)[:n] for name in ("t", "x", "v", "s")})
+    frequency, heavy, length = (q[::n] for q in _form(path, nonlinear))
+    forms, which = np.unique(np.stack([heavy, length], axis=1), axis=0, return_inverse=True)
+    one = replace(path, starts=(0,), mass_ratio=1.0, **{name: getattr(path, name)[:n] for name in ("t", "x", "v", "s")})
     own = [{"frequency": 1.0, "r": float(r), "beam_length": float(length)} for r, length in forms]
     unit = np.stack([_counted(one, form) for form in own])
     return np.asarray((frequency[:, None] * unit[which.ravel()]).ravel())
@@ -57,12 +56,17 @@ def _is_shared(path: Path, n: int) -> bool:
 def _counted(path: Path, nonlinear: Nonlinear) -> Array:
     """Cycles (n,) since release by trapezoids with their end correction, order 4."""
     assert path.clamp_x is not None
-    own = [np.broadcast_to(nonlinear[name], path.t.shape) for name in ("frequency", "r")]
-    own.append(np.broadcast_to(path.beam_length or nonlinear["beam_length"], path.t.shape))
-    first = list(path.starts)
+    own, first = _form(path, nonlinear), list(path.starts)
     rate, change = _rate(path, path.x, path.v, own)
     since = _running(path.t, rate, change, first)
     return np.asarray(since + path.each(_lead(path, [q[first] for q in own]) - since[first]))
+
+
+def _form(path: Path, nonlinear: Nonlinear) -> list[Array]:
+    """Frequency of the bare beam (Hz), mass over modal mass, and length of the beam (m) at every sample, (n,) each."""
+    length = path.beam_length or nonlinear["beam_length"]
+    each = (nonlinear["frequency"], nonlinear["r"] * path.mass_ratio, length)
+    return [np.broadcast_to(q, path.t.shape) for q in each]
 
 
 def _lead(path: Path, own: list[Array]) -> Array:
@@ -78,10 +82,9 @@ def _lead(path: Path, own: list[Array]) -> Array:
 
 def _rate(path: Path, x: Array, v: Array, own: list[Array]) -> tuple[Array, Array]:
     """Frequency at places x, Hz, and its change in time, Hz/s."""
-    frequency, r, length = own
+    frequency, heavy, length = own
     away = x - float(path.clamp_x or 0.0)
     phi, slope = shape(np.abs(away), length)
-    heavy = r * path.mass_ratio
     rate = frequency / np.sqrt(1 + heavy * phi**2)
     return rate, -rate * heavy * phi * slope * np.sign(away) * v / (1 + heavy * phi**2)
 

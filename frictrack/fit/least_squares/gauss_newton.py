@@ -149,6 +149,13 @@ class Solution:
         basis, data = self._basis_of(rows), residual + rows @ self._departure()
         return basis.spread(basis.u.T @ data, float(data @ data))
 
+    def scatter_penalty(self, tau: float) -> float:
+        """Compute what integrating out levels of scatter tau adds to minus twice the log-likelihood."""
+        if not self.levels_are_random:
+            return 0.0
+        levels = self.few_rows[:, self.problem.layout.levels]
+        return float(np.linalg.slogdet(np.eye(levels.shape[1]) + tau**2 * (levels.T @ levels))[1])
+
     def with_scatter(self, tau: float) -> Solution:
         """Return the same unknowns and responses with another scatter of the levels."""
         penalty = penalty_residual(self.problem.layout, self.p, tau)

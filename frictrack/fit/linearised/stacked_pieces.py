@@ -123,5 +123,4 @@ def _stack(blocks: Sequence[DataBlock], maps: Sequence[ForceMap | None], members
         picture=joined.picture,
         lengths=tuple(len(blocks[i].data) for i in members),
         loads=tuple(float(p.load) for p in paths),
-        mass_ratios=tuple(float(p.mass_ratio) for p in paths),
     )

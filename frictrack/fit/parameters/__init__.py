@@ -16,6 +16,7 @@ from frictrack.fit.parameters.layout import (
     normalise_levels,
 )
 from frictrack.fit.parameters.level_scatter import (
+    SCATTER_BOUNDS,
     JacobianBasis,
     jacobian_basis,
     penalty_jacobian,
@@ -43,6 +44,7 @@ __all__ = [
     "MASS",
     "MASS_EFFECT",
     "MIN_RUNS_FOR_SCATTER",
+    "SCATTER_BOUNDS",
     "JacobianBasis",
     "ParameterLayout",
     "Slot",

@@ -320,6 +320,7 @@ def common_span(spans: Sequence[Span]) -> Span:
         fps=spans[0].fps,
         clamp_x=spans[0].clamp_x,
         beam_length=spans[0].beam_length,
+        earlier=max((s.earlier for s in spans), key=len),
     )
 
 

@@ -101,6 +101,7 @@ class JoinedPieces:
         for group in (("mass",), ("travelled", "begins")):  # a run may lack them
             if all(getattr(path, group[-1]) is not None for path in paths):
                 joined |= {name: self.spread([getattr(path, name) for path in paths]) for name in group}
+        earlier = [own for path in paths for own in path.earlier or ()]
         zeros = np.zeros(len(self.panels.t))
         return replace(
             paths[0],
@@ -110,6 +111,7 @@ class JoinedPieces:
             v=zeros,
             s=self._concatenated(lambda piece: piece.path.s),
             before=None,
+            earlier=tuple(earlier) if len(earlier) == len(paths) else None,
             starts=tuple(rows.start for rows in self.nodes),
             runs=tuple(paths),
         )

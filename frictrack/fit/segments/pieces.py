@@ -448,6 +448,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
         angle=_interpolated(times, context.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,
+        earlier=None if run.earlier is None else (run.earlier,),
         travelled=float(context.slid[row]),
         begins=float(context.way[1, row]),
         before=before,
@@ -483,4 +484,5 @@ def _span(pieces: Sequence[Piece], fps: float) -> Span:
         fps=fps,
         clamp_x=pieces[0].path.clamp_x,
         beam_length=pieces[0].path.beam_length,
+        earlier=(pieces[0].path.earlier or ((),))[0],
     )

@@ -229,31 +229,27 @@ class SeparableModel:
         if len(levels) == 1:
             return self._rows_at_once(g, stack, nonlinear_values, float(levels[0]))
         rows = self._rows_at_once(g, stack, nonlinear_values, 1.0)
-        load, mass = levels * stack.loads, np.array(stack.mass_ratios)
-        for carried, scale in zip(self._carried_by(g), (load, mass), strict=True):
-            if carried.any() and np.any(scale != 1.0):
-                rows *= np.where(carried[:, None], np.repeat(scale, stack.lengths), 1.0)
+        loaded, scale = self._loaded_columns(g), levels * stack.loads
+        if loaded.any() and np.any(scale != 1.0):
+            rows *= np.where(loaded[:, None], np.repeat(scale, stack.lengths), 1.0)
         return rows
 
     def load_factors(self, g: int, stack: BlockStack) -> Array:
-        """Return what the joined path of a stack leaves out of the columns of a group, (B, k): loads and mass ratios.
+        """Return the loads that the joined path of a stack leaves out of the columns of a group, (B, k).
 
         A sinusoid has one column here, at its phase.
         """
-        loaded, heavy = (carried[: len(carried) // self._quadratures(g)] for carried in self._carried_by(g))
-        loads, masses = (np.array(values)[:, None] for values in (stack.loads, stack.mass_ratios))
-        return np.asarray(np.where(loaded, loads, 1.0) * np.where(heavy, masses, 1.0))
+        loaded = self._loaded_columns(g)
+        return np.where(loaded[: len(loaded) // self._quadratures(g)], np.array(stack.loads)[:, None], 1.0)
 
     def _quadratures(self, g: int) -> int:
         """Rows of a group per linear parameter."""
         return len(QUADRATURES) if self.groups[g].is_sinusoid else 1
 
-    def _carried_by(self, g: int) -> tuple[Mask, Mask]:
-        """Which columns of a group carry the normal load of the run, and which its mass."""
-        group = self.groups[g]
-        columns = [(p.loaded, e.scales_with == "mass") for e in group.model.effects for p in e.linear]
-        loaded, heavy = np.array(columns * self._quadratures(g), dtype=bool).reshape(-1, 2).T
-        return loaded, heavy
+    def _loaded_columns(self, g: int) -> Mask:
+        """Which columns of a group carry the normal load of the run."""
+        columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
+        return np.array(columns * self._quadratures(g), dtype=bool)
 
     def _parts(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Iterator[Array]:
         group = self.groups[g]

@@ -181,7 +181,6 @@ def _joined_stack(blocks: Sequence[DataBlock]) -> list[BlockStack]:
             picture=picture,
             lengths=tuple(len(b.data) for b in blocks),
             loads=tuple(float(path.load) for path in paths),
-            mass_ratios=tuple(float(path.mass_ratio) for path in paths),
         )
     ]
 

@@ -41,9 +41,9 @@ class BlockStack:
         Numbers of data of the members.
     compared_path : Path, optional
         The path at the compared samples only, of a single block; see `DataBlock`.
-    loads, mass_ratios : tuple of float
-        Normal load and mass of every member over their references, which the joined path leaves out; 1 for a single
-        block, whose path has its own.
+    loads : tuple of float
+        Normal load of every member over its reference, which the joined path leaves out; 1 for a single block, whose
+        path has its own.
 
     """
 
@@ -55,7 +55,6 @@ class BlockStack:
     lengths: tuple[int, ...]
     compared_path: Path | None = None
     loads: tuple[float, ...] = (1.0,)
-    mass_ratios: tuple[float, ...] = (1.0,)
     _tiled: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -110,7 +109,7 @@ def tiled_path(path: Path, count: int) -> Path:
 def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
     """Lay paths end to end, each extended to n samples at its last state; by default as they are.
 
-    The paths must agree in all that `are_stackable` compares. Load and mass are those of the reference.
+    The paths must agree in all that `are_stackable` compares. The load is that of the reference.
     """
     lengths = [n or len(p.t) for p in paths]
     series: dict[str, Any] = {
@@ -121,7 +120,9 @@ def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
     series["t"] = np.concatenate([_extended_times(p.t, m) for p, m in zip(paths, lengths, strict=True)])
     first = np.repeat([float(np.ravel(p.x[:1] if p.begins is None else p.begins)[0]) for p in paths], lengths)
     travelled = np.repeat([float(np.ravel(p.travelled)[0]) for p in paths], lengths)
+    mass_ratio = np.repeat([float(np.ravel(p.mass_ratio)[0]) for p in paths], lengths)
     starts = tuple(np.cumsum([0, *lengths[:-1]]).tolist())
+    earlier = [own for p in paths for own in p.earlier or ()]
     return replace(
         paths[0],
         **series,
@@ -129,8 +130,9 @@ def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
         travelled=travelled,
         starts=starts,
         before=None,
+        earlier=tuple(earlier) if len(earlier) == len(paths) else None,
         load=1.0,
-        mass_ratio=1.0,
+        mass_ratio=mass_ratio,
         mass=None,
     )
 

@@ -15,7 +15,7 @@ from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
-from frictrack.fit.parameters import LEVEL, ParameterLayout, Slot
+from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout, Slot
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
@@ -23,6 +23,7 @@ from frictrack.records import Array
 # times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
 EVENT_PENALTY = 2.0
 ALPHA_SHARED_AMPLITUDE = 0.01  # significance level at which amplitudes per run replace a common one
+MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_STARTS = 4  # grid points of one scan that are refined
 MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
 MIN_GAIN_SHARE = 0.5  # share of the best gain
@@ -163,6 +164,37 @@ def baseline_misfit(linearised: LinearisedModel) -> float:
     return problem.refine(problem.at(np.array(linearised.solution.p)), steps=FINAL_STEPS, enough=FINAL_MIN_FALL).misfit
 
 
+def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) -> float:
+    """Compute what a trial gains if the scatter of the friction levels is estimated beside its effect.
+
+    A trial keeps the scatter of the model without the effect. Of an effect that explains why runs differ, that hides
+    nearly all: the levels would need no scatter.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The model without the effect.
+    trial : CandidateTrial
+        The effect on trial.
+
+    Returns
+    -------
+    float
+        Fall of minus twice the log-likelihood, levels integrated out.
+
+    """
+    solution, levels = linearised.solution, trial.p[trial.layout.levels]
+    if not solution.levels_are_random:
+        return 0.0
+    tau = float(np.clip(np.sqrt(np.mean((levels - 1) ** 2)), *SCATTER_BOUNDS))
+    if tau > MAX_SCATTER_RATIO * solution.tau:
+        return 0.0
+    problem = _projected_problem(linearised, trial.layout, tau)
+    state = problem.refine(problem.at(np.array(trial.p)), steps=SET_STEPS, enough=ROUGH_MIN_FALL)
+    fall = trial.misfit - state.misfit
+    return max(0.0, fall + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau))
+
+
 def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
     """Compute the chi-squared that another effect leaves of data made by a true one, along the measured motion.
 
@@ -197,9 +229,11 @@ class TiedSeparableModel(SeparableModel):
         return super().is_sinusoid(effect) and (len(own) == 1 or len(self.runs) == 1)
 
 
-def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
+def _projected_problem(
+    linearised: LinearisedModel, layout: ParameterLayout, tau: float | None = None
+) -> ProjectedProblem:
     separable = TiedSeparableModel(layout, linearised.blocks, linearised.stacks)
-    tau, budget = linearised.solution.tau or 0.03, linearised.solution.problem.budget
+    tau, budget = tau or linearised.solution.tau or 0.03, linearised.solution.problem.budget
     return ProjectedProblem(separable, separable.data, tau, budget)
 
 

@@ -1,0 +1,54 @@
+"""Run-in: dry friction changes with the distance slid in all runs so far, and stays so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.scans import Span, log_grid
+from frictrack.number_format import format_length, format_number
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """-L s (1 - exp(-S/length)), shape (n, 1): N per N of dF; S is slid in this run and all before it."""
+    before = np.array([sum(slid for _, slid in earlier) for earlier in path.each_earlier()])
+    gone = -np.expm1(-(path.each(before) + path.distance) / nonlinear["length"])
+    return -(path.load * path.s * gone)[:, None]
+
+
+def lengths(span: Span) -> Array:
+    """Distances worth trying, m: one run, up to three times the whole series, where the change is a straight line."""
+    travel = span.x_max - span.x_min
+    return log_grid(travel / 3, 3 * (travel + sum(slid for _, slid in span.earlier)), 4)
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Force gained or lost, and the distance."""
+    change, distance = effect.value("dF"), format_length(effect.value("length"))
+    way = "less" if change > 0 else "more"
+    return f"{format_number(abs(change))} N {way} in the end, two thirds of it within {distance} slid in all runs"
+
+
+run_in = Effect(
+    name="run_in",
+    acts_on="force",
+    equation="-dF L s (1 - exp(-S/length)), S = distance slid in this run and all before it",
+    parameters=(
+        Parameter("dF", "N", linear=True, loaded=True),
+        Parameter("length", "m", scan=lengths),
+    ),
+    columns=columns,
+    scales_with="load",
+    what="The surfaces run in (dF > 0) or wear (dF < 0) as they slide, and stay so between the runs.",
+    looks_like="friction levels that move from run to run in the order of the runs, toward a new level",
+    mistaken_for="heating (where all pauses are alike), levels that scatter from run to run",
+    confirm="Repeat the first run at the end, after an hour: what has run in stays.",
+    invariant="running-in stays through a pause",
+    settled_by="repeat the first run after a long pause",
+    describe=describe,
+    source="Blau 1989 (running-in); Archard 1953, J. Appl. Phys. 24, 981 (wear in proportion to the distance slid)",
+    needs=("earlier",),
+)
