@@ -43,6 +43,7 @@ TYPES = {
     "Masses": ("list of numbers or texts with unit", "kg", '["0.35 kg", "0.70 kg"]'),
     "Place": ("number or text with unit", "m", '"-12 mm"'),
     "Length": ("number or text with unit, above 0", "m", '"0.30 m"'),
+    "Pause": ("number or text with unit, above 0", "s", '"5 min"'),
     "Load": ("number or text with unit, above 0", "N", '"3.4 N"'),
     "Energy": ("number or text with unit, above 0", "J", '"2 J"'),
     "Angle": ("number or text with unit, within 90 degrees", "rad", '"22 deg"'),

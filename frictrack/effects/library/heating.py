@@ -55,6 +55,6 @@ heating = Effect(
     invariant="heat fades in a pause",
     settled_by="repeat one run after a short and after a long pause",
     describe=describe,
-    source="lumped heat capacity, T' = P/C - T/tau with P in proportion to |v|; Ettles 1986 (thermal control of friction)",
+    source="lumped heat capacity, T' = P/C - T/tau with P in proportion to |v|; Ettles 1986",
     needs=("earlier",),
 )
