@@ -244,6 +244,9 @@ def _size_of(example: Example, effect: str) -> str:
 
 def _lookalikes(failure: Failure) -> str:
     """Return the table of effects that would explain the most of the misfit of these runs."""
+    if not failure.explained:
+        levels = ", ".join(f"{level:.2f} ({run})" for run, level in failure.levels.items())
+        return f"In the runs above, it leaves no misfit: the friction levels of the runs take it up, {levels}.\n"
     shown = [item for item in failure.lookalikes[:MAX_LOOKALIKES] if item[1] >= MIN_SHARE_SHOWN]
     if not shown:
         return "In the runs above, no other effect of the library explains a fifth of the misfit.\n"

@@ -25,6 +25,7 @@ from frictrack.fit.linearised import (
 from frictrack.fit.stepwise import effect_for_scan
 from frictrack.records import Array, Curve, Run
 
+MIN_SIGMAS_MISFIT = 3.0  # standard deviations of chi-squared by which a misfit exceeds noise
 LEVEL_SCATTER = 0.03  # relative, of dry friction from run to run
 SMALL = 1e-9  # size of an effect of which a scan judges the shape only, SI units
 
@@ -69,7 +70,8 @@ class Failure:
     fit
         The fit without the effect.
     explained
-        Share of the misfit that the effect itself and every other effect of the library explain, by name.
+        Share of the misfit that the effect itself and every other effect of the library explain, by name; none where
+        there is no misfit, because the friction levels of the runs take it up.
 
     """
 
@@ -84,6 +86,12 @@ class Failure:
         """Other effects and their shares of the misfit, largest first."""
         others = ((name, share) for name, share in self.explained.items() if name != self.effect)
         return sorted(others, key=lambda item: -item[1])
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """Friction level of every run."""
+        layout, p = self.fit.solution.problem.layout, self.fit.solution.p
+        return {name: layout.values(p, i)[1] for i, name in enumerate(layout.run_names)}
 
     @cached_property
     def leftovers(self) -> list[Leftover]:
@@ -131,6 +139,9 @@ def explained_shares(fit: Fit, truth: Values) -> dict[str, float]:
     parameters are fitted again beside every candidate, about their true values, where they are linear. An event (a
     collision, a lost frame) may happen in one run.
     """
+    left, frames = fit.solution.chi2, fit.solution.problem.n_frames
+    if left - frames < MIN_SIGMAS_MISFIT * np.sqrt(2 * frames):
+        return {}
     solution = _at_true_values(fit.solution, truth)
     candidates, _ = list_candidates(solution)
     law = linearise(solution)

@@ -132,11 +132,11 @@ CREEPS = (  # less than a pixel per frame
     PlannedRun("0.2 m/s", 0.2),
     PlannedRun("double mass", 0.25, 2.0),
 )
-SERIES = (  # the same run after 60 s, at once, and after ten minutes
-    PlannedRun("first", 2.6, earlier=()),
-    PlannedRun("after 60 s", 2.6, earlier=((60.0, 0.5),)),
-    PlannedRun("after 5 s", 2.6, earlier=((65.0, 0.5), (5.0, 0.5))),
-    PlannedRun("after 10 min", 2.6, earlier=((665.0, 0.5), (605.0, 0.5), (600.0, 0.5))),
+SERIES = (
+    PlannedRun("first", 1.8, earlier=()),
+    PlannedRun("after 60 s", 3.0, earlier=((60.0, 0.5),)),
+    PlannedRun("after 5 s", -2.6, earlier=((65.0, 0.5), (5.0, 0.6))),
+    PlannedRun("after 10 min", 2.6, earlier=((665.0, 0.5), (605.0, 0.6), (600.0, 0.6))),
 )
 PHASES = {"slow": 0.4, "fast": 2.1, "double mass": -1.3, "reversed": 3.0}
 
