@@ -48,15 +48,29 @@ def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[float | None]) -> li
     earlier: EarlierRuns | None = ()
     out = [replace(runs[0], earlier=earlier)]
     for run, pause in zip(runs[1:], pauses[1:], strict=True):
-        earlier = None if earlier is None or pause is None else _after(earlier, out[-1], pause)
+        if earlier is not None and pause is not None:
+            t = out[-1].motion.t
+            earlier = after_run(earlier, float(t[-1] - t[0]), _distance(out[-1]), pause)
+        else:
+            earlier = None
         out.append(replace(run, earlier=earlier))
     return out
 
 
-def _after(earlier: EarlierRuns, last: Run, pause: float) -> EarlierRuns:
-    """What was slid before a run that begins a pause after the end of `last`, before which `earlier` was slid."""
-    duration = float(last.motion.t[-1] - last.motion.t[0])
-    return *((rest + duration + pause, slid) for rest, slid in earlier), (pause, _distance(last))
+def after_run(earlier: EarlierRuns, duration: float, distance: float, pause: float) -> EarlierRuns:
+    """Return what was slid before a run that begins a pause after another one.
+
+    Parameters
+    ----------
+    earlier
+        What was slid before that other run.
+    duration, distance
+        Its duration, s, and the distance slid in it, m.
+    pause
+        Time since its end, s.
+
+    """
+    return *((rest + duration + pause, slid) for rest, slid in earlier), (pause, distance)
 
 
 def _distance(run: Run) -> float:

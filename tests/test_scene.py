@@ -132,6 +132,21 @@ def test_what_the_runs_of_an_effect_must_tell_is_filmed_and_told(tmp_path):
     )  # the drive is a tenth larger
 
 
+def test_what_was_slid_before_a_run_acts_in_it_and_the_study_tells_the_pause(tmp_path):
+    """Two equal runs, the second 20 s after the first: what is still warm then lowers its friction from the start."""
+    text = SCENE.replace("[law.viscous]", "[law.heating]\nk = 3.0\ntau = 10.0\n[law.viscous]")
+    (first, *_) = read_scene(text).runs
+    runs = (first | {"level": 1.0}, first | {"name": "again", "level": 1.0, "pause": 20.0})
+    film_scene(replace(read_scene(text), runs=runs), tmp_path, rng=3)
+    one, two = (np.array(r["x_m"]) for r in json.loads((tmp_path / "truth.json").read_text())["runs"])
+    warm = 3.0 * np.sum(np.abs(np.diff(one))) * np.exp(-20.0 / 10.0)  # N
+    gained = (np.diff(two, 2) - np.diff(one, 2))[0] * 4000**2
+    assert gained == pytest.approx(warm / 0.35, rel=0.01)
+    study = (tmp_path / "study.toml").read_text()
+    assert study.count("pause") == 1
+    assert 'pause = "20 s"' in study
+
+
 def test_the_same_seed_makes_the_same_film(folder, tmp_path):
     film_scene(read_scene(SCENE), tmp_path, rng=3)
     assert (tmp_path / "there.avi").read_bytes() == (folder / "there.avi").read_bytes()

@@ -36,7 +36,7 @@ GROUPS = (
         "Data in",
         "Open a film, make runs of arrays or tables, get sample data.",
         "frictrack",
-        ("open_recording", "Run", "samples"),
+        ("open_recording", "Run", "with_earlier_runs", "samples"),
     ),
     Group(
         "Measuring",

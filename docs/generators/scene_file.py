@@ -40,6 +40,7 @@ RUN = {
     "width": ("width of the picture, where it differs", "px", "that of the camera"),
     "level": ("dry friction of this run over that of the law", "", "drawn with `scatter`"),
     "incline": ("angle by which the course rises toward +x", "rad", "0"),
+    "pause": ("time since the end of the run before it, for `run_in` and `heating`", "s", "60"),
 }
 TARGET = {
     "width": ("length of the block along the course", "px", "90"),

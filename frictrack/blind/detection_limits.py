@@ -47,6 +47,7 @@ def _comparable(effect: Effect, truth: Truth) -> bool:
     A film yields a vertical motion and an angle of each target even where the truth has neither.
     """
     available = {"drive": truth.push, "lift": truth.lift, "clamp_x": truth.clamp, "angle": truth.turn}
+    available |= {"earlier": truth.paused}
     known = all(available.get(need, True) for need in effect.needs)
     return known and effect.sized and not effect.memory and not is_event(effect)
 

@@ -89,5 +89,7 @@ def study_lines(truth: Truth, name: str) -> Iterator[str]:
         yield from ("", "[[run]]", f'name = "{run.name}"', source)
         if run.mass_ratio != 1.0:
             yield f"mass = {truth.mass * run.mass_ratio:.6g}"
+        if run.earlier:
+            yield f"pause = {run.earlier[-1][0]:.6g}"
         if truth.clamp is not None:
             yield f"clamp_x = {truth.clamp:.6g}"

@@ -13,7 +13,7 @@ from frictrack.blind.foreign_effects import FOREIGN, foreign_effect
 from frictrack.blind.memory_motion import simulate_memory
 from frictrack.effects import Effect, Span
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, EarlierRuns
 from frictrack.simulate import Conditions, Trajectory, push_force, simulate
 from frictrack.simulate.rendering import Oscillation
 
@@ -41,6 +41,8 @@ class RunTruth:
         Phase of the vertical motion or rotation at release, rad.
     values
         Parameter values of the hidden effects that act in this run.
+    earlier
+        What was slid before, as in `Run`, where the study tells it.
 
     """
 
@@ -51,6 +53,7 @@ class RunTruth:
     frames: int
     phase: float = 0.0
     values: EffectValues = field(default_factory=dict)
+    earlier: EarlierRuns | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class Truth:
         Whether the tables state the noise.
     film
         Whether the study consists of films.
+    paused
+        Whether the pauses between the runs are told.
     runs
         Truth of the runs.
     size, rise
@@ -108,6 +113,7 @@ class Truth:
     turn: tuple[float, float] | None = None
     stated: bool = True
     film: bool = False
+    paused: bool = False
     runs: tuple[RunTruth, ...] = ()
     size: tuple[float, ...] = ()
     rise: tuple[float, ...] = ()
@@ -128,6 +134,7 @@ class Truth:
             lift=None if self.lift is None else Oscillation(*self.lift, run.phase).second_derivative(),
             angle=None if self.turn is None else Oscillation(*self.turn, run.phase),
             clamp_x=self.clamp,
+            earlier=run.earlier,
         )
 
     def drive(self, run: RunTruth) -> Callable[[Array], Array]:
@@ -159,6 +166,7 @@ class Truth:
             v_max=max(float(np.abs(s.v).max()) for s in trajectories),
             fps=self.fps,
             clamp_x=self.clamp,
+            earlier=max((run.earlier or () for run in self.runs), key=len),
         )
 
 
@@ -176,7 +184,13 @@ def effect_named(name: str) -> Effect:
 
 def read_truth(raw: dict[str, Any]) -> Truth:
     """Read a truth from its JSON."""
-    runs = tuple(RunTruth(**run) for run in raw["runs"])
+    runs = tuple(_read_run(run) for run in raw["runs"])
     lists = {name: tuple(raw[name]) for name in ("model", "hidden", "size", "rise")}
     pairs = {name: raw[name] and tuple(raw[name]) for name in ("lift", "turn")}
     return Truth(**raw | lists | pairs | {"runs": runs})
+
+
+def _read_run(raw: dict[str, Any]) -> RunTruth:
+    """Read the truth of one run from its JSON."""
+    earlier = raw.get("earlier")
+    return RunTruth(**raw | {"earlier": None if earlier is None else tuple((rest, slid) for rest, slid in earlier)})

@@ -14,7 +14,8 @@ from frictrack.blind.foreign_effects import FOREIGN
 from frictrack.blind.ideal_detector import IdealDetector, unexplained_part
 from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.errors import FrictrackError
-from frictrack.records import Array
+from frictrack.records import Array, EarlierRuns
+from frictrack.run_history import after_run
 
 KINDS = ("one", "none", "two", "three", "foreign", "fault")
 N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others
@@ -23,6 +24,7 @@ LAWS = (  # base laws, and the share of each
     (("coulomb", "viscous"), 0.25),
     (("coulomb", "drag"), 0.15),
 )
+PAUSES_S = (5.0, 600.0)  # shortest and longest pause between two runs
 UNUSED_SENSOR_SHARE = 0.15  # of the studies measure a drive, a vertical motion or a clamp that no effect needs
 PUSH_S = 0.012  # duration of a measured push
 MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # of a run
@@ -196,6 +198,7 @@ def _draw_base(
         turn=(_log_uniform(rng, 2e-3, 2e-2), float(rng.uniform(20.0, 60.0))) if "angle" in needs else None,
         stated=bool(rng.random() < 0.7),
         film=film,
+        paused="earlier" in needs,
     )
 
 
@@ -220,11 +223,16 @@ def _draw_runs(base_study: Truth, rng: np.random.Generator) -> Iterator[RunTruth
     plan = [(float(v), 1.0) for v in speeds] + [(float(np.mean(speeds)), float(rng.choice([0.5, 2.0])))]
     reversed_speeds = rng.choice(speeds, int(rng.integers(1, min(4, 8 - len(plan)))), replace=False)
     plan += [(-float(v), 1.0) for v in reversed_speeds]
+    earlier: EarlierRuns | None = () if base_study.paused else None
     for i, (v, ratio) in enumerate(plan):
         level = float(1 + base_study.scatter * rng.standard_normal())
         phase = float(rng.uniform(-np.pi, np.pi))
         run = RunTruth(f"r{i + 1}", v, ratio, level, min(int(MAX_DURATION_S * base_study.fps), MAX_FRAMES), phase)
-        yield replace(run, frames=_count_frames(base_study, run))
+        run = replace(run, frames=_count_frames(base_study, run), earlier=earlier)
+        yield run
+        if earlier is not None:
+            motion = base_study.trajectory(run, hidden=False)
+            earlier = after_run(earlier, motion.duration, motion.distance, _log_uniform(rng, *PAUSES_S))
 
 
 def _count_frames(base_study: Truth, run: RunTruth) -> int:

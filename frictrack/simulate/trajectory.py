@@ -62,6 +62,16 @@ class Trajectory:
     F: Array
     shift: Array
 
+    @property
+    def duration(self) -> float:
+        """Time from the first frame to the last, s."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def distance(self) -> float:
+        """Distance slid, m."""
+        return float(np.sum(np.abs(np.diff(self.x))))
+
 
 @dataclass(frozen=True)
 class Start:

@@ -22,6 +22,7 @@ name = "v4"
 v = 4.0                         # m/s; negative moves toward -x
 frames = 200
 push = 0.004                    # s, duration of a push from rest (default 0: the run starts in motion)
+pause = 60                      # s since the end of the run before, for run_in and heating
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ SCENE_KEYS = {
     *("name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"),
     *("clamp_x", "beam_length", "lift"),
 }
-RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline"}
+RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline", "pause"}
 TARGET_KEYS = {"width", "height", "speckle", "rotation"}
 OSCILLATION_KEYS = ("flicker", "shake_x", "shake_y")
 MAX_NUMBER, MAX_SIDE_PX, MAX_FRAMES = 1e12, 16_384, 1_000_000  # any number; side of a picture; frames of a run

@@ -13,13 +13,15 @@ from scipy.interpolate import CubicSpline
 
 from frictrack.errors import FrictrackError
 from frictrack.randomness import RNG, accepts_seed, as_seed
-from frictrack.records import Array
+from frictrack.records import Array, EarlierRuns
+from frictrack.run_history import after_run
 from frictrack.simulate.conditions import Conditions, push_force
 from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film
 from frictrack.simulate.scene.scene_file import Scene, read_scene
 from frictrack.simulate.trajectory import Trajectory, simulate
 
 Progress = Callable[[int, int, str], None]
+DEFAULT_PAUSE_S = 60.0  # between two runs of which the scene does not say it
 MARGIN_PX = 14.0  # between the block and the edge of the first frame
 
 
@@ -84,13 +86,18 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
         "runs": [],
     }
     truth["target"] = asdict(_target(scene))
+    earlier: EarlierRuns = ()
+    motion: Trajectory | None = None
     for i, run in enumerate(scene.runs):
         if progress:
             progress(i, len(scene.runs), f"rendering {run['name']}")
         level = float(run.get("level", 1 + scene.scatter * generator.standard_normal()))
         mass = float(run.get("mass", scene.mass))
         camera = _camera(scene, run)
-        motion = true_trajectory(scene, run, camera, level)
+        if motion is not None:
+            pause = float(run.get("pause", DEFAULT_PAUSE_S))
+            earlier = after_run(earlier, motion.duration, motion.distance, pause)
+        motion = true_trajectory(scene, run, camera, level, earlier)
         film = f"{run['name']}.{scene.format}"
         write_film(_render_frames(scene, run, camera, motion, generator), folder / film, camera.fps)
         if _is_driven(scene, run):
@@ -120,7 +127,9 @@ def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
     return replace(camera, shake_x=Oscillation(amplitude, shake["frequency"], shake.get("phase", 0.0)))
 
 
-def true_trajectory(scene: Scene, run: dict[str, Any], camera: Camera, level: float) -> Trajectory:
+def true_trajectory(
+    scene: Scene, run: dict[str, Any], camera: Camera, level: float, earlier: EarlierRuns = ()
+) -> Trajectory:
     """Simulate one run of a scene; a pushed run starts at rest.
 
     Parameters
@@ -131,6 +140,8 @@ def true_trajectory(scene: Scene, run: dict[str, Any], camera: Camera, level: fl
         Camera of the run.
     level
         Dry friction of this run over its mean.
+    earlier
+        What was slid before, as in `Run`.
 
     Returns
     -------
@@ -151,7 +162,9 @@ def true_trajectory(scene: Scene, run: dict[str, Any], camera: Camera, level: fl
         drive=push_force(mass, v, push) if push else None,
         lift=None if scene.lift is None else scene.lift.second_derivative(),
         angle=_counterclockwise(scene.target.get("rotation")),
-        **scene.beam,
+        clamp_x=scene.beam.get("clamp_x"),
+        beam_length=scene.beam.get("beam_length"),
+        earlier=earlier,
     )
     return simulate(
         scene.model, _effect_values(scene), conditions, t, (_start_x(scene, run, camera), 0.0 if push else v)
@@ -228,6 +241,8 @@ def _study_text(scene: Scene) -> str:
         lines += ["", "[[run]]", f'name = "{run["name"]}"', f'video = "{run["name"]}.{scene.format}"']
         if "mass" in run:
             lines.append(f'mass = "{run["mass"]:g} kg"')
+        if "pause" in run:
+            lines.append(f'pause = "{run["pause"]:g} s"')
         lines += [f'{key} = "{value:g} m"' for key, value in scene.beam.items()]
         if _is_driven(scene, run):
             lines.append(f'drive = "{run["name"]}_drive.csv"')
