@@ -33,6 +33,7 @@ from frictrack.records import Array
 
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking
 TRIAL_MIN_EXCESS_SHARE = 1e-3  # the same as a share of the chi-squared beyond noise
+SETTLING_STEPS = 2  # Gauss-Newton steps after which the starts of the motions belong to the law
 TRIAL_MAX_STEPS = 16  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
 
 
@@ -179,7 +180,7 @@ def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solut
     if problem.simulates and model.problem.model.memory:  # its motion takes long to find from afar
         problem = problem.beginning_at(model.responses)
     try:
-        first = refine(problem, trial.p, starts if problem.simulates else problem.first_starts(), tau=tau, max_steps=0)
+        first = _settled(problem, trial.p, starts if problem.simulates else problem.first_starts(), tau)
     except FrictrackError:
         first = None
     if first is None or first.objective > model.objective:
@@ -260,13 +261,18 @@ def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL
 
 
 def _best_start(problem: LeastSquaresProblem, firsts: Sequence[Array], starts: Sequence[Array], tau: float) -> Solution:
-    """The model at those of some unknowns (P,) that fit best."""
+    """The model near those of some unknowns (P,) that fit best."""
     found = []
     for p in firsts:
         try:
-            found.append(refine(problem, p, starts, tau=tau, max_steps=0))
+            found.append(_settled(problem, p, starts, tau))
         except FrictrackError as error:
             failure = error
     if not found:
         raise failure
     return min(found, key=lambda at: at.objective)
+
+
+def _settled(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+    """The model near unknowns p (P,), once the starts of the motions, those of another law, have followed."""
+    return refine(problem, p, starts, tau=tau, max_steps=SETTLING_STEPS)

@@ -254,6 +254,8 @@ def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterabl
             first[absent] = problem, state
         else:  # the rest of the model is the same
             problem, state = known[0], known[0].at(p, known[1], _groups_with(known[0], effect))
+        # friction levels first: until they give back what they took up of the effect, it has no size to refine
+        state = problem.refine(state, (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
         found.append((problem, problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = _refined(*found[0])
