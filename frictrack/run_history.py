@@ -38,7 +38,7 @@ def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[float | None]) -> li
     >>> import frictrack as ft
     >>> runs = ft.with_earlier_runs(ft.samples.runs()[:2], [None, 60.0])
     >>> runs[0].earlier, [(rest, round(slid, 2)) for rest, slid in runs[1].earlier]
-    ((), [(60.0, 0.3)])
+    ((), [(60.0, 0.21)])
 
     """
     if len(pauses) != len(runs):

@@ -9,8 +9,10 @@ from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from frictrack.diagnose import diagnose
+from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
+from frictrack.fit.stepwise import add_effect
 
 MASS = 0.35
 SPEEDS = (3.0, 5.0, 6.0, 4.0, 5.0, -5.0, 3.5, 6.0)  # m/s
@@ -27,8 +29,8 @@ def run_in(dF, length):
     return lambda slid, earlier: 7.0 - dF * (1 - np.exp(-(slid + sum(way for _, way in earlier)) / length))
 
 
-def series(dry, *, scatter=0.01, seed=3):
-    """Runs one after the other, m x'' = -s level dry(...) - 0.6 v, with 10 um of noise; and what was before each."""
+def series(dry, *, scatter=0.01, seed=3, sigma=1e-5):
+    """Runs one after the other, m x'' = -s level dry(...) - 0.6 v, with noise of sigma m; and what was before each."""
     rng, now, done, runs, pasts = np.random.default_rng(seed), 0.0, [], [], []
     for i, (speed, pause) in enumerate(zip(SPEEDS, PAUSES, strict=True)):
         now += pause
@@ -39,7 +41,7 @@ def series(dry, *, scatter=0.01, seed=3):
 
         t = np.arange(0, 0.1, 1 / 4000)
         solved = solve_ivp(moves, (0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-11, atol=1e-13)
-        runs.append(measured(t, solved.y[0], sigma=1e-5, mass=MASS, name=f"r{i}", rng=rng, pitch=1e-3))
+        runs.append(measured(t, solved.y[0], sigma=sigma, mass=MASS, name=f"r{i}", rng=rng, pitch=1e-3))
         now += t[-1]
         done.append((now, abs(solved.y[0, -1])))
         pasts.append(past)
@@ -79,6 +81,13 @@ def test_the_effect_is_named_and_its_values_are_right(name, dry, truth):
         estimate = fitted.parameters[f"{name}.{parameter}"]
         assert abs(estimate.value - value) < 3 * estimate.std
         assert estimate.std < 0.3 * value
+
+
+def test_a_law_that_took_up_much_of_the_effect_gives_it_back_when_the_effect_is_added():
+    """Levels and Stribeck effect imitate it; its motions start elsewhere, by many standard deviations of 0.7 um."""
+    runs = ft.with_earlier_runs(series(heating(1.0, 30.0), sigma=7e-7)[0], PAUSES)
+    found = add_effect(fit("tustin", runs).solution, LIBRARY["heating"])
+    assert found.chi2 == pytest.approx(found.problem.n_frames, rel=0.1)
 
 
 def test_without_pauses_the_reason_is_said():
