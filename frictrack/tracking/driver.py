@@ -83,11 +83,13 @@ def track(
 
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
-    with random_access(recording, once=_single_pass(recording, drawn.target, template, known)) as film:
+    once = _single_pass(recording, drawn.target, template, known)
+    with random_access(recording, once=once) as film:
         if known is None:
             followed = _learn_and_track(film, drawn, template, Work(progress))
         else:
             followed = _follow_known_target(film, drawn, template, known, Work(progress))
+        followed = replace(followed, rereadable=not once)
         return measure_track(recording, film, drawn, followed, name, Work(progress))
 
 

@@ -11,7 +11,7 @@ from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Track
 from frictrack.tracking.areas import Areas
-from frictrack.tracking.checks import at_rest, key_frame_notes
+from frictrack.tracking.checks import at_rest, interlacing_note, key_frame_notes
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.measured_rows import measure_all
 from frictrack.tracking.raw_track import UNREAD, RawTrack
@@ -29,13 +29,17 @@ MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 @dataclass(frozen=True)
 class Followed:
-    """A target that was followed: rectangle in frame `template`, track, model, and frames to be measured again."""
+    """A target that was followed: rectangle in frame `template`, track, model, and frames to be measured again.
+
+    `rereadable` tells whether any frame can still be read.
+    """
 
     rectangle: Rectangle
     template: int
     raw_track: RawTrack
     target_model: TargetModel
     rows: NDArray[np.int64]
+    rereadable: bool = True
 
 
 def measure_track(
@@ -55,7 +59,8 @@ def measure_track(
         )
     result = _with_reference_sigma(result, template)
     codec_notes = () if change is None else key_frame_notes(change, result.x_px, result.y_px)
-    notes = (*result.notes, *codec_notes, *at_rest(result))
+    line_notes = interlacing_note(film, result) if followed.rereadable else ()
+    notes = (*result.notes, *codec_notes, *line_notes, *at_rest(result))
     return replace(
         result,
         template=template,

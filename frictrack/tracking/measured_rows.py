@@ -82,7 +82,8 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
     """State for each frame why its position cannot be trusted; "" where it can."""
     fit, at = result.fit[rows], result.position[rows]
     out = np.any((at < -0.5) | (at > max_corner + 0.5), axis=1)
-    min_score = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
+    known = fit.score[np.isfinite(fit.score)]
+    min_score = MIN_SCORE_SHARE * (float(np.median(known)) if len(known) else 1.0)
     reasons = []
     for outside, converged, score in zip(out, fit.converged, fit.score, strict=True):
         if outside:
