@@ -15,7 +15,7 @@ from frictrack.blind import benchmark, make, score
 from frictrack.blind import truth_sampling as drawing
 from frictrack.blind.detection_limits import ideal_detection_limit, limits_over_ideal
 from frictrack.blind.effect_placement import SIZE_RANGE
-from frictrack.blind.equivalents import equivalent_effects, solution_at_truth
+from frictrack.blind.equivalents import NOTHING, equivalent_effects, solution_at_truth
 from frictrack.blind.failure_overlap import overlap
 from frictrack.blind.foreign_effects import FOREIGN
 from frictrack.blind.ideal_detector import IdealDetector, degrees_of_freedom, is_event, noncentrality_limit
@@ -459,6 +459,19 @@ def test_two_causes_are_both_found_by_name_or_by_what_nobody_can_tell_from_them(
     ]
     two = tally(rows)["two"]
     assert (two["both"]["hits"], two["both_by_name"]["hits"]) == (2, 1)
+
+
+def test_a_cause_that_the_others_imitate_need_not_be_named():
+    equivalents = {"drag": ("drag",), "thermal": ("thermal", NOTHING)}
+    hidden = ("drag", "thermal")
+    rows = [
+        outcome("two", hidden, named=("drag",), verdict="missing", equivalents=equivalents),
+        outcome("two", hidden, named=("thermal", "drag"), verdict="missing", equivalents=equivalents),
+        outcome("two", hidden, named=("drag", "lens"), verdict="missing", equivalents=equivalents),
+        outcome("two", hidden, named=("thermal",), verdict="missing", equivalents=equivalents),
+    ]
+    two = tally(rows)["two"]
+    assert (two["both"]["hits"], two["wrong_without_doubt"]["hits"]) == (3, 2)
 
 
 def test_three_causes_are_all_found():

@@ -18,6 +18,7 @@ from frictrack.fit.stepwise import effect_for_scan, rebuild_problem, remove_effe
 from frictrack.records import Array
 
 MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
+NOTHING = "nothing"  # stands among the equivalents of an effect that the law and the other effects imitate
 SCREEN_SHARE, SCREEN_CHI2 = 0.3, 60.0  # share of the rise, and chi-squared, below which a linearised rival is refined
 
 
@@ -34,7 +35,8 @@ def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...
     Returns
     -------
     dict
-        For each hidden effect the names of equivalent effects, itself first.
+        For each hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the
+        other hidden effects and the law, fitted again, leave no more without it.
 
     """
     full = solution_at_truth(truth, base)
@@ -43,7 +45,10 @@ def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...
 
 def _equivalents(full: Solution, name: str) -> list[str]:
     """Names of effects that explain the data without noise as well as the hidden one does."""
-    fits = replacements(full, name)
+    reduced = remove_effect(full, name)
+    if reduced.objective - full.objective < MAX_CHI2_EXCESS:
+        return [NOTHING]
+    fits = _replacements(full, reduced, name)
     return [other for other, fitted in fits.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
 
 
@@ -66,7 +71,11 @@ def replacements(full: Solution, name: str, max_chi2: float = np.inf) -> dict[st
         that of `full` is the chi-squared by which these runs separate the two effects in the mean.
 
     """
-    reduced = remove_effect(full, name)
+    return _replacements(full, remove_effect(full, name), name, max_chi2)
+
+
+def _replacements(full: Solution, reduced: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
+    """Fit every effect of the library in place of a hidden one; `reduced` is the solution without it."""
     linearised = linearise(reduced)
     chi2_rise = reduced.objective - full.objective
     screen = min(SCREEN_SHARE * chi2_rise + SCREEN_CHI2, max_chi2) + _level_penalty(full)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import permutations
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, norm
 
+from frictrack.blind.equivalents import NOTHING
 from frictrack.blind.outcome import Outcome
 from frictrack.blind.truth import effect_named
 from frictrack.blind.truth_sampling import KINDS
@@ -70,24 +71,38 @@ def _equivalent_set(row: Outcome) -> tuple[str, ...]:
 
 def are_all_named(row: Outcome) -> bool:
     """Whether as many named effects are the hidden ones or equivalents of them."""
-    return _are_named(row, row.hidden)
-
-
-def _are_named(row: Outcome, hidden: Sequence[str]) -> bool:
-    """Whether as many named effects are these hidden ones or equivalents of them."""
-    sets = [set(row.equivalents.get(h, (h,))) | {h} for h in hidden]
-    return any(all(n in s for n, s in zip(order, sets, strict=True)) for order in permutations(row.named, len(sets)))
+    return _holds_all(row, row.named)
 
 
 def are_all_stated(row: Outcome) -> bool:
-    """Whether one of the sets stated as equal, with what tracking found, holds all hidden effects."""
-    return any(set(row.hidden) <= {*one, *row.noted} for one in row.sets)
+    """Whether one of the sets stated as equal, with what tracking found, holds all hidden effects or equivalents."""
+    return any(_holds_all(row, {*one, *row.noted}) for one in row.sets)
 
 
 def is_wrong_without_doubt(row: Outcome) -> bool:
     """Whether the effects named without a rival are not exactly the hidden ones, or equivalents of them."""
     left = [h for h in row.hidden if h not in row.noted]
-    return row.verdict == "missing" and not (len(row.named) == len(left) and _are_named(row, left))
+    exact = any(
+        set(order) >= set(_needed(row, left)) and _fit(row, row.named, order)
+        for order in permutations(left, len(row.named))
+    )
+    return row.verdict == "missing" and not exact
+
+
+def _holds_all(row: Outcome, names: Iterable[str]) -> bool:
+    """Whether a different name stands for each hidden effect that is needed."""
+    needed = _needed(row, row.hidden)
+    return any(_fit(row, order, needed) for order in permutations(names, len(needed)))
+
+
+def _needed(row: Outcome, hidden: Sequence[str]) -> list[str]:
+    """Hidden effects that the law and the other hidden ones do not imitate."""
+    return [h for h in hidden if NOTHING not in row.equivalents.get(h, ())]
+
+
+def _fit(row: Outcome, names: Sequence[str], hidden: Sequence[str]) -> bool:
+    """Whether each name is the hidden effect at its place or an equivalent of it."""
+    return all(name in {h, *row.equivalents.get(h, ())} for name, h in zip(names, hidden, strict=True))
 
 
 def is_reproduced(row: Outcome) -> bool:
