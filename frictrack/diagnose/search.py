@@ -39,7 +39,7 @@ from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
 
 MAX_EFFECTS = 4  # that are added
-MAX_ROUNDS = 6  # of testing and adding
+MAX_ROUNDS = 8  # of testing, adding and reviewing
 MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one formula leaves in place of all of them
 
 Progress = Callable[[int, int, str], None]
