@@ -5,6 +5,8 @@ The motions come from SciPy's integrator.
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
 import pytest
 from runs import MASS, measured
@@ -16,19 +18,21 @@ from frictrack.diagnose.joint_search import exchange_effects
 from frictrack.diagnose.rounds import RefinedCandidate, run_round
 from frictrack.effects import LIBRARY
 
+joint_search = importlib.import_module("frictrack.diagnose.joint_search")
 LAW = ["coulomb", "viscous"]
 PLAN = ((2.5, 1), (4.0, 1), (6.0, 1), (4.0, 2), (-2.5, 1), (-5.5, 1))  # start speed m/s, mass over the reference
 FRAMES, FPS = 260, 4000.0
+DRAG = 0.01  # N s^2/m^2
 
 
 def slides(slope: float, drag: float) -> list[ft.Run]:
-    """Runs with a constant force on the course and an air drag, N and N s^2/m^2."""
+    """Runs on an inclined course with an air drag, N at the reference mass and N s^2/m^2."""
     out = []
     for k, (speed, ratio) in enumerate(PLAN):
         t, mass, s = np.arange(FRAMES) / FPS, ratio * MASS, np.sign(speed)
 
         def motion(_: float, y: np.ndarray, mass: float = mass, ratio: float = ratio, s: float = s) -> list[float]:
-            force = 4.0 * ratio * s + 0.5 * y[1] + slope + drag * y[1] * abs(y[1])
+            force = 4.0 * ratio * s + 0.5 * y[1] + slope * ratio + drag * y[1] * abs(y[1])
             return [y[1], -force / mass]
 
         x = solve_ivp(motion, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13).y[0]
@@ -51,6 +55,29 @@ def test_a_pair_that_explains_less_gives_way_to_the_pair_that_is_true():
     named, others = diagnosed_as(["asymmetry", "spring"], slides(0.4, 0.06))
     assert {"slope", "drag"} in [set(named), *map(set, others)]
     assert set(named) != {"asymmetry", "spring"}
+
+
+def test_two_effects_that_each_explain_nothing_in_place_of_one_are_tried_together(monkeypatch):
+    """Flash weakening imitates a late clock with air drag; drag in its place is of no use without the clock."""
+    monkeypatch.setattr(joint_search, "N_EXCHANGED", 2)  # pairs of what explains most alone: without drag
+    runs = []
+    for i, (speed, ratio) in enumerate(PLAN):
+        clock, mass, s = np.arange(FRAMES) / FPS, ratio * MASS, np.sign(speed)
+        t = clock + 0.02 * clock**2 / 2  # y = x + k v t^2/2
+
+        def motion(_: float, y: np.ndarray, mass: float = mass, ratio: float = ratio, s: float = s) -> list[float]:
+            texture = 0.3 * np.sin(2 * np.pi * y[0] / 0.05)
+            force = s * ratio * (4.0 + texture) + 0.5 * y[1] + DRAG * y[1] * abs(y[1])
+            return [y[1], -force / mass]
+
+        solved = solve_ivp(motion, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13, max_step=1e-4)
+        rng = np.random.default_rng(i)
+        runs.append(measured(clock, solved.y[0], sigma=3e-6, mass=mass, name=f"r{i}", rng=rng))
+    first = run_round(ft.fit(LAW, runs).solution, [], np.random.default_rng(0), lambda what: None)
+    wrong = ft.fit([*LAW, "flash_weakening", "texture"], runs).solution
+    found = [RefinedCandidate(LIBRARY[name], wrong, 100.0, 0.001) for name in ("flash_weakening", "texture")]
+    kept, others = exchange_effects(first, [first.tested], found)
+    assert {"drag", "timebase", "texture"} in [{t.effect.name for t in kept}, *(set(one.effects) for one in others)]
 
 
 def test_the_true_pair_stays():

@@ -1,8 +1,8 @@
 """Exchange several effects at once: what was found one by one may imitate a set of other effects.
 
 Effects are fitted together along the measured motion, where a set takes milliseconds: one effect in place of each
-found while that explains more, then two of those that did best in place of one, two or three. Sets that explain as much
-as the effects found are simulated.
+found while that explains more, then two of those that did best in place of one, two or three, and every other effect
+beside the best few. Sets that explain as much as the effects found are simulated.
 
 References
 ----------
@@ -12,7 +12,7 @@ Miller, A. (2002). Subset Selection in Regression, ch. 3 (exchange algorithms). 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -30,9 +30,17 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import LinearisedModel
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.stepwise import CandidateTrial, remove_effect, simulate_trial, try_effect, try_together
+from frictrack.fit.stepwise import (
+    CandidateTrial,
+    gain_by_smaller_scatter,
+    remove_effect,
+    simulate_trial,
+    try_effect,
+    try_together,
+)
 from frictrack.records import Array
 
+N_PAIRED = 4  # effects, in place of each found, that are paired with every other
 N_EXCHANGED = 10  # effects of which pairs are tried
 MAX_EXCHANGES = 4  # of one effect for another, one after the other
 MAX_SETS_SIMULATED = 6
@@ -149,7 +157,7 @@ class _SetSearch:
         return trial.misfit + parameter_penalty(trial.layout, self.law.solution.problem)
 
     def best(self, found: Names) -> list[Names]:
-        """The sets that are near the effects found, or better; best first."""
+        """The sets that are near the effects found, or better, without what adds nothing; best first."""
         centre = self._descend(found)
         near = sorted(self._others(centre), key=lambda name: self._rank(centre, name))[:N_EXCHANGED]
         for out in _subsets(centre):
@@ -157,8 +165,22 @@ class _SetSearch:
                 self.criterion(centre - out)
             for pair in combinations(near, 2):
                 self.criterion(centre - out | frozenset(pair))
+        for out in centre:
+            self._pair_up(centre - {out})
         limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
-        return [one for one in sorted(self.trials, key=self.criterion) if one != found and self.criterion(one) < limit]
+        near = {one: self._promise(one) for one in self.trials if self.criterion(one) < limit}
+        return [one for one in sorted(near, key=near.__getitem__) if one != found and not _adds_nothing(one, near)]
+
+    def _promise(self, names: Names) -> float:
+        """BIC of a set if the scatter of the friction levels is estimated beside it."""
+        return self.criterion(names) - gain_by_smaller_scatter(self.law, self.trials[names])
+
+    def _pair_up(self, rest: Names) -> None:
+        """Try every effect beside those that explain most alone: two may explain what neither of them does."""
+        others = self._others(rest)
+        for name in sorted(others, key=lambda name: self.criterion(rest | {name}))[:N_PAIRED]:
+            for other in others:
+                self.criterion(rest | {name, other})
 
     def _descend(self, names: Names) -> Names:
         """Exchange one effect after the other while that explains more."""
@@ -176,6 +198,12 @@ class _SetSearch:
     def _rank(self, names: Names, other: str) -> float:
         """BIC of the best set in which another effect stands in place of one."""
         return min(self.criterion(names - {out} | {other}) for out in names)
+
+
+def _adds_nothing(names: Names, criteria: Mapping[Names, float]) -> bool:
+    """Whether a set explains less, by the BIC, than one of some others that lacks part of it."""
+    limit = criteria[names] - MAX_BIC_BARE_MENTION
+    return any(other < names and criterion < limit for other, criterion in criteria.items())
 
 
 def _subsets(found: Names) -> Iterator[Names]:
