@@ -165,11 +165,12 @@ class _SetSearch:
                 self.criterion(centre - out)
             for pair in combinations(near, 2):
                 self.criterion(centre - out | frozenset(pair))
-        for out in centre:
-            self._pair_up(centre - {out})
+        for one in centre:
+            self._pair_up(centre - {one})
         limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
-        near = {one: self._promise(one) for one in self.trials if self.criterion(one) < limit}
-        return [one for one in sorted(near, key=near.__getitem__) if one != found and not _adds_nothing(one, near)]
+        promises = {names: self._promise(names) for names in self.trials if self.criterion(names) < limit}
+        order = sorted(promises, key=promises.__getitem__)
+        return [names for names in order if names != found and not _adds_nothing(names, promises)]
 
     def _promise(self, names: Names) -> float:
         """BIC of a set if the scatter of the friction levels is estimated beside it."""
