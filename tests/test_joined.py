@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, Spec, study
+from runs import BASE, EARLIER, HIDDEN, Spec, study
 from test_reality import swinging
 
 from frictrack import effects, models
@@ -22,7 +22,8 @@ POINTWISE = sorted(n for n, e in LIBRARY.items() if e.acts_on == "force" and e.v
 
 def path_of(n: int = 40) -> Path:
     t = np.linspace(0.01, 0.2, n)
-    return Path(t=t, x=0.1 + 3 * t - t**2, v=3 - 2 * t, s=np.ones(n), lift=np.sin(90 * t), travelled=0.02, begins=0.1)
+    known = {"lift": np.sin(90 * t), "travelled": 0.02, "begins": 0.1, "earlier": (EARLIER,)}
+    return Path(t=t, x=0.1 + 3 * t - t**2, v=3 - 2 * t, s=np.ones(n), **known)
 
 
 def columns_of(effect, path):
@@ -44,11 +45,13 @@ def test_an_effect_varies_with_the_quantities_that_it_declares_at_each_sample_al
     np.testing.assert_allclose(columns_of(effect, half), columns[20:], rtol=1e-13)
 
 
-@pytest.mark.parametrize("added", [(), ("texture", "vibration"), ("load_modulation", "slope"), ("beam_vibration",)])
+@pytest.mark.parametrize(
+    "added", [(), ("texture", "vibration"), ("load_modulation", "slope"), ("beam_vibration",), ("heating",)]
+)
 def test_runs_that_are_simulated_together_respond_as_each_of_them_alone(added):
     law = {name: BASE[name] for name in LAW}
     runs, _ = study(models.of(LAW), law, specs=SPECS, sigma=1e-5, scatter=0.02, rng=np.random.default_rng(2))
-    runs = [replace(run, clamp_x=0.0) for run in runs]
+    runs = [replace(run, clamp_x=0.0, earlier=EARLIER[: i % 3]) for i, run in enumerate(runs)]
     found = fit(LAW, runs).solution
     model = found.problem.model
     for name in added:

@@ -17,7 +17,6 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.priors import Prior
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
-from frictrack.run_history import with_earlier_runs
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
@@ -63,6 +62,8 @@ class TriedModels:
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
         if self._runs is None:
+            from frictrack.run_history import with_earlier_runs  # noqa: PLC0415
+
             pauses = [pipeline.run.pause for pipeline in self._pipelines]
             self._runs = with_earlier_runs([pipeline.to_run() for pipeline in self._pipelines], pauses)
         return self._runs

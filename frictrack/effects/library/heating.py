@@ -47,6 +47,7 @@ heating = Effect(
         Parameter("tau", "s", scan=cooling_times),
     ),
     columns=columns,
+    varies_with="x",
     scales_with="load",
     what="Friction heats the surfaces, which soften (k > 0) or stick (k < 0), and cool while the mass rests.",
     looks_like="friction that falls through every run, and starts lower the shorter the rest before it was",

@@ -41,6 +41,7 @@ run_in = Effect(
         Parameter("length", "m", scan=lengths),
     ),
     columns=columns,
+    varies_with="x",
     scales_with="load",
     what="The surfaces run in (dF > 0) or wear (dF < 0) as they slide, and stay so between the runs.",
     looks_like="friction levels that move from run to run in the order of the runs, toward a new level",

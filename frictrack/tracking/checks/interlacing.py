@@ -31,7 +31,7 @@ def interlacing_note(film: Recording, track: Track) -> tuple[str, ...]:
     """
     assert track.target is not None
     width, height = (int(side) for side in track.target[2:])
-    step = np.nan_to_num(np.gradient(np.where(track.found, track.x_px, np.nan)))
+    step = np.nan_to_num(np.gradient(track.x_px)) * track.found
     fastest = np.sort(np.argsort(-np.abs(step))[:FRAMES])
     fastest = fastest[(np.abs(step[fastest]) > MIN_STEP_PX) & (np.abs(step[fastest]) < width / 2)]
     if not len(fastest):
