@@ -15,7 +15,7 @@ from frictrack.effects.in_study import (
     EffectRecord,
 )
 from frictrack.effects.memory import direction_of_motion
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Nonlinear, Path, joined_earlier
 from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, order
 from frictrack.effects.scans import Span, Within, frequencies, spatial_periods
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
@@ -56,6 +56,7 @@ __all__ = [
     "frequencies",
     "get",
     "is_library",
+    "joined_earlier",
     "known",
     "order",
     "read_settings",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -76,6 +76,12 @@ class Path:
     def each(self, values: Array) -> Array:
         """One value per individual (P,), spread over the frames of each, (n,)."""
         return np.repeat(values, np.diff([*self.starts, len(self.t)]))
+
+
+def joined_earlier(paths: Sequence[Path]) -> tuple[EarlierRuns, ...] | None:
+    """The runs before each stretch of paths that are laid end to end; None where those of one are not known."""
+    each = [path.earlier for path in paths if path.earlier is not None]
+    return tuple(own for earlier in each for own in earlier) if len(each) == len(paths) else None
 
 
 # What an effect may need to know of a run, in words: what it is, and how it is given.

@@ -20,11 +20,8 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 def describe(effect: EffectInStudy) -> str:
     """The exponent, and what a doubled load does."""
     exponent = 1 + effect.value("excess")
-    return f"the dry friction grows with the load to the power of {format_number(exponent)}: {_doubled(exponent)}"
-
-
-def _doubled(exponent: float) -> str:
-    return f"twice the load makes {format_number(2**exponent)} times the friction"
+    power, factor = format_number(exponent), format_number(2**exponent)
+    return f"dry friction grows with the load to the power of {power}: twice the load makes {factor} times the friction"
 
 
 load_exponent = Effect(

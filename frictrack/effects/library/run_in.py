@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.library import thermal
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span, log_grid
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """-L s (1 - exp(-S/length)), shape (n, 1): N per N of dF; S is slid in this run and all before it."""
-    before = np.array([sum(slid for _, slid in earlier) for earlier in path.each_earlier()])
-    gone = -np.expm1(-(path.each(before) + path.distance) / nonlinear["length"])
-    return -(path.load * path.s * gone)[:, None]
+    before = path.each(np.array([sum(slid for _, slid in earlier) for earlier in path.each_earlier()]))
+    return thermal.columns(replace(path, travelled=path.travelled + before), nonlinear)
 
 
 def lengths(span: Span) -> Array:
@@ -27,9 +28,7 @@ def lengths(span: Span) -> Array:
 
 def describe(effect: EffectInStudy) -> str:
     """Force gained or lost, and the distance."""
-    change, distance = effect.value("dF"), format_length(effect.value("length"))
-    way = "less" if change > 0 else "more"
-    return f"{format_number(abs(change))} N {way} in the end, two thirds of it within {distance} slid in all runs"
+    return f"{thermal.describe(effect)} in all runs"
 
 
 run_in = Effect(

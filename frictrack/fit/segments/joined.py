@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Path
+from frictrack.effects import Path, joined_earlier
 from frictrack.fit.segments.pieces import Piece
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
@@ -101,7 +101,6 @@ class JoinedPieces:
         for group in (("mass",), ("travelled", "begins")):  # a run may lack them
             if all(getattr(path, group[-1]) is not None for path in paths):
                 joined |= {name: self.spread([getattr(path, name) for path in paths]) for name in group}
-        earlier = [own for path in paths for own in path.earlier or ()]
         zeros = np.zeros(len(self.panels.t))
         return replace(
             paths[0],
@@ -111,7 +110,7 @@ class JoinedPieces:
             v=zeros,
             s=self._concatenated(lambda piece: piece.path.s),
             before=None,
-            earlier=tuple(earlier) if len(earlier) == len(paths) else None,
+            earlier=joined_earlier(paths),
             starts=tuple(rows.start for rows in self.nodes),
             runs=tuple(paths),
         )

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Path
+from frictrack.effects import Path, joined_earlier
 from frictrack.fit.separable.blocks import DataBlock, Forward
 from frictrack.records import Array
 
@@ -122,7 +122,6 @@ def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
     travelled = np.repeat([float(np.ravel(p.travelled)[0]) for p in paths], lengths)
     mass_ratio = np.repeat([float(np.ravel(p.mass_ratio)[0]) for p in paths], lengths)
     starts = tuple(np.cumsum([0, *lengths[:-1]]).tolist())
-    earlier = [own for p in paths for own in p.earlier or ()]
     return replace(
         paths[0],
         **series,
@@ -130,7 +129,7 @@ def joined_path(paths: Sequence[Path], n: int | None = None) -> Path:
         travelled=travelled,
         starts=starts,
         before=None,
-        earlier=tuple(earlier) if len(earlier) == len(paths) else None,
+        earlier=joined_earlier(paths),
         load=1.0,
         mass_ratio=mass_ratio,
         mass=None,
