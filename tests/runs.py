@@ -56,6 +56,8 @@ TOLD = {
     "flash_weakening": {"dF": 4.0, "v_w": 3.0},
     "log_velocity": {"a": -0.2, "v_0": 1e-6},
     "power_law_viscosity": {"c": 1.0, "n": 0.6},
+    "eddy_brake": {"c": 1.5, "v_0": 2.0},
+    "hydrodynamic_hump": {"F": 4.0, "v_s": 2.0},
     "adhesion": {"F": 2.0},
     "load_exponent": {"excess": -0.3},
     "run_in": {"dF": 1.5, "length": 0.7},
@@ -66,7 +68,7 @@ TOLD = {
 TIMED = ("clock_rate",)  # held against scaled times elsewhere
 REMEMBERED = (  # held against integrators of their own elsewhere
     *("presliding", "friction_lag", "lugre", "bouc_wen", "elasto_plastic"),
-    *("rate_state_ageing", "rate_state_slip"),
+    *("rate_state_ageing", "rate_state_slip", "maxwell_slip", "elastic_joint"),
 )
 
 
@@ -149,6 +151,10 @@ LAWS = {
     "flash_weakening": lambda q, x, v, t, s, slider: -slider.load * s * q["dF"] * abs(v) / (q["v_w"] + abs(v)),
     "log_velocity": lambda q, x, v, t, s, slider: slider.load * s * q["a"] * np.log(1 + abs(v) / q["v_0"]),
     "power_law_viscosity": lambda q, x, v, t, s, slider: s * q["c"] * abs(v) ** q["n"],
+    "eddy_brake": lambda q, x, v, t, s, slider: q["c"] * v * q["v_0"] ** 2 / (q["v_0"] ** 2 + v**2),
+    "hydrodynamic_hump": lambda q, x, v, t, s, slider: (
+        slider.load * s * q["F"] * abs(v) / q["v_s"] * exp(-abs(v) / q["v_s"])
+    ),
     "adhesion": lambda q, x, v, t, s, slider: s * q["F"] + 0 * v,
     "run_in": lambda q, x, v, t, s, slider: (
         slider.load * s * q["dF"] * (exp(-(0.4 + 0.55 + slider.slid) / q["length"]) - 1)

@@ -64,7 +64,8 @@ SCALING = {
     **{"spring": "--", "collision": "-", "asymmetry": "L-", "slope": "M", "lens": "-", "peak_locking": "-"},
     **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-", "decaying_vibration": "-", "thermal": "L", "drift": "L"},
     **{"drive_error": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
-    **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-"},
+    **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-", "eddy_brake": "-"},
+    **{"hydrodynamic_hump": "L"},
     **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-", "run_in": "L", "heating": "L"},
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,14 +19,16 @@ from frictrack.simulate import Conditions, simulate
 
 LENGTH, RATE = 3e-5, 2 * np.pi * 7
 V_0, NM = 1e-4, 1e-9
-NAMES = ("elasto_plastic", "rate_state_ageing", "rate_state_slip")
+NAMES = ("elasto_plastic", "maxwell_slip", "rate_state_ageing", "rate_state_slip")
 SETTINGS = {
     "elasto_plastic": {"stiffness": LENGTH, "share": 0.6},
+    "maxwell_slip": {"stiffness": LENGTH, "spread": 6.0},
     "rate_state_ageing": {"D_c": LENGTH, "v_0": V_0},
     "rate_state_slip": {"D_c": LENGTH, "v_0": V_0},
 }
 OTHERS = {
     "elasto_plastic": {"stiffness": (2e-5, 1e-4, 7e-5), "share": (0.0, 0.6, 0.9)},
+    "maxwell_slip": {"stiffness": (2e-5, 1e-4, 7e-5), "spread": (1.0, 4.0, 50.0)},
     "rate_state_ageing": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
     "rate_state_slip": {"D_c": (2e-5, 1e-4, 7e-5), "v_0": (1e-4, 1e-4, 1e-3)},
 }
@@ -76,6 +79,32 @@ def test_an_elasto_plastic_contact_does_not_drift_below_its_share():
     path = Path(t, x, v, np.r_[0.0, direction_of_motion(v)[1:]])
     found = made("elasto_plastic", path, {"stiffness": LENGTH, "share": 0.5})[:, 0]
     np.testing.assert_allclose(found[1:], x[1:] / LENGTH, atol=1e-9)
+
+
+@pytest.mark.parametrize("spread", [1.0, 6.0, 100.0])
+def test_the_springs_of_maxwell_slip_stop_at_their_own_loads(spread):
+    t = np.linspace(0, 0.5, 160_001)
+    fine = np.diff(place(t))
+    lengths = LENGTH * np.mean(spread ** -np.linspace(0, 1, 8)) * spread ** np.linspace(0, 1, 8)
+    truth = np.ones((len(t), 8))
+    for i, step in enumerate(fine):
+        truth[i + 1] = np.clip(truth[i] + step / lengths, -1.0, 1.0)
+    path = to_and_fro(1601)
+    found = made("maxwell_slip", path, {"stiffness": LENGTH, "spread": spread})[:, 0]
+    np.testing.assert_allclose(found, truth[::100].mean(axis=1), atol=3e-3)
+    assert np.mean(1 / lengths) == pytest.approx(1 / LENGTH)  # the stiffness of all together
+
+
+def test_a_small_loop_inside_a_large_one_closes_under_maxwell_slip_and_drifts_under_dahl():
+    corners = np.cumsum([0.0, 60e-6, -50e-6, 12e-6, -12e-6, 12e-6, -12e-6, -20e-6])  # m
+    x = np.concatenate([np.linspace(a, b, 400, endpoint=False) for a, b in pairwise(corners)])
+    t = np.arange(len(x)) * 1e-3
+    path = Path(t, x, np.gradient(x, t), direction_of_motion(np.diff(x, append=corners[-1])))
+    outer, gone = 800, (1600, 2400)  # where the small loops begin, and end
+    maxwell = made("maxwell_slip", path, {"stiffness": LENGTH, "spread": 6.0})[:, 0]
+    dahl = get("presliding").columns(path, {"stiffness": LENGTH, "exponent": 1.0}, path.s[:, None])[:, 0]
+    assert all(maxwell[row] == pytest.approx(maxwell[outer], abs=5e-3) for row in gone)
+    assert all(abs(dahl[row] - dahl[outer]) > 0.1 for row in gone)
 
 
 def rates_of_contacts(t, u):
@@ -155,6 +184,7 @@ def drive(t):
     ("name", "values"),
     [
         ("elasto_plastic", {"stiffness": 1e-4, "share": 0.6}),
+        ("maxwell_slip", {"stiffness": 1e-4, "spread": 5.0}),
         ("rate_state_ageing", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
         ("rate_state_slip", {"F_0": 2.0, "A": 0.03, "B": 0.05, "D_c": 1e-4, "v_0": V_0}),
     ],

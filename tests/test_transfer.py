@@ -78,8 +78,11 @@ def test_the_rule_takes_the_pair_and_leaves_the_set_up():
         "log_velocity": ["a", "v_0"],
         "power_law_viscosity": ["c", "n"],
         "elasto_plastic": ["stiffness", "share"],
+        "maxwell_slip": ["stiffness", "spread"],
         "rate_state_ageing": ["F_0", "A", "B", "D_c", "v_0"],
         "rate_state_slip": ["F_0", "A", "B", "D_c", "v_0"],
+        "eddy_brake": ["c", "v_0"],
+        "hydrodynamic_hump": ["F", "v_s"],
         "atm2:2": ["f_c", "f_s", "f_v", "v_s"],
     }
 

@@ -36,11 +36,11 @@ GROUPS = {
         *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion"),
         *("load_exponent", "run_in", "heating"),
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
-        *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
+        *("elasto_plastic", "maxwell_slip", "rate_state_ageing", "rate_state_slip", "hydrodynamic_hump"),
     ),
-    "Forces of the course": ("texture", "patch", "spring", "slope", "collision"),
+    "Forces of the course": ("texture", "patch", "spring", "slope", "collision", "eddy_brake"),
     "Vibrations": (
-        *("vibration", "decaying_vibration", "beam_vibration"),
+        *("vibration", "decaying_vibration", "beam_vibration", "elastic_joint"),
         *("load_modulation", "measured_load", "viscous_modulation"),
     ),
     "Errors of the measurement": (
@@ -180,6 +180,7 @@ def _facts(effect: Effect) -> str:
         ["its size follows", SCALES[effect.scales_with]],
         ["changes", ", ".join(_link(name) for name in sorted(effect.modifies))],
         ["stands in place of", ", ".join(_link(name) for name in sorted(effect.replaces))],
+        ["tried by a diagnosis", "no: add it, and compare the two fits" if effect.replaces else ""],
         ["needs", plain(" and ".join(NEEDS[need][0] for need in effect.needs))],
         ["remembers", "the motion so far" if effect.memory else ""],
         ["source", plain(effect.source)],

@@ -298,6 +298,14 @@ EXAMPLES: dict[str, Example] = {
         axis="x",
     ),
     "elasto_plastic": _with("elasto_plastic", {"stiffness": 3e-4, "share": 0.6}, design=SWINGS, axis="x"),
+    "maxwell_slip": _with("maxwell_slip", {"stiffness": 1e-3, "spread": 10.0}, design=SWINGS, axis="x"),
+    "elastic_joint": _with("elastic_joint", {"mass": 0.01, "frequency": 15.0, "damping": 0.05}),
+    "eddy_brake": Example(
+        {"coulomb": {"F_c": 1.0}, "eddy_brake": {"c": 0.4, "v_0": 1.0}}, ("coulomb", "viscous"), axis="v"
+    ),
+    "hydrodynamic_hump": Example(
+        {"coulomb": {"F_c": 1.0}, "hydrodynamic_hump": {"F": 0.8, "v_s": 0.8}}, ("coulomb", "viscous"), axis="v"
+    ),
     "rate_state_ageing": Example({"rate_state_ageing": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
     "rate_state_slip": Example({"rate_state_slip": CONTACTS} | VISCOUS, ("coulomb", "viscous"), axis="v"),
     "atm2:2": Example(

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from frictrack.effects.path import Path
 from frictrack.records import Array, Mask
 
+Complexes = NDArray[np.complex128]
+
 MAX_SERIES_STEP = 0.1  # step below which the moments of the exponential are summed as a series
 N_SERIES_TERMS = 8  # to 1e-15 there
 MAX_PRECEDING_SAMPLES = 400  # samples of the motion before a path that its states still know
@@ -137,12 +139,12 @@ def direction_changed(path: Path) -> Mask:
 
 
 def follow_target(
-    target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array, starts: Sequence[int]
+    target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array | Complexes, starts: Sequence[int]
 ) -> Array:
     """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
 
     Where the target is `broken` (n,), the first steps are made under the old target, the second under the new one.
-    A state is `begin` (P, k) at the `starts`.
+    A state is `begin` (P, k) at the `starts`. Steps may be complex: the state of an oscillator follows at such a rate.
     """
     before, after = steps
     old = np.vstack([target[:1], target[:-1]])
@@ -174,9 +176,10 @@ def follow_linear(decay: Array, gained: Array, begin: Array, starts: Sequence[in
 
 def _recursion(decay: Array, right: Array) -> Array:
     """u[i] = decay[i] u[i - 1] + right[i], all columns at once."""
-    band = np.ones((2, len(decay)))
+    band = np.ones((2, len(decay)), dtype=decay.dtype)
     band[1, :-1] = -decay[1:]
-    out, _ = scipy.linalg.lapack.dtbtrs(band, right, uplo="L", diag="U")
+    solve = scipy.linalg.lapack.ztbtrs if np.iscomplexobj(decay) else scipy.linalg.lapack.dtbtrs
+    out, _ = solve(band, right, uplo="L", diag="U")
     return np.asarray(out)
 
 
@@ -213,7 +216,7 @@ def _slope_weights(
     A slope is that of the parabola through three samples; where steps are too unlike or the target is broken, the
     slope makes the one at the other end a parabola, and both none.
     """
-    a, b = step[:-1], step[1:]
+    a, b = np.abs(step[:-1]), np.abs(step[1:])
     smooth = ~(broken[:-1] | broken[1:]) & (a < MAX_STEP_RATIO * b) & (b < MAX_STEP_RATIO * a)
     a, b = np.where(smooth, a, 1.0), np.where(smooth, b, 1.0)
     share = np.where(smooth, a / (a + b), 0.0)  # of the step before a sample, in both steps beside it
@@ -221,7 +224,7 @@ def _slope_weights(
     at_left, at_right = np.zeros((2, len(step)))  # 1 where a parabola gives the slope at this end of a step
     at_left[1:], at_right[:-1] = smooth, smooth
     left, right = left - (1 - at_right) * right, right - (1 - at_left) * left
-    preceding, own, following = np.zeros((3, len(step)))
+    preceding, own, following = np.zeros((3, len(step)), dtype=step.dtype)
     preceding[1:] = (rest * b / a) * left[1:]
     own += rise
     own[1:] -= rest * left[1:]
@@ -232,7 +235,7 @@ def _slope_weights(
 
 def _moments(step: Array) -> tuple[Array, Array, Array]:
     """Integrals over theta in (0, 1) of theta^j exp(-step (1 - theta)), j = 0, 1, 2."""
-    small = step < MAX_SERIES_STEP
+    small = np.abs(step) < MAX_SERIES_STEP
     tiny = np.where(small, step, 0.0)
     series = np.ones_like(step)  # of 3 m2, from the innermost bracket outward: 1 - step/4 (1 - step/5 (1 - ...
     for k in range(3 + N_SERIES_TERMS, 3, -1):

@@ -25,11 +25,11 @@ ORDER = (
     ),
     *("spring", "collision", "thermal", "drift", "asymmetry", "slope", "load_modulation", "measured_load"),
     *("viscous_modulation", "drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame", "timebase"),
-    *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen"),
+    *("clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen", "elastic_joint"),
     *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"),
     *("run_in", "heating"),
     *("rolling_shutter", "out_of_plane"),
-    *("elasto_plastic", "rate_state_ageing", "rate_state_slip"),
+    *("elasto_plastic", "maxwell_slip", "rate_state_ageing", "rate_state_slip", "eddy_brake", "hydrodynamic_hump"),
 )
 
 

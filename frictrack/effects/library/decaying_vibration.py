@@ -53,7 +53,8 @@ decaying_vibration = Effect(
     special_cases={"vibration": {"tau": np.inf}},
     what="The blow or push that starts the run sets the beam or course ringing; damping takes it away.",
     looks_like="a line that is strong just after release and gone at the end of the run",
-    mistaken_for="vibration (when the damping is weak), Stribeck effect (when it is gone within a period or two)",
+    mistaken_for="vibration (when the damping is weak), elastic joint (when every run has one jolt), Stribeck effect "
+    "(when it is gone within a period or two)",
     confirm="Release more gently, or wait before release: the ringing follows the blow, a driven vibration does not.",
     plausible=all_of(oscillates, rings),
     invariant="a ringing decays with the time since release, wherever the mass is",

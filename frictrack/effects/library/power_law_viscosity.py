@@ -41,7 +41,7 @@ power_law_viscosity = Effect(
     special_cases={"viscous": {"n": 1.0}, "drag": {"n": 2.0}},
     what="A grease, paste or polymer film thins (n < 1) or thickens (n > 1) as it is sheared.",
     looks_like="a curve against v that bends downward (n < 1) or upward (n > 1), whatever the load",
-    mistaken_for="drag (n = 2) and viscous friction (n = 1), which it contains; log velocity; an eddy-current brake",
+    mistaken_for="drag (n = 2) and viscous friction (n = 1), which it contains; log velocity; an eddy brake",
     confirm="Film runs over a decade of speed, and one with the double mass: the force stays as it is.",
     invariant="power-law viscosity depends on the speed and not on the load",
     settled_by="measure the flow curve of the grease in a rheometer",

@@ -1,0 +1,108 @@
+"""Elastic joint: a part of the mass hangs on a spring, and swings after every jolt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.memory import Complexes, follow_target, last_samples, per_individual, preceding_motion
+from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.plausibility import oscillates
+from frictrack.effects.scans import Span
+from frictrack.number_format import format_number
+from frictrack.records import Array
+
+DAMPINGS = np.array([0.04, 0.2])  # damping ratios worth trying
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Acceleration du/dt of the part on the spring, shape (n, 1): N per kg of it, against the direction of x."""
+    omega, damping = 2 * np.pi * nonlinear["frequency"], nonlinear["damping"]
+    z, u = swing(path, nonlinear["frequency"], damping).T
+    return np.asarray((-(omega**2) * z - 2 * damping * omega * (u - path.v))[:, None])
+
+
+def state(path: Path, nonlinear: Nonlinear) -> Array:
+    """How far the spring is stretched, m, and the velocity of the part on it, m/s, (n, 2)."""
+    return swing(path, nonlinear["frequency"], nonlinear["damping"])
+
+
+def swing(path: Path, frequency: float | Array, damping: float | Array) -> Array:
+    """State (n, 2), z and u, of dz/dt = u - v, du/dt = -omega^2 z - 2 damping omega (u - v).
+
+    With the eigenvalue l of the part on its spring, q = u - conj(l) z obeys dq/dt = -l (v - q): it follows the velocity
+    of the mass at a complex rate.
+    """
+    omega, ratio = (np.broadcast_to(np.asarray(q, dtype=float), path.t.shape) for q in (frequency, damping))
+    omega = 2 * np.pi * omega
+    rate = ratio * omega - 1j * np.sqrt(1 - ratio**2) * omega  # -l
+    starts = list(path.starts)
+    steps = rate * np.diff(path.t, prepend=path.t[:1])
+    steps[starts] = 0.0
+    fresh = np.zeros(len(path.t), dtype=bool)
+    fresh[starts] = True
+    begin = _begin(path, frequency, damping, rate[starts])
+    q = follow_target(path.v[:, None], (np.zeros_like(steps), steps), fresh, begin[:, None], starts)[:, 0]
+    z = -q.imag / rate.imag
+    return np.column_stack([z, q.real - rate.real * z])
+
+
+def _begin(path: Path, frequency: float | Array, damping: float | Array, rate: Complexes) -> Complexes:
+    """State q (P,) in which a path begins.
+
+    Where nothing is known before it, the part was at rest at release, and the mass has kept its first velocity since.
+    """
+    starts = list(path.starts)
+    earlier = preceding_motion(path)
+    if path.begin is not None:
+        z, u = path.begin.T
+    elif earlier is None:
+        return np.asarray(-path.v[starts] * np.expm1(-rate * np.maximum(path.t[starts], 0.0)))
+    else:
+        n = len(earlier.t)
+        all_of_it = swing(earlier, per_individual(frequency, path, n), per_individual(damping, path, n))
+        z, u = all_of_it[last_samples(earlier)].T
+    return np.asarray(u + rate.conj() * z)
+
+
+def frequencies(span: Span) -> Array:
+    """Frequencies worth trying, Hz: half a Rayleigh cell apart, and higher up half the width of a damped line."""
+    cell, width = 0.5 / span.duration, DAMPINGS[0]
+    lowest = max(1.0 / span.duration, 2.0)
+    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
+    knee = min(max(cell / width, lowest), highest)
+    count = int(np.log(highest / knee) / width) + 2
+    return np.unique(np.append(np.arange(lowest, knee, cell), np.geomspace(knee, highest, count)))
+
+
+def describe(effect: EffectInStudy) -> str:
+    """Mass of the part, its frequency, and how fast it comes to rest."""
+    mass, frequency, damping = (effect.value(name) for name in ("mass", "frequency", "damping"))
+    fading = f", down to a third after {format_number(1e3 / (2 * np.pi * frequency * damping))} ms" if damping else ""
+    return f"{format_number(1e3 * mass)} g swing at {format_number(frequency)} Hz{fading}"
+
+
+elastic_joint = Effect(
+    name="elastic_joint",
+    acts_on="force",
+    equation="mass du/dt, du/dt = -(2 pi frequency)^2 z - 4 pi frequency damping (u - v), dz/dt = u - v",
+    parameters=(
+        Parameter("mass", "kg", (0.0, np.inf), linear=True),
+        Parameter("frequency", "Hz", (1e-3, np.inf), scan=frequencies),
+        Parameter("damping", "1", (0.0, 0.99), scan=lambda span: DAMPINGS),
+    ),
+    columns=columns,
+    state=state,
+    memory=True,
+    what="Something soft holds a part of the mass (a weight, a cable, the arm of the target), which swings after a jolt.",
+    looks_like="ringing after every jolt (release, blow, reversal), as strong as the jolt, always beginning alike",
+    mistaken_for="decaying vibration (where every run has one jolt of the same strength); presliding near reversals",
+    confirm="Double the speed of the blow: the ringing doubles. Hold the part fast, or tap it and film it at rest.",
+    plausible=oscillates,
+    invariant="the ringing of a joint follows the jolts of its own mass",
+    settled_by="fasten the part, or film it beside the target",
+    describe=describe,
+    may_pull=True,
+    source="textbook: two masses on a spring; frequency and damping are those of the part while the mass is held fast",
+)
