@@ -94,12 +94,15 @@ def test_three_masses_part_adhesion_from_a_power_of_the_load(name):
     assert (found.verdict, found.missing) == ("missing", [name])
 
 
-def test_a_trial_that_needs_no_scatter_of_the_levels_promises_what_its_fit_gains():
-    """The levels of two masses differ by 0.1, which the model without adhesion takes for their scatter."""
-    runs = runs_with("adhesion", specs=SPEEDS[:6])
+@pytest.mark.parametrize(("name", "start"), [("adhesion", {"F": 1.0}), ("load_exponent", {"excess": -0.02})])
+def test_a_trial_that_needs_no_scatter_of_the_levels_promises_what_its_fit_gains(name, start):
+    """The levels of two masses differ, which the model without the effect takes for their scatter."""
+    runs = runs_with(name, specs=SPEEDS[:6])
     law = linearise(fit(list(LAW), runs).solution)
-    trial = try_together(law, [LIBRARY["adhesion"]], {("adhesion", "F", None): 1.0})
-    fitted = fit([*LAW, "adhesion"], runs).solution
+    own = law.solution.problem.layout
+    taken_up = {(s.effect, s.parameter, s.run): law.solution.p[i] for i, s in enumerate(own.slots) if i in own.levels}
+    trial = try_together(law, [LIBRARY[name]], taken_up | {(name, p, None): value for p, value in start.items()})
+    fitted = fit([*LAW, name], runs).solution
     promised = law.solution.objective - trial.misfit + gain_by_smaller_scatter(law, trial)
     assert law.solution.objective - trial.misfit < 10 < promised
     assert promised == pytest.approx(likelihood_gain(law.solution, fitted), abs=3)

@@ -23,6 +23,7 @@ from frictrack.records import Array
 # times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
 EVENT_PENALTY = 2.0
 ALPHA_SHARED_AMPLITUDE = 0.01  # significance level at which amplitudes per run replace a common one
+MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_STARTS = 4  # grid points of one scan that are refined
 MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
@@ -168,7 +169,8 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
     """Compute what a trial gains if the scatter of the friction levels is estimated beside its effect.
 
     A trial keeps the scatter of the model without the effect. Of an effect that explains why runs differ, that hides
-    nearly all: the levels would need no scatter.
+    nearly all: the levels would need no scatter. The scatter that is left is estimated from the levels, and again from
+    those that it leaves, since levels that may scatter share what runs differ in with the effect.
 
     Parameters
     ----------
@@ -183,16 +185,22 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
         Fall of minus twice the log-likelihood, levels integrated out.
 
     """
-    solution, levels = linearised.solution, trial.p[trial.layout.levels]
+    solution = linearised.solution
     if not solution.levels_are_random:
         return 0.0
-    tau = float(np.clip(np.sqrt(np.mean((levels - 1) ** 2)), *SCATTER_BOUNDS))
-    if tau > MAX_SCATTER_RATIO * solution.tau:
-        return 0.0
-    problem = _projected_problem(linearised, trial.layout, tau)
-    state = problem.refine(problem.at(np.array(trial.p)), steps=SET_STEPS, enough=ROUGH_MIN_FALL)
-    fall = trial.misfit - state.misfit
-    return max(0.0, fall + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau))
+    gain, best, before = 0.0, trial, solution.tau
+    for _ in range(MAX_SCATTER_ESTIMATES):
+        tau = float(np.clip(np.sqrt(np.mean((best.p[best.layout.levels] - 1) ** 2)), *SCATTER_BOUNDS))
+        if tau > MAX_SCATTER_RATIO * before:
+            break
+        problem, p = _projected_problem(linearised, best.layout, tau), np.array(best.p)
+        p[best.layout.levels] = 1.0  # from the trial's own levels, a curved valley leads to this in tiny steps
+        state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL)
+        fall = trial.misfit - state.misfit + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau)
+        if fall <= gain:
+            break
+        gain, best, before = fall, _trial(trial.effect, problem, state), tau
+    return gain
 
 
 def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
