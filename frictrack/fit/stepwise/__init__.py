@@ -10,9 +10,9 @@ from frictrack.fit.stepwise.growth import (
     simulate_trial,
 )
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
+from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY
 from frictrack.fit.stepwise.trial import (
     ALPHA_SHARED_AMPLITUDE,
-    EVENT_PENALTY,
     STRONG_MISFIT_CHI2,
     CandidateTrial,
     baseline_misfit,

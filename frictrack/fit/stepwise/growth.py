@@ -21,13 +21,8 @@ from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, model_without, ties_are_resolved
-from frictrack.fit.stepwise.trial import (
-    EVENT_PENALTY,
-    CandidateTrial,
-    deepen_trials,
-    refine_on_measured_motion,
-    try_effect,
-)
+from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY
+from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
 from frictrack.models import Model
 from frictrack.records import Array
 

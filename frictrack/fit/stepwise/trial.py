@@ -17,28 +17,17 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout, Slot
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
+from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, MIN_GAIN_SHARE, Start, starts_of_scans
 from frictrack.models import Model
 from frictrack.records import Array
 
-# times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
-EVENT_PENALTY = 2.0
 ALPHA_SHARED_AMPLITUDE = 0.01  # significance level at which amplitudes per run replace a common one
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
-MAX_STARTS = 4  # grid points of one scan that are refined
-MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
-MIN_GAIN_SHARE = 0.5  # share of the best gain
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
-ROUGH_STEPS, SET_STEPS, FINAL_STEPS = (
-    4,
-    10,
-    25,
-)  # steps for every grid point, for a set of effects, and for the best two
+ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
 ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fall of a step, share of the misfit
-
-Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
-Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +62,13 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
         The best trial.
 
     """
-    left = linearised.residual_projector(linearised.solution.tau)
     runs = len(linearised.solution.problem.layout.run_names)
     amplitudes = {
         p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth") and is_unconstrained(p)
     }
     shared = effect.single or not has_per_run_coefficients(effect) or runs == 1 or not amplitudes
     free = effect if shared else effect.adjusted(**amplitudes)
-    free_amplitudes = _best_of_starts(
-        linearised, free, [_start_values(linearised, free, picks) for picks in _starts_of_grids(scans, left, data)]
-    )
+    free_amplitudes = _best_of_starts(linearised, free, starts_of_scans(linearised, free, scans, data))
     if shared:
         return free_amplitudes
     limit = free_amplitudes.misfit + float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
@@ -387,85 +373,3 @@ def _with_shared_amplitude(
 def is_unconstrained(p: Parameter) -> bool:
     """Return whether a parameter is free and has no prior."""
     return p.free and p.prior is None
-
-
-def _starts_of_grids(scans: list[CandidateScan], left: Array, data: Array) -> list[list[Pick]]:
-    """Start positions: the best of every grid, or several of a single grid."""
-    if len(scans) > 1:
-        return [[_best_forms(s, left, data, 1)[0] for s in scans]]
-    return [[pick] for pick in _best_forms(scans[0], left, data, MAX_STARTS)]
-
-
-def _best_forms(found: CandidateScan, left: Array, data: Array, most: int) -> list[Pick]:
-    """Best grid points with coefficients within bounds, none within a few steps of a better one."""
-    grid, gains = found.grid, found.gains.copy()
-    steps = np.stack(np.unravel_index(np.arange(len(gains)), grid.shape), axis=1)
-    out: list[Pick] = []
-    while len(out) < most:
-        g = int(np.argmax(gains))
-        if out and not gains[g] > MIN_GAIN_SHARE * out[0][0]:
-            break
-        c = found.coefficients(g, left, data)
-        if np.all((c >= grid.low) & (c <= grid.high)) or not np.any(np.delete(gains, g) > 0):
-            low = np.where(np.isfinite(grid.low), grid.low + 1e-6, -np.inf)
-            out.append((float(found.gains[g]), grid.point(g), np.clip(c, low, grid.high)))
-            gains[np.all(np.abs(steps - steps[g]) <= MIN_GRID_STEPS_APART, axis=1)] = 0.0
-        gains[g] = -1.0
-        if not np.any(gains > 0):
-            break
-    return out
-
-
-def _start_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
-    """Start values of the effect's parameters by (name, run), and the runs in which it is absent."""
-    runs = range(len(linearised.solution.problem.layout.run_names))
-    if effect.single:
-        return _event_values(linearised, effect, picks)
-    _, point, c = picks[0]
-    out: dict[tuple[str, int | None], float] = {}
-    for p in effect.nonlinear:
-        if p.role not in ("phase", "depth"):
-            out |= {(p.name, r): point[p.name] for r in (runs if p.per_run else [None])}
-    if not any(p.role == "phase" and p.free for p in effect.parameters):
-        return out | _scan_coefficients(effect, c, len(runs)), frozenset()
-    size = np.hypot(*c.reshape(-1, 2).T)
-    phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
-    for p in effect.parameters:
-        if p.role == "phase":
-            each = phase
-        elif p.role in ("amplitude", "depth"):
-            each = size if p.per_run else np.mean(size, keepdims=True)
-        else:
-            continue
-        places: list[int | None] = [*runs] if p.per_run else [None]
-        out |= {(p.name, r): float(np.resize(each, len(places))[i]) for i, r in enumerate(places)}
-    return out, frozenset()
-
-
-def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], float]:
-    """Coefficients of a scan without phases, for every run and for all."""
-    amplitudes = [p for p in effect.parameters if p.linear or p.role == "depth"]
-    out: dict[tuple[str, int | None], float] = {}
-    if not amplitudes:  # a modifier without amplitude, such as a lag
-        return out
-    for p, column in zip(amplitudes, c.reshape(-1, len(amplitudes)).T, strict=True):
-        out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}
-        out[p.name, None] = float(np.mean(column))
-    return out
-
-
-def _event_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
-    """Events of single runs: kept where they gain more than their penalty, at least in the best run."""
-    penalty = EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
-    gains = np.array([g for g, _, _ in picks])
-    kept = np.flatnonzero((gains > penalty) | (gains == gains.max()))
-    out: dict[tuple[str, int | None], float] = {}
-    for p in effect.parameters:
-        if p.linear:
-            out |= {(p.name, int(r)): float(picks[r][2][0]) for r in kept}
-        elif p.per_run:
-            out |= {(p.name, int(r)): picks[r][1][p.name] for r in kept}
-        else:
-            out[p.name, None] = picks[int(np.argmax(gains))][1][p.name]
-    absent = frozenset((effect.name, r) for r in range(len(picks)) if r not in kept)
-    return out, absent
