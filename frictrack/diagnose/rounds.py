@@ -15,6 +15,7 @@ from frictrack.diagnose.hypothesis_tests import (
     ScannedCandidate,
     SearchTests,
     lack_of_fit,
+    laws_in_place_of,
     list_candidates,
     run_tests,
 )
@@ -28,12 +29,13 @@ from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
-from frictrack.fit.linearised import LinearisedModel
+from frictrack.fit.linearised import LinearisedModel, candidate_grids, measured_series, scan_candidate
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
     deepen_trials,
+    effect_for_scan,
     gain_by_smaller_scatter,
     refine_to_end,
     simulate_trial,
@@ -220,7 +222,29 @@ def _refine_candidates(
     others = [t for t in trials if tests.p[t.effect.name] >= tests.level]  # not to be added whatever they explain
     if is_beaten(min((t.misfit for t in significant), default=0.0)):
         return _linearised(draws.law, [*significant, *others], tests.p)
-    return simulate_promising(draws.law, solution, significant, tests.p) + _linearised(draws.law, others, tests.p)
+    refined = simulate_promising(draws.law, solution, significant, tests.p)
+    return [*_law_in_place(draws.law, solution, refined), *refined, *_linearised(draws.law, others, tests.p)]
+
+
+def _law_in_place(
+    law: LinearisedModel, solution: Solution, refined: Sequence[RefinedCandidate]
+) -> list[RefinedCandidate]:
+    """The law that stands in place of the best candidate, where it explains decisively more; else none."""
+    best = next((t for t in refined if t.solution is not None and not t.objection), None)
+    if best is None or not (laws := laws_in_place_of(best.effect, solution)):
+        return []
+    series, trials = measured_series(law), []
+    for effect in laws:
+        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(solution, effect))]
+        trials.append(try_effect(law, effect, scans, series.coordinates[:, 0]))
+    assert best.linear_trial is not None
+    own = best.linear_trial[1]
+    least = own.misfit + parameter_penalty(own.layout, solution.problem)
+    ahead = [t for t in trials if t.misfit + parameter_penalty(t.layout, solution.problem) < least]
+    p = {t.effect.name: best.p for t in ahead}  # it was tested through the effect that it stands for
+    tried = simulate_promising(law, solution, ahead, p, min_evidence=best.delta_bic)
+    sure = [t for t in tried if t.solution is not None and not t.objection]
+    return [t for t in sure if t.delta_bic > best.delta_bic + MIN_CHI2_SEPARATED][:1]
 
 
 def run_later_round(

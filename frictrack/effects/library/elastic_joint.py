@@ -94,6 +94,7 @@ elastic_joint = Effect(
     ),
     columns=columns,
     state=state,
+    replaces=frozenset({"decaying_vibration"}),
     memory=True,
     what="A part of the mass (a weight, a cable, the arm of the target) is held softly, and swings after a jolt.",
     looks_like="ringing after every jolt (release, blow, reversal), as strong as the jolt, always beginning alike",
