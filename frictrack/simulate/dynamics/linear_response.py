@@ -32,6 +32,10 @@ class LinearResponse:
         self.panels = panels
         self._a_x, self._a_v = a_x, a_v
 
+    def acceleration(self, dx: Array, dv: Array) -> Array:
+        """Change of the acceleration at the nodes (3 p,), m/s^2, by small changes of position and velocity there."""
+        return self._a_x * dx + self._a_v * dv
+
     def part(self, panels: Panels, nodes: slice) -> LinearResponse:
         """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
         return LinearResponse(panels, self._a_x[nodes], self._a_v[nodes])

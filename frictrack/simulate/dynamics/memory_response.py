@@ -22,6 +22,8 @@ N_FIRST_DIRECTIONS = 16  # that have room at first
 MAX_CANCELLATION = 0.7  # share that remains after orthogonalisation; below it rounding errors are removed once more
 MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
 SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
+CORRECTED_RTOL = 1e-4  # the same of its sum of directions, computed anew
+MAX_CORRECTIONS, MIN_CORRECTION = 3, 0.5  # of this sum, and the share that one leaves at most
 NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
 
 
@@ -115,7 +117,7 @@ class KrylovResponse:
             If the response grows beyond all bounds.
 
         """
-        pairs = [self.solve(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        pairs = [self._solve_exactly(g[:, j], start[:, j]) for j in range(g.shape[1])]
         if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
             raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
         a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
@@ -123,12 +125,33 @@ class KrylovResponse:
 
     def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Compute the change of the motion under one small input; see `LinearResponse.respond_to_one`."""
-        a, edges = self.solve(g, start[:, 0])
+        a, edges = self._solve_exactly(g, start[:, 0])
         return a, edges.T
 
     def edge_states(self, g: Array, start: Array) -> Array:
         """Compute the change of the state at the edges, (p + 1, 2, k), under inputs g (3 p, k) and starts (2, k)."""
         return self.respond(g, start)[1]
+
+    @np.errstate(all="ignore")
+    def _solve_exactly(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Solve for one input, and correct the solution while that helps (iterative refinement).
+
+        Directions of a stiff contact cancel by four decimals, and so multiply the errors of their differences: what
+        the sum of them leaves is computed anew.
+        """
+        a, edges = self.solve(g, start)
+        left = g + self._tangent(a, start) - a
+        tolerance = CORRECTED_RTOL * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+        for _ in range(MAX_CORRECTIONS):
+            size = float(np.linalg.norm(left))
+            if not size > tolerance:
+                break
+            more, more_edges = self.solve(left, np.zeros(2), max(SENSITIVITY_RTOL, tolerance / size))
+            better = g + self._tangent(a + more, start) - a - more
+            if not float(np.linalg.norm(better)) < MIN_CORRECTION * size:
+                break
+            a, edges, left = a + more, edges + more_edges, better
+        return a, edges
 
     @np.errstate(all="ignore")  # a response that grows beyond all bounds becomes NaN
     def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:

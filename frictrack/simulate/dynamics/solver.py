@@ -24,7 +24,8 @@ MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged
 JACOBIAN_REUSE_M = 1e-6  # Newton step below which the linear response is no longer recomputed
 MAX_RATE = 0.1  # of the fall of the error per step, below which the error of the last step is predicted
 RELATIVE_STEP = 1e-7  # of a difference, over the range of x or v: the root of the rounding error, roughly
-DIFFERENCE_STEP = 3e-9  # of a directional difference, over the motion's own size
+FORCE_CHANGE = 1e-4  # by a directional difference, over the largest acceleration: rounding errors are near 1e-13
+MAX_MOTION_CHANGE = 1e-4  # the same, over the motion's own size
 
 MEMORY_TOLERANCE_M = 2e-11  # relative beyond 1 m: a law with memory has a kink at every reversal
 SWEEP_PANELS, MIN_SWEEP_PANELS = 64, 4  # panels per window of a sweep: first try, and fewest
@@ -89,14 +90,16 @@ class _Law:
         """Response about a motion x, v along which the law gives f."""
         if not self.memory:
             return local
-        size = np.array([max(float(np.ptp(x)), 1e-6), max(float(np.max(np.abs(v))), 1e-6)])
+        reach, speed = max(float(np.ptp(x)), 1e-6), max(float(np.max(np.abs(v))), 1e-6)
+        largest = max(float(np.max(np.abs(f))), 1e-6)
 
         def tangent(a: Array, start: Array) -> Array:
             dx, dv, _, _ = self.panels.integrate(a, float(start[0]), float(start[1]))
-            relative_size = max(float(np.max(np.abs(dx))) / size[0], float(np.max(np.abs(dv))) / size[1])
-            if not relative_size > 0:
+            of_motion = max(float(np.max(np.abs(dx))) / reach, float(np.max(np.abs(dv))) / speed)
+            if not of_motion > 0:
                 return np.zeros_like(f)
-            e = DIFFERENCE_STEP / relative_size
+            of_force = float(np.max(np.abs(local.acceleration(dx, dv)))) / largest
+            e = 1.0 / max(of_force / FORCE_CHANGE, of_motion / MAX_MOTION_CHANGE)
             begin = float(self.start[0]) + e * float(start[0]), float(self.start[1]) + e * float(start[1])
             return (self.at(x + e * dx, v + e * dv, begin) - f) / e
 
