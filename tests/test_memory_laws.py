@@ -14,6 +14,7 @@ from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.effects import Path, direction_of_motion, get
 from frictrack.fit import fit
+from frictrack.fit.least_squares import refine
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate
 
@@ -226,3 +227,44 @@ def test_a_law_that_replaces_others_is_no_candidate_of_a_diagnosis(name):
     found = diagnose(fit("coulomb,viscous", [measured(t, slide.x, sigma=1e-6, drive=drive(t))]))
     assert not found.missing
     assert name not in {c.effect for c in found.candidates}
+
+
+@pytest.fixture(scope="module")
+def swung():
+    """A fit of two runs that a drive swings to and fro."""
+    values = {"coulomb": {"F_c": 1.0}, "stribeck": {"F_s": 0.5, "v_s": 0.3, "delta": 1.0}, "viscous": {"F_v": 0.1}}
+    values["presliding"] = {"stiffness": 3e-4, "exponent": 1.0}
+    t, runs = np.arange(400) / 1000, []
+    for i, push in enumerate((2.6, 4.0)):
+
+        def pushed(t, push=push):
+            return push * np.sin(2 * np.pi * 6.0 * t) * (1 - np.exp(-np.asarray(t) / 0.02))
+
+        slide = simulate(models.of(list(values)), values, Conditions(MASS, drive=pushed), t, (0.0, 0.0))
+        rng = np.random.default_rng(i)
+        runs.append(measured(t, slide.x, sigma=1e-6, drive=pushed(t), name=f"r{i}", rng=rng))
+    return values, fit(list(values), runs).solution
+
+
+def test_the_sensitivities_through_reversals_are_the_differences_of_simulations(swung):
+    _, solution = swung
+    problem, p = solution.problem, solution.p
+    assert any(piece.turns for piece in problem.pieces)
+    for i in range(5):
+        step = np.zeros(len(p))
+        step[i] = 1e-4 * p[i]
+        above, below = (problem.evaluate(p + sign * step, solution.starts) for sign in (1, -1))
+        for more, less, here in zip(above, below, solution.responses, strict=True):
+            change = (less.r_full - more.r_full) / 2
+            change -= here.q @ (here.q.T @ change)  # less what another start would do
+            column = here.jac[:, here.active.index(i)] * step[i]
+            assert np.linalg.norm(column - change) < 5e-3 * np.linalg.norm(change)
+
+
+def test_a_fit_through_reversals_ends_where_one_from_the_truth_ends(swung):
+    values, solution = swung
+    truth = np.array(solution.p)
+    truth[:5] = 1.0, 0.5, 0.3, 0.1, values["presliding"]["stiffness"]
+    truth[5:] = 1.0
+    other = refine(solution.problem, truth, solution.starts, max_steps=40)
+    assert solution.objective < other.objective + 0.1
