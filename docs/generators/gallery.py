@@ -180,13 +180,21 @@ def _facts(effect: Effect) -> str:
         ["its size follows", SCALES[effect.scales_with]],
         ["changes", ", ".join(_link(name) for name in sorted(effect.modifies))],
         ["stands in place of", ", ".join(_link(name) for name in sorted(effect.replaces))],
-        ["tried by a diagnosis", "no: add it, and compare the two fits" if effect.replaces else ""],
+        ["tried by a diagnosis", _when_tried(effect)],
         ["needs", plain(" and ".join(NEEDS[need][0] for need in effect.needs))],
         ["remembers", "the motion so far" if effect.memory else ""],
         ["source", plain(effect.source)],
     ]
     symbols = "The equation uses the [symbols](../index.md#symbols) of all effects.\n\n"
     return symbols + table(["property", "value"], [row for row in rows if row[1]])
+
+
+def _when_tried(effect: Effect) -> str:
+    """When a diagnosis tries an effect that stands in place of others."""
+    if not effect.replaces:
+        return ""
+    alone = len(effect.replaces) == 1 and not any(effects.get(name).in_base_law for name in effect.replaces)
+    return "where that one explains most" if alone else "no: add it, and compare the two fits"
 
 
 def _parameters(effect: Effect) -> str:
