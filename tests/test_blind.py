@@ -474,6 +474,12 @@ def test_a_cause_that_the_others_imitate_need_not_be_named():
     assert (two["both"]["hits"], two["wrong_without_doubt"]["hits"]) == (3, 2)
 
 
+def test_a_fault_that_the_law_imitates_is_none_that_the_data_can_show():
+    seen = outcome("one", ("lens",), ("lens",), equivalents={"lens": ("lens",)})
+    fault = tally([seen, replace(seen, equivalents={"lens": ("lens", NOTHING)})])["fault"]["called"]
+    assert (fault["hits"], fault["of"]) == (1, 1)
+
+
 def test_three_causes_are_all_found():
     hidden = ("drag", "texture", "lens")
     rows = [

@@ -112,8 +112,8 @@ def is_reproduced(row: Outcome) -> bool:
 
 
 def is_fault(name: str) -> bool:
-    """Whether an effect is a fault of the measurement."""
-    return effect_named(name).acts_on == "measurement"
+    """Whether an effect is a fault of the measurement; `NOTHING`, in place of an effect, is none."""
+    return name != NOTHING and effect_named(name).acts_on == "measurement"
 
 
 def can_show(row: Outcome) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
@@ -25,7 +27,7 @@ def hump_velocities(span: Span) -> Array:
 
 def describe(effect: EffectInStudy) -> str:
     """Largest force, and the speed at which it acts."""
-    force, speed = effect.value("F") / np.e, effect.value("v_s")
+    force, speed = effect.value("F") / math.e, effect.value("v_s")
     return f"at most {format_number(force)} N, at {format_number(speed)} m/s"
 
 
