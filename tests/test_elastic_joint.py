@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import MASS, measured
+from runs import MASS, measured, study
 from scipy.integrate import solve_ivp
 
 from frictrack import models
@@ -121,6 +121,14 @@ def test_a_joint_is_named_and_its_values_are_found(joint):
         estimate = fitted.parameters[f"elastic_joint.{own}"]
         assert abs(estimate.value - value) < 4 * estimate.std
         assert estimate.std < 0.1 * value
+
+
+def test_a_vibration_with_a_phase_of_its_own_in_every_run_is_no_joint():
+    law = {"coulomb": {"F_c": F_C}, "viscous": {"F_v": F_V}}
+    law["decaying_vibration"] = {"amplitude": 1.0, "frequency": 90.0, "tau": 0.06, "phase": 0.0}
+    runs, _ = study(models.of(list(law)), law, sigma=1e-5)
+    found = diagnose(fit(list(LAW), runs), quick=True)
+    assert (found.verdict, found.missing) == ("missing", ["decaying_vibration"])
 
 
 def test_a_joint_that_a_drive_shakes_is_found():
