@@ -117,7 +117,7 @@ class KrylovResponse:
             If the response grows beyond all bounds.
 
         """
-        pairs = [self._solve_exactly(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        pairs = [self._solve_and_correct(g[:, j], start[:, j]) for j in range(g.shape[1])]
         if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
             raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
         a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
@@ -125,7 +125,7 @@ class KrylovResponse:
 
     def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Compute the change of the motion under one small input; see `LinearResponse.respond_to_one`."""
-        a, edges = self._solve_exactly(g, start[:, 0])
+        a, edges = self._solve_and_correct(g, start[:, 0])
         return a, edges.T
 
     def edge_states(self, g: Array, start: Array) -> Array:
@@ -133,7 +133,7 @@ class KrylovResponse:
         return self.respond(g, start)[1]
 
     @np.errstate(all="ignore")
-    def _solve_exactly(self, g: Array, start: Array) -> tuple[Array, Array]:
+    def _solve_and_correct(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Solve for one input, and correct the solution while that helps (iterative refinement).
 
         Directions of a stiff contact cancel by four decimals, and so multiply the errors of their differences: what
