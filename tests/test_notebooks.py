@@ -120,7 +120,7 @@ def test_notebook_says_which_command_is_missing(tmp_path: Path, monkeypatch: pyt
 PAPERS = {"first_paper": (14, "MGA needs fewer iterations than GA"), "second_paper": (2, "the sine filter improves")}
 STORIES = {
     "ten_minutes": (5, "verdict on Tustin + patch: complete"),
-    "real_data": (1, "missing: presliding"),
+    "real_data": (1, "maxwell_slip       p 0.001"),
     "own_effect": (3, "verdict on Coulomb + viscous + magnet: complete"),
 }
 
