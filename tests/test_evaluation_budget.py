@@ -14,8 +14,8 @@ from runs import BASE, HIDDEN, Spec, study
 from frictrack import effects, models
 from frictrack.cli import main
 from frictrack.diagnose import Diagnosis, diagnose, search_budget
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import RefinedCandidate
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit import fit
 from frictrack.fit.least_squares import refine

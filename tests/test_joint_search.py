@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 import frictrack as ft
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.joint_search import exchange_effects
-from frictrack.diagnose.rounds import RefinedCandidate, run_round
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rounds import run_round
 from frictrack.effects import LIBRARY
 
 joint_search = importlib.import_module("frictrack.diagnose.joint_search")

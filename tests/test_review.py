@@ -9,8 +9,9 @@ import pytest
 from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import effects, models
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.review import _without
-from frictrack.diagnose.rounds import RefinedCandidate, RoundOutcome
+from frictrack.diagnose.rounds import RoundOutcome
 from frictrack.fit import fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.stepwise import add_effect

@@ -11,7 +11,7 @@ from runs import BASE, TOLD, Spec, study
 from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
-from frictrack.diagnose.rounds import RefinedCandidate, _restart_special_case
+from frictrack.diagnose.refined_candidates import RefinedCandidate, _restart_special_case
 from frictrack.effects import LIBRARY
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise

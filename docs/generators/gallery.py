@@ -193,8 +193,8 @@ def _when_tried(effect: Effect) -> str:
     """When a diagnosis tries an effect that stands in place of others."""
     if not effect.replaces:
         return ""
-    alone = len(effect.replaces) == 1 and not any(effects.get(name).in_base_law for name in effect.replaces)
-    return "where that one explains most" if alone else "no: add it, and compare the two fits"
+    tried = any(effect in effects.laws_in_place_of(effects.get(name)) for name in effect.replaces)
+    return "where that one explains most" if tried else "no: add it, and compare the two fits"
 
 
 def _parameters(effect: Effect) -> str:

@@ -12,9 +12,9 @@ from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
-from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
-from frictrack.fit.stepwise import effect_for_scan, rebuild_problem, remove_effect, simulate_trial, try_effect
+from frictrack.fit.stepwise import rebuild_problem, remove_effect, scan_effect, simulate_trial, try_effect
 from frictrack.records import Array
 
 MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
@@ -97,13 +97,11 @@ def _replacements(full: Solution, reduced: Solution, name: str, max_chi2: float 
 
 def _replacement(linearised: LinearisedModel, effect: Effect, tau: float, screen: float) -> Solution | None:
     """The fit with another effect instead of the true one; None if it leaves more than `screen` along the motion."""
-    grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
-    if not grids:
-        return None
     data = measured_series(linearised)
-    trial = try_effect(
-        linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.coordinates[:, 0]
-    )
+    scans = scan_effect(linearised, effect, data)
+    if not scans:
+        return None
+    trial = try_effect(linearised, effect, scans, data.coordinates[:, 0])
     if trial.misfit > screen:
         return None
     extended = simulate_trial(linearised, trial)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.parsimony import explained_shares, nested_models
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.rounds import Round
 from frictrack.diagnose.verdict import Candidate, Importance
 from frictrack.fit.least_squares import Solution
 

@@ -24,11 +24,12 @@ from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.joint_search import AlternativeSet
 from frictrack.diagnose.power import Undetermined, find_undetermined
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.rounds import Round
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis

@@ -79,7 +79,7 @@ class SearchTests:
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
     """List the effects that could enter a model.
 
-    An effect that replaces others, such as LuGre, is another model and no candidate; see `laws_in_place_of`.
+    An effect that replaces others, such as LuGre, is another model and no candidate; see `effects.laws_in_place_of`.
 
     Parameters
     ----------
@@ -114,37 +114,6 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
         else:
             found.append(effect)
     return found, excluded
-
-
-def laws_in_place_of(effect: Effect, solution: Solution) -> list[Effect]:
-    """List the laws that stand in place of one effect alone, and could enter a model instead of it.
-
-    Laws in place of a part of the base law (an eddy-current brake for viscous friction) are for the user to choose.
-
-    Parameters
-    ----------
-    effect
-        A candidate.
-    solution
-        The fitted model, without it.
-
-    Returns
-    -------
-    list of Effect
-
-    Examples
-    --------
-    >>> import frictrack as ft
-    >>> from frictrack.effects import get
-    >>> fit = ft.fit("tustin", ft.samples.runs()[:1])
-    >>> [law.name for law in laws_in_place_of(get("decaying_vibration"), fit.solution)]
-    ['elastic_joint']
-
-    """
-    if effect.in_base_law:
-        return []
-    paths = [p.path for p in solution.problem.pieces]
-    return [e for e in effects.known().values() if e.replaces == {effect.kind} and not e.lacks(paths)]
 
 
 def _missing_tie(effect: Effect, model: Model) -> str:

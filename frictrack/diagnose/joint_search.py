@@ -24,7 +24,8 @@ from frictrack.diagnose.model_selection import (
     information_criterion,
     parameter_penalty,
 )
-from frictrack.diagnose.rounds import RefinedCandidate, Round, RoundOutcome
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rounds import Round, RoundOutcome
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution

@@ -7,7 +7,8 @@ from dataclasses import replace
 from itertools import combinations, pairwise
 
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, information_criterion, parameter_penalty
-from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rounds import Round
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.diagnose.rounds import RefinedCandidate, Round
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rounds import Round
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.number_format import format_number
 from frictrack.records import Array, Mask, Run

@@ -15,8 +15,9 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
 )
 from frictrack.diagnose.effect_description import describe_effect
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.review import review_found
-from frictrack.diagnose.rounds import RefinedCandidate, RoundOutcome
+from frictrack.diagnose.rounds import RoundOutcome
 from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction

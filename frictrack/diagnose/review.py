@@ -7,16 +7,17 @@ from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
 from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, MIN_CHI2_SEPARATED, information_criterion
+from frictrack.diagnose.refined_candidates import RefinedCandidate, simulate_promising
 from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import Notify, RefinedCandidate, RoundOutcome, simulate_promising
+from frictrack.diagnose.rounds import Notify, RoundOutcome
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import CandidateScan, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised import CandidateScan, linearise, measured_series
 from frictrack.fit.stepwise import (
     deepen_trials,
-    effect_for_scan,
     remove_effect,
+    scan_effect,
     simulate_trial,
     try_effect,
     try_known_effect,
@@ -223,7 +224,7 @@ def _alternatives(
         if rest.problem.budget.stops():
             break
         e = old.effect if effect.kind == old.effect.kind else effect
-        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
+        scans = scan_effect(law, e, series)
         if _may_reach(e, scans, min_evidence):
             trials.append(try_effect(law, e, scans, data))
             if known is not None and e is old.effect:  # where it was, it explains something already

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, MIN_CHI2_SEPARATED, expected_separation
-from frictrack.diagnose.rounds import RefinedCandidate
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.fit.linearised import LinearisedModel
 from frictrack.fit.stepwise import CandidateTrial, misfit_left_by_other
 from frictrack.fit.uncertainty import dispersion

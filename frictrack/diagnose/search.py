@@ -22,9 +22,10 @@ from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
+from frictrack.diagnose.refined_candidates import RefinedCandidate, refine_fully
 from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import RefinedCandidate, Round, refine_fully, run_later_round, run_round
+from frictrack.diagnose.rounds import Round, run_later_round, run_round
 from frictrack.diagnose.search_budget import describe_cut, search_budget
 from frictrack.diagnose.smooth_forces import forces_of
 from frictrack.diagnose.subsampling import subsample_frames

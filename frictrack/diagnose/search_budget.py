@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from frictrack.diagnose.rounds import RefinedCandidate
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares import LeastSquaresProblem
 

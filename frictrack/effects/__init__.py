@@ -16,7 +16,7 @@ from frictrack.effects.in_study import (
 )
 from frictrack.effects.memory import direction_of_motion
 from frictrack.effects.path import Nonlinear, Path, joined_earlier
-from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, order
+from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, laws_in_place_of, order
 from frictrack.effects.scans import Span, Within, frequencies, spatial_periods
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
 from frictrack.effects.transfer import carries_over, scales_with_load
@@ -58,6 +58,7 @@ __all__ = [
     "is_library",
     "joined_earlier",
     "known",
+    "laws_in_place_of",
     "order",
     "read_settings",
     "scales_with_load",

@@ -59,6 +59,20 @@ def preceding_motion(path: Path) -> Path | None:
     return Path(t, x, v, s, starts=starts)
 
 
+def state_at_beginning(path: Path, unknown: Array, state_of: Callable[..., Array], *values: float | Array) -> Array:
+    """State (P, k) in which a path begins: as it is given, or as the motion before has left it; else `unknown` (P, k).
+
+    `state_of(path, *values)` is the state at every sample, (n,) or (n, k), for values of the parameters.
+    """
+    if path.begin is not None:
+        return path.begin
+    earlier = preceding_motion(path)
+    if earlier is None:
+        return unknown
+    lasting = state_of(earlier, *(per_individual(value, path, len(earlier.t)) for value in values))
+    return np.reshape(lasting[last_samples(earlier)], unknown.shape)
+
+
 @dataclass(frozen=True)
 class DirectionStretches:
     """A path of n samples cut into q stretches of one direction.

@@ -115,6 +115,32 @@ def _parse_count(text: str, highest: int) -> int | None:
     return found if 1 <= found <= highest else None
 
 
+def laws_in_place_of(effect: Effect) -> list[Effect]:
+    """Return the laws that stand in place of one effect alone.
+
+    Laws in place of a part of the base law (an eddy-current brake for viscous friction) are for the user to choose.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+
+    Returns
+    -------
+    list of Effect
+        Of the library and of those declared in Python.
+
+    Examples
+    --------
+    >>> [law.name for law in laws_in_place_of(get("presliding"))]
+    ['elasto_plastic', 'maxwell_slip']
+    >>> laws_in_place_of(get("viscous"))
+    []
+
+    """
+    return [] if effect.in_base_law else [e for e in known().values() if e.replaces == {effect.kind}]
+
+
 def catalogue(extra: Iterable[Effect] = ()) -> list[dict[str, Any]]:
     """Return every effect as JSON: what the command `frictrack effects` prints.
 

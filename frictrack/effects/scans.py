@@ -51,11 +51,15 @@ class Within:
         return np.unique(np.clip(grid, low, high))
 
 
-def frequencies(span: Span) -> Array:
-    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart, at least one period in the longest run."""
+def frequency_range(span: Span) -> tuple[float, float]:
+    """Lowest and highest frequency worth trying, Hz: at least one period in the longest run, five frames per period."""
     lowest = max(1.0 / span.duration, 2.0)
-    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
-    return np.arange(lowest, highest, 0.25 / span.duration)
+    return lowest, max(min(0.2 * span.fps, 600.0), 2 * lowest)
+
+
+def frequencies(span: Span) -> Array:
+    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart."""
+    return np.arange(*frequency_range(span), 0.25 / span.duration)
 
 
 def log_grid(low: float, high: float, per_decade: int) -> Array:
@@ -75,6 +79,11 @@ def stribeck_velocities(span: Span, low: float = 0.02, per_decade: int = 8) -> A
     if span.v_max < MAX_SPEED_SLOW_MACHINE:
         return log_grid(max(span.v_min / 6, span.v_max / 100), 2 * span.v_max, per_decade)
     return log_grid(min(max(low, span.v_min / 6), 1.0), 2.0, per_decade)
+
+
+def bend_velocities(span: Span, above: float = 2.0) -> Array:
+    """Return velocities at which a law may bend, m/s, up to `above` times the fastest seen: beyond, it is a line."""
+    return log_grid(max(span.v_min / 3, span.v_max / 30), above * span.v_max, 4)
 
 
 def breakaway_lengths(span: Span) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.memory import direction_stretches, last_samples, per_individual, preceding_motion
+from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span, breakaway_lengths
 from frictrack.number_format import format_length, format_number
@@ -51,19 +51,9 @@ def bending(path: Path, gamma: float | Array, ratio: float | Array) -> Array:
     def leave(k: int, y: float) -> float:
         return _bent(y, whole[k], low[k], high[k])
 
-    entered = cut.entered(_begin(path, gamma, ratio), leave)
+    unknown = np.zeros((len(path.starts), 1))
+    entered = cut.entered(state_at_beginning(path, unknown, bending, gamma, ratio)[:, 0], leave)
     return np.asarray(cut.way * _bent_arrays(entered[cut.which], cut.slid, below, above))
-
-
-def _begin(path: Path, gamma: float | Array, ratio: float | Array) -> Array:
-    """State w (P,) in which a path begins."""
-    if path.begin is not None:
-        return path.begin[:, 0]
-    earlier = preceding_motion(path)
-    if earlier is None:
-        return np.zeros(len(path.starts))
-    n = len(earlier.t)
-    return bending(earlier, per_individual(gamma, path, n), per_individual(ratio, path, n))[last_samples(earlier)]
 
 
 def _bent(y: float, slid: float, low: float, high: float) -> float:

@@ -8,7 +8,7 @@ from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, rings
-from frictrack.effects.scans import Span
+from frictrack.effects.scans import Span, frequency_range
 from frictrack.effects.waves import ScanWave, wave
 from frictrack.number_format import format_number
 from frictrack.records import Array
@@ -22,9 +22,7 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 def frequencies(span: Span) -> Array:
     """Frequencies worth trying, Hz: half a Rayleigh cell apart, as a line that dies away is a wide one."""
-    lowest = max(1.0 / span.duration, 2.0)
-    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
-    return np.arange(lowest, highest, 0.5 / span.duration)
+    return np.arange(*frequency_range(span), 0.5 / span.duration)
 
 
 def decays(span: Span) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
+from frictrack.effects.scans import bend_velocities
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -15,11 +15,6 @@ from frictrack.records import Array
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Return v/(1 + (v/v_0)^2), shape (n, 1): N per N s/m of c."""
     return np.asarray((path.v / (1 + (path.v / nonlinear["v_0"]) ** 2))[:, None])
-
-
-def critical_velocities(span: Span) -> Array:
-    """Critical velocities worth trying, m/s: far above all speeds, the brake is viscous friction."""
-    return log_grid(max(span.v_min / 3, span.v_max / 30), 2 * span.v_max, 4)
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -34,7 +29,7 @@ eddy_brake = Effect(
     equation="c v/(1 + (v/v_0)^2)",
     parameters=(
         Parameter("c", "N s/m", (0.0, np.inf), linear=True, passive=True),
-        Parameter("v_0", "m/s", (1e-9, np.inf), scan=critical_velocities),
+        Parameter("v_0", "m/s", (1e-9, np.inf), scan=bend_velocities),
     ),
     columns=columns,
     varies_with="v",

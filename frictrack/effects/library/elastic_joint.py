@@ -6,10 +6,10 @@ import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.memory import Complexes, follow_target, last_samples, per_individual, preceding_motion
+from frictrack.effects.memory import Complexes, follow_target, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import Span
+from frictrack.effects.scans import Span, frequency_range
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -42,35 +42,24 @@ def swing(path: Path, frequency: float | Array, damping: float | Array) -> Array
     steps[starts] = 0.0
     fresh = np.zeros(len(path.t), dtype=bool)
     fresh[starts] = True
-    begin = _begin(path, frequency, damping, rate[starts])
+    # where nothing is known before, the part was at rest at release, and the mass has kept its first velocity since
+    unknown = -path.v[starts] * np.expm1(-rate[starts] * np.maximum(path.t[starts], 0.0))
+    z, u = state_at_beginning(path, _stretch_and_velocity(unknown, rate[starts]), swing, frequency, damping).T
+    begin = u + rate[starts].conj() * z
     q = follow_target(path.v[:, None], (np.zeros_like(steps), steps), fresh, begin[:, None], starts)[:, 0]
+    return _stretch_and_velocity(q, rate)
+
+
+def _stretch_and_velocity(q: Array | Complexes, rate: Complexes) -> Array:
+    """State (n, 2), z and u, of q = u + conj(rate) z."""
     z = -q.imag / rate.imag
     return np.column_stack([z, q.real - rate.real * z])
-
-
-def _begin(path: Path, frequency: float | Array, damping: float | Array, rate: Complexes) -> Complexes:
-    """State q (P,) in which a path begins.
-
-    Where nothing is known before it, the part was at rest at release, and the mass has kept its first velocity since.
-    """
-    starts = list(path.starts)
-    earlier = preceding_motion(path)
-    if path.begin is not None:
-        z, u = path.begin.T
-    elif earlier is None:
-        return np.asarray(-path.v[starts] * np.expm1(-rate * np.maximum(path.t[starts], 0.0)))
-    else:
-        n = len(earlier.t)
-        all_of_it = swing(earlier, per_individual(frequency, path, n), per_individual(damping, path, n))
-        z, u = all_of_it[last_samples(earlier)].T
-    return np.asarray(u + rate.conj() * z)
 
 
 def frequencies(span: Span) -> Array:
     """Frequencies worth trying, Hz: half a Rayleigh cell apart, and higher up half the width of a damped line."""
     cell, width = 0.5 / span.duration, DAMPINGS[0]
-    lowest = max(1.0 / span.duration, 2.0)
-    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
+    lowest, highest = frequency_range(span)
     knee = min(max(cell / width, lowest), highest)
     count = int(np.log(highest / knee) / width) + 2
     return np.unique(np.append(np.arange(lowest, knee, cell), np.geomspace(knee, highest, count)))

@@ -10,7 +10,7 @@ import numpy as np
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
-from frictrack.effects.memory import direction_stretches, last_samples, per_individual, preceding_motion
+from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.number_format import format_number
@@ -50,24 +50,14 @@ def elastoplastic_bending(path: Path, length: float | Array, share: float | Arra
     def leave(k: int, w: float) -> float:
         return float(_bent(np.array([w]), np.array([whole[k]]), at[k])[0])
 
-    entered = cut.entered(_begin(path, length, share), leave)[cut.which]
+    unknown = path.s[list(path.starts), None]
+    begin = state_at_beginning(path, unknown, elastoplastic_bending, length, share)[:, 0]
+    entered = cut.entered(begin, leave)[cut.which]
     slid, out = cut.slid / lengths, np.empty(len(path.t))
     for value in np.unique(shares):
         own = shares == value
         out[own] = _bent(entered[own], slid[own], float(value))
     return np.asarray(cut.way * out)
-
-
-def _begin(path: Path, length: float | Array, share: float | Array) -> Array:
-    """State w (P,) in which a path begins."""
-    if path.begin is not None:
-        return path.begin[:, 0]
-    earlier = preceding_motion(path)
-    if earlier is None:
-        return path.s[list(path.starts)]
-    n = len(earlier.t)
-    lasting = elastoplastic_bending(earlier, per_individual(length, path, n), per_individual(share, path, n))
-    return lasting[last_samples(earlier)]
 
 
 def _bent(w: Array, slid: Array, share: float) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
+from frictrack.effects.scans import bend_velocities
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -16,11 +16,6 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """-L s u/(1 + u), u = |v|/v_w, shape (n, 1): N per N of dF."""
     u = path.speed / nonlinear["v_w"]
     return -(path.load * path.s * u / (1 + u))[:, None]
-
-
-def weakening_velocities(span: Span) -> Array:
-    """Weakening velocities worth trying, m/s: far below the slowest speed the fall is over, far above it is linear."""
-    return log_grid(max(span.v_min / 3, span.v_max / 30), 3 * span.v_max, 4)
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -35,7 +30,7 @@ flash_weakening = Effect(
     equation="-dF L s (|v|/v_w)/(1 + |v|/v_w)",
     parameters=(
         Parameter("dF", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("v_w", "m/s", (1e-9, np.inf), scan=weakening_velocities),
+        Parameter("v_w", "m/s", (1e-9, np.inf), scan=lambda span: bend_velocities(span, 3.0)),
     ),
     columns=columns,
     varies_with="v",

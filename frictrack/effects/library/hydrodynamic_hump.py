@@ -9,7 +9,7 @@ import numpy as np
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
+from frictrack.effects.scans import bend_velocities
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -18,11 +18,6 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s u exp(-u), u = |v|/v_s, shape (n, 1): N per N of F."""
     u = path.speed / nonlinear["v_s"]
     return np.asarray((path.load * path.s * u * np.exp(-u))[:, None])
-
-
-def hump_velocities(span: Span) -> Array:
-    """Velocities of the maximum worth trying, m/s."""
-    return log_grid(max(span.v_min / 3, span.v_max / 30), 2 * span.v_max, 4)
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -37,7 +32,7 @@ hydrodynamic_hump = Effect(
     equation="F L s (|v|/v_s) exp(-|v|/v_s)",
     parameters=(
         Parameter("F", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("v_s", "m/s", (1e-9, np.inf), scan=hump_velocities),
+        Parameter("v_s", "m/s", (1e-9, np.inf), scan=bend_velocities),
     ),
     columns=columns,
     varies_with="v",

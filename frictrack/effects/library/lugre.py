@@ -10,11 +10,9 @@ from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.memory import (
     direction_changed,
     follow_target,
-    last_samples,
     mean_per_step,
-    per_individual,
-    preceding_motion,
     slid_per_step,
+    state_at_beginning,
 )
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span, breakaway_lengths, stribeck_velocities
@@ -33,9 +31,14 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
 
 
+def _bending(path: Path, length: float | Array, *curve: float | Array) -> Array:
+    """Bending of the bristles over F_c, (n,)."""
+    return _bristles(path, length, curve)[0]
+
+
 def state(path: Path, nonlinear: Nonlinear) -> Array:
     """Bending of the bristles over F_c, (n, 1)."""
-    return _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])[0][:, None]
+    return _bending(path, *(nonlinear[name] for name in ("sigma_0", "F_s", "v_s", "delta")))[:, None]
 
 
 def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array]) -> tuple[Array, Array]:
@@ -46,11 +49,7 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     broken, starts = direction_changed(path), list(path.starts)
     between = mean_per_step(1 / gamma, np.where(broken, 0.0, after), broken) / length
     target = (path.s * gamma)[:, None]
-    earlier, begin = preceding_motion(path), target[starts] if path.begin is None else path.begin
-    if earlier is not None:
-        n = len(earlier.t)
-        lasting, _ = _bristles(earlier, per_individual(length, path, n), [per_individual(q, path, n) for q in curve])
-        begin = lasting[last_samples(earlier), None]
+    begin = state_at_beginning(path, target[starts], _bending, length, *curve)
     w = follow_target(target, (before * between, after * between), broken, begin, starts)
     return w[:, 0], gamma
 

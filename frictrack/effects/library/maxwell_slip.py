@@ -7,13 +7,7 @@ import numpy as np
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
-from frictrack.effects.memory import (
-    DirectionStretches,
-    direction_stretches,
-    last_samples,
-    per_individual,
-    preceding_motion,
-)
+from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.number_format import format_number
@@ -43,8 +37,9 @@ def element_bendings(path: Path, length: float | Array, spread: float | Array) -
     springs, fully bent where nothing is known of it, and unbent where it begins at rest (s = 0).
     """
     cut, lengths = direction_stretches(path), slip_lengths(length, spread)
-    each = [_bending(cut, own, begin) for own, begin in zip(lengths, _begin(path, length, spread).T, strict=True)]
-    return np.column_stack(each)
+    unknown = np.repeat(path.s[list(path.starts), None], N_ELEMENTS, axis=1)
+    begins = state_at_beginning(path, unknown, element_bendings, length, spread).T
+    return np.column_stack([_bending(cut, own, begin) for own, begin in zip(lengths, begins, strict=True)])
 
 
 def slip_lengths(length: float | Array, spread: float | Array) -> Array:
@@ -62,18 +57,6 @@ def _bending(cut: DirectionStretches, length: Array, begin: Array) -> Array:
     whole = (cut.whole / lengths[cut.first]).tolist()
     entered = cut.entered(begin, lambda k, y: min(y + whole[k], 1.0))
     return cut.way * np.minimum(entered[cut.which] + cut.slid / lengths, 1.0)
-
-
-def _begin(path: Path, length: float | Array, spread: float | Array) -> Array:
-    """Bendings (P, N_ELEMENTS) with which a path begins."""
-    if path.begin is not None:
-        return path.begin
-    earlier = preceding_motion(path)
-    if earlier is None:
-        return np.repeat(path.s[list(path.starts), None], N_ELEMENTS, axis=1)
-    n = len(earlier.t)
-    lasting = element_bendings(earlier, per_individual(length, path, n), per_individual(spread, path, n))
-    return lasting[last_samples(earlier)]
 
 
 def describe(effect: EffectInStudy) -> str:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.memory import direction_stretches, last_samples, per_individual, preceding_motion
+from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.records import Array
@@ -39,19 +39,10 @@ def bending(path: Path, length: float | Array, exponent: float | Array) -> Array
     def leave(k: int, w: float) -> float:
         return 1.0 - _left(1.0 - w, whole[k], powers[k])
 
-    entered = cut.entered(_begin(path, length, exponent), leave)
+    unknown = path.s[list(path.starts), None]
+    begin = state_at_beginning(path, unknown, bending, length, exponent)[:, 0]
+    entered = cut.entered(begin, leave)
     return np.asarray(cut.way * (1.0 - _left_arrays(1.0 - entered[cut.which], cut.slid / unit, power)))
-
-
-def _begin(path: Path, length: float | Array, exponent: float | Array) -> Array:
-    """State w (P,) in which a path begins."""
-    if path.begin is not None:
-        return path.begin[:, 0]
-    earlier = preceding_motion(path)
-    if earlier is None:
-        return path.s[list(path.starts)]
-    n = len(earlier.t)
-    return bending(earlier, per_individual(length, path, n), per_individual(exponent, path, n))[last_samples(earlier)]
 
 
 def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

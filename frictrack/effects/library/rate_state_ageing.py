@@ -6,7 +6,7 @@ import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.memory import follow_linear, last_samples, per_individual, preceding_motion, slid_per_step
+from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.number_format import format_length, format_number
@@ -44,20 +44,10 @@ def contact_age(path: Path, length: float | Array, v_0: float | Array) -> Array:
     at, mean = speed - (speed - before) * back, (speed + before) / 2
     ratio = np.where(mean > 0, mean / np.maximum(at, 1e-3 * mean + 1e-300), 1.0)
     gained = v_0s / lengths * dt * -np.expm1(-step) / step * ratio
-    return follow_linear(np.exp(-step), gained, _begin(path, length, v_0), path.starts)
-
-
-def _begin(path: Path, length: float | Array, v_0: float | Array) -> Array:
-    """State (P,) in which a path begins."""
-    if path.begin is not None:
-        return path.begin[:, 0]
-    earlier = preceding_motion(path)
-    if earlier is None:
-        starts = list(path.starts)
-        reference = np.broadcast_to(np.asarray(v_0, dtype=float), path.t.shape)[starts]
-        return np.asarray(reference / np.maximum(np.abs(path.v[starts]), reference))
-    n = len(earlier.t)
-    return contact_age(earlier, per_individual(length, path, n), per_individual(v_0, path, n))[last_samples(earlier)]
+    starts = list(path.starts)
+    steady = v_0s[starts] / np.maximum(speed[starts], v_0s[starts])
+    begin = state_at_beginning(path, steady[:, None], contact_age, length, v_0)[:, 0]
+    return follow_linear(np.exp(-step), gained, begin, starts)
 
 
 def describe(effect: EffectInStudy) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.library.rate_state_ageing import REFERENCE_SPEED, describe
-from frictrack.effects.memory import follow_target, last_samples, per_individual, preceding_motion, slid_per_step
+from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
 from frictrack.records import Array
@@ -30,12 +30,7 @@ def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
     starts, slid = list(path.starts), np.sum(slid_per_step(path), axis=0) / length
     fresh = np.zeros(len(path.t), dtype=bool)
     fresh[starts] = True
-    begin = target[starts] if path.begin is None else path.begin
-    earlier = preceding_motion(path)
-    if earlier is not None:
-        n = len(earlier.t)
-        lasting = _logarithm(earlier, per_individual(length, path, n), per_individual(v_0, path, n))
-        begin = lasting[last_samples(earlier), None]
+    begin = state_at_beginning(path, target[starts], _logarithm, length, v_0)
     return follow_target(target, (np.zeros_like(slid), slid), fresh, begin, starts)[:, 0]
 
 

@@ -10,7 +10,7 @@ from frictrack.fit.stepwise.growth import (
     simulate_trial,
 )
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY
+from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, scan_effect
 from frictrack.fit.stepwise.trial import (
     ALPHA_SHARED_AMPLITUDE,
     STRONG_MISFIT_CHI2,
@@ -45,6 +45,7 @@ __all__ = [
     "remove_effect",
     "reorder_effects",
     "reversed_ties",
+    "scan_effect",
     "simulate_trial",
     "ties_are_resolved",
     "try_effect",

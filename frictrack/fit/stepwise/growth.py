@@ -17,11 +17,11 @@ from frictrack.fit.least_squares import (
     refine,
     refit_with_scatter,
 )
-from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
-from frictrack.fit.stepwise.order import effect_for_scan, entry_order, model_without, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY
+from frictrack.fit.stepwise.order import entry_order, model_without, ties_are_resolved
+from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, scan_effect
 from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
 from frictrack.models import Model
 from frictrack.records import Array
@@ -108,13 +108,11 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
 def _add_effect(solution: Solution, effect: Effect) -> Solution:
     """Add an effect where it explains most along the measured motion, and refine as far as a trial needs."""
     linearised = linearise(solution)
-    made = candidate_grids(linearised, effect_for_scan(solution, effect))
-    if not made:
-        raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
     series = measured_series(linearised)
-    trial = try_effect(
-        linearised, effect, [scan_candidate(linearised, f, series) for f in made], series.coordinates[:, 0]
-    )
+    scans = scan_effect(linearised, effect, series)
+    if not scans:
+        raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
+    trial = try_effect(linearised, effect, scans, series.coordinates[:, 0])
     return simulate_trial(linearised, deepen_trials(linearised, [trial])[0])
 
 

@@ -1,11 +1,12 @@
-"""Start values of an effect from its scans: the best grid points, with their coefficients."""
+"""Scan an effect beside a fitted model, and take start values from the best grid points, with their coefficients."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.linearised import CandidateScan, LinearisedModel
+from frictrack.fit.linearised import CandidateScan, LinearisedModel, ScannedSeries, candidate_grids, scan_candidate
+from frictrack.fit.stepwise.order import effect_for_scan
 from frictrack.records import Array
 
 # times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
@@ -17,6 +18,28 @@ MIN_GAIN_SHARE = 0.5  # share of the best gain
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 # values by parameter and run (None for all runs), and (effect, run) where the effect is absent
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
+
+
+def scan_effect(linearised: LinearisedModel, effect: Effect, series: ScannedSeries) -> list[CandidateScan]:
+    """Scan an effect beside a fitted model; none if the runs lack what it needs.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The fitted model.
+    effect : Effect
+        The candidate.
+    series : ScannedSeries
+        What it is fitted to, such as `measured_series(linearised)`.
+
+    Returns
+    -------
+    list of CandidateScan
+        One, or one of every run for an event of single runs.
+
+    """
+    grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
+    return [scan_candidate(linearised, grid, series) for grid in grids]
 
 
 def starts_of_scans(
