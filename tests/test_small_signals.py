@@ -92,7 +92,7 @@ def test_a_fit_that_falls_short_of_the_critical_value_does_not_pass(at_the_limit
     gain = likelihood_gain(tested.solution, t.law)
     extra = [parameter_penalty(s.problem.layout, s.problem) for s in (tested.solution, t.law)]
     assert gain == pytest.approx(t.delta_bic + extra[1] - extra[0])
-    harder = replace(tested.tests, critical=gain + 40.0)
+    harder = replace(tested.tests, null=tested.tests.null + gain + 40.0)
     assert not is_confirmed(harder, tested.solution, t.law, t.effect)
     assert "vibration" not in {c.effect.name for c in replace(tested, tests=harder).passing}
 

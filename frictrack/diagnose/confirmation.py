@@ -14,7 +14,8 @@ from frictrack.diagnose.hypothesis_tests import SearchTests
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Solution
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, EVENT_PENALTY
 
 
@@ -40,17 +41,27 @@ def is_confirmed(tests: SearchTests, bare: Solution, fitted: Solution, effect: E
     needed = next((s.quantile for s in tests.scanned if s.effect.name == effect.name), None)
     if needed is None:
         return False
-    gain = likelihood_gain(bare, fitted) - _event_penalty(fitted, effect)
+    gain = likelihood_gain(bare, fitted) - event_penalty(fitted.problem, fitted.problem.layout, effect)
     return gain > needed + tests.critical - _loss_by_shared_amplitude(fitted, effect)
 
 
-def _event_penalty(fitted: Solution, effect: Effect) -> float:
-    """Penalty that a scan subtracts for events in single runs."""
+def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect: Effect) -> float:
+    """Return the penalty that a scan subtracts for the events of an effect in single runs.
+
+    Parameters
+    ----------
+    problem
+        The runs.
+    layout
+        A model of them with the effect.
+    effect
+        The effect.
+
+    """
     if not effect.single:
         return 0.0
-    runs = {p.run for p in fitted.problem.pieces}
-    events = sum((effect.name, run) not in fitted.problem.layout.absent for run in runs)
-    return events * EVENT_PENALTY * float(np.log(fitted.problem.n_frames))
+    events = sum((effect.name, run) not in layout.absent for run in {p.run for p in problem.pieces})
+    return events * EVENT_PENALTY * float(np.log(problem.n_frames))
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:

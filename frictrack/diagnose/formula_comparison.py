@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from frictrack.axes import AXES
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
@@ -27,7 +27,6 @@ from frictrack.number_format import format_probability
 
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
 MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.05, 0.95
-MAX_DELTA_BIC_EQUAL = 6.0  # within which two models explain equally (Kass & Raftery 1995)
 
 
 def compare_with_formulas(
@@ -59,14 +58,14 @@ def compare_with_formulas(
     """
     start = forces.solution
     evidence = information_criterion(start) - information_criterion(found)
-    if not _is_worth_searching(forces, found, repeats, evidence - MAX_DELTA_BIC_EQUAL):
+    if not _is_worth_searching(forces, found, repeats, evidence - MAX_BIC_EQUAL):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
     if not unexplained.formulas.entries:
         return None
     first = unexplained.formulas.entries[0]
     advantage = first["delta_bic"] - evidence
-    if advantage < -MAX_DELTA_BIC_EQUAL:
+    if advantage < -MAX_BIC_EQUAL:
         return None
     log_odds = advantage / 2 - np.log(first["probability"]) + _log_prior_odds(unexplained.summary["axes"])
     probability = float(expit(log_odds))

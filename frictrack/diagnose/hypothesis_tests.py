@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct
@@ -60,10 +61,8 @@ class SearchTests:
         p-value of the lack-of-fit test.
     scanned
         The scanned candidates.
-    p
-        p-value of every candidate.
-    critical
-        Excess that a search exceeds by chance with probability `level`.
+    null
+        Largest excess of any candidate in every draw of the null hypothesis, (D - 1,).
     level
         Significance level of each of the two tests: lack of fit, and all candidates together.
 
@@ -71,9 +70,28 @@ class SearchTests:
 
     p_lack_of_fit: float
     scanned: list[ScannedCandidate]
-    p: dict[str, float]
-    critical: float
+    null: Array
     level: float
+
+    @cached_property
+    def p(self) -> dict[str, float]:
+        """p-value of every candidate."""
+        return {s.effect.name: _p_value(self.null, s.excess[0]) for s in self.scanned}
+
+    @property
+    def critical(self) -> float:
+        """Excess that a search exceeds by chance with probability `level`."""
+        return float(np.quantile(self.null, 1 - self.level))
+
+    @property
+    def something_is_missing(self) -> bool:
+        """Whether the lack of fit or any candidate is significant."""
+        return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
+
+    def p_of_gain(self, name: str, gain: float) -> float:
+        """p-value of a gain of chi-squared by the candidate of a name."""
+        quantile = next(s.quantile for s in self.scanned if s.effect.name == name)
+        return _p_value(self.null, gain - quantile)
 
 
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
@@ -164,14 +182,7 @@ def run_tests(
     """
     scanned = _scan(solution, draws, library)
     max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.residuals.shape[1])
-    p = {s.effect.name: _p_value(max_excess[1:], s.excess[0]) for s in scanned}
-    return SearchTests(
-        p_lack_of_fit=lack_of_fit(draws),
-        scanned=scanned,
-        p=p,
-        critical=float(np.quantile(max_excess[1:], 1 - level)),
-        level=level,
-    )
+    return SearchTests(lack_of_fit(draws), scanned, max_excess[1:], level)
 
 
 def _scan(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> list[ScannedCandidate]:

@@ -10,6 +10,7 @@ from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
+MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
 MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Raftery 1995)
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, MIN_CHI2_SEPARATED, expected_separation
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MAX_CHI2_NEAR, MIN_CHI2_SEPARATED, expected_separation
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.fit.linearised import LinearisedModel
 from frictrack.fit.stepwise import CandidateTrial, misfit_left_by_other
@@ -12,12 +12,14 @@ from frictrack.fit.uncertainty import dispersion
 
 
 def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> tuple[str, ...]:
-    """Find the effects whose best fit to the predictions of `best` differs by less than `MIN_CHI2_SEPARATED`.
+    """Find the effects that may be the cause in place of the best one.
 
-    An effect that needs decisively more parameters (an amplitude per run) is no equal explanation. Neither is one that
-    contains the best one as a special case: it predicts the same data whatever these are, with more parameters. A rival
-    need not be significant by itself: the true cause may be less significant than its imitation. An effect that was
-    promising but not refined, because the budget was spent, counts as a rival: how much it explains is not known.
+    They explain the runs about as well (BIC within `MAX_BIC_EQUAL`), or their best fit to the predictions of `best`
+    differs by less than `MIN_CHI2_SEPARATED`. An effect that needs decisively more parameters (an amplitude per run) is
+    no equal explanation. Neither is one that contains the best one as a special case: it predicts the same data
+    whatever these are, with more parameters. A rival need not be significant by itself: the true cause may be less
+    significant than its imitation. An effect that was promising but not refined, because the budget was spent, counts
+    as a rival: how much it explains is not known.
 
     Parameters
     ----------
@@ -36,9 +38,11 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
     near = [t for t in near if best.effect.kind not in t.effect.special_cases]
-    margin = MIN_CHI2_SEPARATED * unit
-    near = [t for t in near if t.is_unrefined or best.delta_bic - t.delta_bic < margin]
-    return tuple(t.effect.name for t in near if _explains_as_much(t, best, true, unit))
+    behind = {t.effect.name: (best.delta_bic - t.delta_bic) / unit for t in near}
+    near = [t for t in near if t.is_unrefined or behind[t.effect.name] < MIN_CHI2_SEPARATED]
+    return tuple(
+        t.effect.name for t in near if behind[t.effect.name] < MAX_BIC_EQUAL or _explains_as_much(t, best, true, unit)
+    )
 
 
 def _explains_as_much(

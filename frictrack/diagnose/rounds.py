@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.diagnose.confirmation import is_confirmed
+from frictrack.diagnose.confirmation import event_penalty, is_confirmed
 from frictrack.diagnose.hypothesis_tests import (
     ALPHA,
     ScannedCandidate,
@@ -16,9 +16,7 @@ from frictrack.diagnose.hypothesis_tests import (
     list_candidates,
     run_tests,
 )
-from frictrack.diagnose.model_selection import (
-    MAX_CHI2_NEAR,
-)
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
 from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.diagnose.refined_candidates import (
     RefinedCandidate,
@@ -28,10 +26,7 @@ from frictrack.diagnose.refined_candidates import (
 )
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import (
-    deepen_trials,
-    try_effect,
-)
+from frictrack.fit.stepwise import CandidateTrial, baseline_misfit, deepen_trials, try_effect
 
 MAX_P_REFINED = 0.05  # of a candidate that is refined; the best two always are
 N_DRAWS_LATER_ROUND = 199  # of a later round, where they show clearly that nothing is left
@@ -159,12 +154,30 @@ def _refine_candidates(
     data = draws.series.coordinates[:, 0]
     notify("refining significant candidates")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _select_candidates(tests)]
-    significant = deepen_trials(draws.law, [t for t in trials if tests.p[t.effect.name] < tests.level])
-    others = [t for t in trials if tests.p[t.effect.name] >= tests.level]  # not to be added whatever they explain
+    p = _p_values(solution, draws, tests, trials)
+    significant = deepen_trials(draws.law, [t for t in trials if p[t.effect.name] < tests.level])
+    others = [t for t in trials if p[t.effect.name] >= tests.level]  # not to be added whatever they explain
     if is_beaten(min((t.misfit for t in significant), default=0.0)):
-        return linearised_candidates(draws.law, [*significant, *others], tests.p)
-    refined = simulate_promising(draws.law, solution, significant, tests.p)
-    return [*law_in_place(draws.law, solution, refined), *refined, *linearised_candidates(draws.law, others, tests.p)]
+        return linearised_candidates(draws.law, [*significant, *others], p)
+    refined = simulate_promising(draws.law, solution, significant, p)
+    return [*law_in_place(draws.law, solution, refined), *refined, *linearised_candidates(draws.law, others, p)]
+
+
+def _p_values(
+    solution: Solution, draws: NullEnsemble, tests: SearchTests, trials: Sequence[CandidateTrial]
+) -> dict[str, float]:
+    """Return the p-value of every candidate: of its trial if something is missing and the trial explains more.
+
+    A scan holds the shape of the law. Where that imitates what is missing (a Stribeck velocity far too large imitates
+    drag), an effect explains nothing until both are fitted. Whether something is missing is decided by scans alone.
+    """
+    p = dict(tests.p)
+    if tests.something_is_missing:
+        misfit = baseline_misfit(draws.law)
+        for t in trials:
+            name, penalty = t.effect.name, event_penalty(solution.problem, t.layout, t.effect)
+            p[name] = min(p[name], tests.p_of_gain(name, misfit - t.misfit - penalty))
+    return p
 
 
 def run_later_round(
@@ -219,9 +232,9 @@ def run_later_round(
 
 
 def _select_candidates(tests: SearchTests) -> list[ScannedCandidate]:
-    """Select candidates that are significant, or nearly as good as the best; at least the best two."""
+    """Select candidates that are significant or, where something is missing, near the best; at least the best two."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
-    top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < tests.level else np.inf
+    top = order[0].statistic[0] if order and tests.something_is_missing else np.inf
     selected = [
         s for s in order if tests.p[s.effect.name] < MAX_P_REFINED or s.statistic[0] > top - _near_margin(s.effect, top)
     ]

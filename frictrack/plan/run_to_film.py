@@ -13,7 +13,7 @@ Box & Hill (1967), Discrimination among mechanistic models, Technometrics 9, 57-
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
@@ -31,17 +31,15 @@ from frictrack.diagnose.experiments import (
     evidence_interval,
     explain_by_axes,
     last_settings,
-    make_explanation,
     settings_of,
 )
 from frictrack.effects import PLANNED_SHARE
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
-from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.plan.causes import list_causes
 from frictrack.plan.experiment_setup import candidate_runs
+from frictrack.plan.explanations import list_explanations
 from frictrack.plan.normal_matrices import reduce_without_rival, sum_runs
 from frictrack.plan.selection import detection_threshold, span_of_runs
 from frictrack.plan.setup_from_fit import fitted_setup
@@ -50,8 +48,6 @@ from frictrack.records import Array
 from frictrack.threads import one_thread
 
 DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
-MAX_BIC_NEAR = 60.0  # from the best, within which an explanation is compared
-MAX_EXPLANATIONS = 4
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth filming
@@ -142,7 +138,7 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
 
     """
     questions, options = _open_questions(fit, diagnosis, costs)
-    options = [o for o in options if o.value(questions)[1] > 0]
+    options = [o for o in options if max(o.value(questions)) > 0]
     if not options:
         return None
     best = max(options, key=lambda o: o.value(questions))
@@ -173,9 +169,7 @@ def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tup
     if verdict in {"undetermined", "complete"}:
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
-    found = _explanations(fit.solution, diagnosis) if verdict in ("ambiguous", "missing") else []
-    if verdict == "unexplained":
-        found = explain_by_axes(fit.solution)
+    found = explain_by_axes(fit.solution) if verdict == "unexplained" else list_explanations(fit.solution, diagnosis)
     return _rival_questions(found, costs) if len(found) > 1 else ([], [])
 
 
@@ -187,32 +181,6 @@ def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[
 
 
 # --- which explanation is true
-
-
-def _explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[Explanation]:
-    """Explanations of what an ambiguous diagnosis leaves open; empty if no effect has a rival."""
-    listed = {c["effect"]: c for c in diagnosis["candidates"]}
-    doubtful = next((n for n in diagnosis["missing"] if listed[n]["indistinguishable_from"]), None)
-    if doubtful is None:
-        return []
-    for name in diagnosis["missing"]:
-        if name != doubtful:
-            solution = refine_to_end(add_effect(solution, effects.get(name)))
-    rivals = listed[doubtful]["indistinguishable_from"]
-    best = listed[doubtful]["delta_bic"]
-    near = [n for n, c in listed.items() if c["delta_bic"] is not None and best - c["delta_bic"] < MAX_BIC_NEAR]
-    names = [doubtful, *rivals, *(n for n in near if n not in rivals and n != doubtful)]
-    found = list(_fitted(solution, [n for n in names if n not in solution.problem.model][: 2 * MAX_EXPLANATIONS]))
-    return sorted(found, key=lambda e: -e.gain)[:MAX_EXPLANATIONS]
-
-
-def _fitted(solution: Solution, names: Iterable[str]) -> Iterator[Explanation]:
-    """Explanation by every effect of the library that can be fitted."""
-    for name in names:
-        try:
-            yield make_explanation(name, refine_to_end(add_effect(solution, effects.get(name))), solution)
-        except FrictrackError:  # an effect of the user, or a motion that cannot be integrated
-            continue
 
 
 def _rival_questions(found: Sequence[Explanation], costs: Costs) -> tuple[list[Question], list[Option]]:

@@ -27,7 +27,7 @@ from frictrack.diagnose.experiments.rival_runs import (
     start_rival,
 )
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -200,7 +200,11 @@ class ModelDiscrimination:
         pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
         predicted = [_with_measurement(r, p.y) for r, p in zip(rival.responses, pieces, strict=True)]
         start = refine_rival(RivalOfAllRuns((rival, predicted), rival.problem.layout), rival.p, rival.starts, tau)
-        return refine_rival(rival.problem.rebuild(rival.problem.layout, pieces), start.p, rival.starts, tau)
+        problem = rival.problem.rebuild(rival.problem.layout, pieces)
+        found = refine_rival(problem, start.p, rival.starts, tau)
+        if found.objective < MIN_CHI2_SEPARATED:
+            return found
+        return min(found, refine_rival(problem, rival.p, rival.starts, tau), key=lambda s: s.objective)
 
     @cached_property
     def _present(self) -> tuple[Solution, list[PieceResponse]]:
@@ -246,10 +250,8 @@ class ModelDiscrimination:
         truth_layout, q = extend_layout(truth, span, design.phase)
         constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
         untied = self._with_amplitude_per_run(found, planned, tau)
-        fits = [found, untied]
-        if refit:
-            fits += self._simulated_fits(layout, piece, (found, untied), tau)
-        return min(self._bic(s, constraint, count) for s in fits)
+        simulated = list(self._simulated_fits(layout, piece, (found, untied), tau)) if refit else []
+        return min(self._bic(s, constraint, count) for s in simulated or [found, untied])
 
     def _simulated_fits(
         self, layout: ParameterLayout, piece: Piece, starts: Sequence[Solution], tau: float

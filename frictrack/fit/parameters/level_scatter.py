@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout
@@ -22,6 +23,7 @@ from frictrack.fit.parameters.prior_penalties import prior_jacobian, prior_resid
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-4, 0.5)  # range of the relative standard deviation of the levels
+MEAN_LEVEL_WEIGHT = 1e4  # that holds the mean of few levels at one
 
 
 @dataclass(frozen=True)
@@ -34,36 +36,43 @@ class JacobianBasis:
     ----------
     u : array of shape (N, P')
         The basis.
-    prior : array of shape (P', P')
-        Precision of the levels in the basis, to be divided by tau^2.
+    level_rows : array of shape (m, P')
+        Levels per unit of the basis coordinates, to be divided by tau.
     n_levels : int
         Number of level directions that are left.
     random : bool
         Whether the levels are a random effect. Otherwise only their mean is constrained.
-    prior_precision : array of shape (P', P') or float
-        Precision that the priors of parameters add.
+    prior_rows : array of shape (k, P')
+        Rows of the priors of parameters, in standard deviations per unit of the basis coordinates.
 
     """
 
-    u: Array  # (N, P')
-    prior: Array  # (P', P'), to be divided by tau^2
+    u: Array
+    level_rows: Array
     n_levels: int
-    random: bool  # whether the levels are a random effect; otherwise only their mean is held
-    prior_precision: Array | float = 0.0  # (P', P'), from priors of parameters
+    random: bool
+    prior_rows: Array
 
     def shrink(self, tau: float) -> Array:
-        """Compute the shrinkage matrix (I + prior/tau^2)^-1 of the basis coordinates, (P', P')."""
-        weight = 1 / tau**2 if self.random else 1e8
-        return np.asarray(
-            np.linalg.inv(np.eye(len(self.prior)) + self.prior_precision + weight * self.prior), dtype=np.float64
-        )
+        """Compute the shrinkage matrix (I + R'R)^-1 of the basis coordinates, (P', P'); R are the rows of all priors.
+
+        A level or parameter that the data hardly determine has rows that are many orders of magnitude above 1. Their
+        squares cannot be added to I; a QR decomposition with the largest rows first keeps the small ones.
+        """
+        inverse = solve_triangular(self._root(tau if self.random else 1 / MEAN_LEVEL_WEIGHT), np.eye(self.u.shape[1]))
+        return np.asarray(inverse @ inverse.T, dtype=np.float64)
 
     def logdet(self, tau: float) -> float:
         """Compute the determinant term of the restricted likelihood at this tau."""
         if not self.random:
             return 0.0
-        _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.prior_precision + self.prior / tau**2)
-        return float(value) + 2 * self.n_levels * np.log(tau)
+        return 2 * float(np.sum(np.log(np.abs(np.diag(self._root(tau)))))) + 2 * self.n_levels * float(np.log(tau))
+
+    def _root(self, tau: float) -> Array:
+        """Upper triangular root (P', P') of I + R'R."""
+        rows = np.vstack([self.level_rows / tau, self.prior_rows, np.eye(self.u.shape[1])])
+        order = np.argsort(-np.abs(rows).max(axis=1, initial=0.0), kind="stable")
+        return np.asarray(np.linalg.qr(rows[order], mode="r"))
 
     def misfit(self, on_basis: Array, total: Array, tau: float) -> Array:
         """Compute the chi-squared that the model leaves of several data series.
@@ -141,8 +150,8 @@ def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) ->
     if not random and levels:
         seen, unseen = seen.mean(axis=0, keepdims=True), unseen.mean(axis=0, keepdims=True)
     seen, n_dropped = _levels_near_one(seen, unseen)
-    prior_precision = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
-    return JacobianBasis(u[:, keep], seen.T @ seen, len(levels) - n_dropped, random, prior_precision)
+    prior_rows = back[:0] if known is None else known @ back
+    return JacobianBasis(u[:, keep], seen, len(levels) - n_dropped, random, prior_rows)
 
 
 def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
@@ -180,12 +189,12 @@ def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None
     level_rows = np.zeros((len(levels), len(layout.slots)))
     level_rows[np.arange(len(levels)), levels] = 1.0
     if layout.levels_free or not levels:
-        prior_precision = level_rows[:0]
+        held = level_rows[:0]
+    elif len(levels) >= MIN_RUNS_FOR_SCATTER:
+        held = level_rows / tau
     else:
-        prior_precision = (
-            level_rows / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else level_rows.mean(axis=0, keepdims=True) * 1e4
-        )
-    return np.vstack([prior_precision, prior_jacobian(layout, p)])
+        held = level_rows.mean(axis=0, keepdims=True) * MEAN_LEVEL_WEIGHT
+    return np.vstack([held, prior_jacobian(layout, p)])
 
 
 def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:

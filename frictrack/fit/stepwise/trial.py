@@ -253,10 +253,21 @@ def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterabl
         found.append((problem, problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = _refined(*found[0])
-    for problem, state in found[1:2]:
+    for problem, state in [*found[1:2], *_with_levels_at_one(*found[0])]:
         other = _refined(problem, state, below=best[1].misfit)
         best = min(best, other, key=lambda pair: pair[1].misfit)
     return _trial(effect, *best)
+
+
+def _with_levels_at_one(
+    problem: ProjectedProblem, state: SeparableSolution
+) -> list[tuple[ProjectedProblem, SeparableSolution]]:
+    """The same start with all friction levels at one: those of the model without the effect may imitate it."""
+    p = problem.separable.law(state.nonlinear_values, state.coefficients)
+    if len(problem.layout.levels) < 2:
+        return []
+    p[problem.layout.levels] = 1.0
+    return [(problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))]
 
 
 def _groups_with(problem: ProjectedProblem, effect: Effect) -> list[int]:

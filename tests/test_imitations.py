@@ -1,0 +1,134 @@
+"""A law, or its friction levels, may imitate what it lacks: the effect must be found, and the next run, in spite of it.
+
+The runs are integrated by SciPy (`runs.integrate`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from runs import Slider, integrate, measured
+
+from frictrack import effects
+from frictrack.costs import Costs
+from frictrack.diagnose import diagnose
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL
+from frictrack.fit import fit
+from frictrack.fit.parameters import jacobian_basis
+from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.plan import next_run
+
+COURSE = (0.05, 0.65)  # m
+SIGMA = 1e-5  # m
+MIN_SPEED = 0.02  # m/s
+
+
+def slide(values, mass, speed, level, rng, name):
+    """A slide over the course, from one end or the other, until it stops or leaves the course."""
+    t = np.arange(1000) / 4000.0
+    x = integrate(values, Slider(mass=mass, load=level), t, (COURSE[0] if speed > 0 else COURSE[1], speed))
+    slow = np.abs(np.gradient(x, t)) < MIN_SPEED
+    out = (x < COURSE[0] - 1e-9) | (x > COURSE[1] + 1e-9) | slow
+    end = int(np.argmax(out)) if out.any() else len(t)
+    return measured(t[:end], x[:end], sigma=SIGMA, mass=mass, rng=rng, name=name)
+
+
+def two_runs(values, mass, speeds, levels, seed):
+    rng = np.random.default_rng(seed)
+    return [slide(values, mass, v, q, rng, f"r{i}") for i, (v, q) in enumerate(zip(speeds, levels, strict=True))]
+
+
+def test_an_effect_that_friction_levels_imitate_is_fitted_where_they_are_near_one():
+    """Slow one way, fast the other: with levels 14 % apart drift has a second, false minimum of the other sign."""
+    law = {"coulomb": {"F_c": 16.2}, "viscous": {"F_v": 1.25}}
+    runs = two_runs(law | {"drift": {"k": 46.2}}, 0.853, (4.06, -7.0), (0.98, 1.02), 1)
+    found = refine_to_end(add_effect(fit(list(law), runs).solution, effects.get("drift")))
+    values = dict(zip(found.problem.layout.names, found.p, strict=True))
+    assert values["drift.k"] == pytest.approx(46.2, rel=0.1)
+    assert values["level.level[r0]"] == pytest.approx(0.98, abs=0.01)
+    assert found.chi2 < found.problem.n_frames + 4 * math.sqrt(2 * found.problem.n_frames)
+
+
+STRIBECK = {"coulomb": {"F_c": 2.91}, "stribeck": {"F_s": 0.63, "v_s": 0.113, "delta": 1.0}, "viscous": {"F_v": 0.295}}
+DRAG = {"c": 0.0062}
+
+
+@pytest.fixture(scope="module")
+def wide_stribeck():
+    """Hidden drag in two runs, which the law imitates by a Stribeck velocity of 2 m/s and more."""
+    runs = two_runs(STRIBECK | {"drag": DRAG}, 0.325, (2.79, -7.0), (0.98, 1.02), 8)
+    made = fit(list(STRIBECK), runs)
+    return made, diagnose(made, quick=True).summary()
+
+
+def test_a_shape_of_the_law_that_imitates_an_effect_does_not_hide_it(wide_stribeck):
+    made, found = wide_stribeck
+    imitated = dict(zip(made.solution.problem.layout.names, made.solution.p, strict=True))
+    assert imitated["stribeck.v_s"] > 1.0  # true: 0.113
+    listed = {c["effect"]: c for c in found["candidates"]}
+    assert listed["drag"]["passes"]
+    assert "drag" in {*found["missing"], *listed[found["missing"][0]]["indistinguishable_from"]}
+
+
+def test_no_effect_is_named_without_a_rival_that_explains_as_much(wide_stribeck):
+    _, found = wide_stribeck
+    best, *others = found["candidates"]
+    near = [
+        c["effect"]
+        for c in others
+        if c["delta_bic"] > best["delta_bic"] - MAX_BIC_EQUAL and not c["implausible"]
+        if best["effect"] not in effects.get(c["effect"]).special_cases
+    ]
+    assert near
+    assert set(near) <= set(best["indistinguishable_from"])
+    assert found["verdict"] == "ambiguous"
+
+
+COSTS = Costs(camera=math.inf, speeds=(2.0, 8.0), masses=(0.325, 0.65))
+
+
+def test_a_next_run_is_named_where_nothing_explains_the_misfit(wide_stribeck):
+    made, _ = wide_stribeck
+    named = next_run(made, {"verdict": "unexplained"}, COSTS)
+    assert named["cost"] == 1.0
+    assert set(named["separates"]) <= {"place", "time since release", "speed"}
+    assert all(p["now"] < 100 for p in named["predictions"])  # both explain these runs
+
+
+def test_a_next_run_separates_an_effect_from_a_formula(wide_stribeck):
+    made, found = wide_stribeck
+    assert found["unexplained"]["rival"]
+    named = next_run(made, found, COSTS)
+    assert {"drag", "formula:1"} <= set(named["separates"])
+    assert named["expected_delta_bic"] > 10
+    without_rival = [c | {"indistinguishable_from": []} for c in found["candidates"]]
+    assert next_run(made, found | {"candidates": without_rival}, COSTS)["separates"]
+    sure = {"verdict": "missing", "candidates": without_rival, "unexplained": None}
+    assert next_run(made, found | sure, COSTS) is None  # nothing is open
+
+
+def test_a_level_that_the_data_do_not_see_changes_nothing():
+    """At a bound of the law the friction of a fast run may be no more than a rounding error of its level."""
+    rng = np.random.default_rng(2)
+    jac = rng.standard_normal((200, 5))
+    jac[:, 4] *= 1e-13
+    seen, whole = jacobian_basis(jac[:, :4], [3]), jacobian_basis(jac, [3, 4])
+    for tau in (0.01, 0.3):
+        shrunk = [b.u @ b.shrink(tau) @ b.u.T for b in (seen, whole)]
+        assert np.isfinite(shrunk[1]).all()
+        assert np.linalg.eigvalsh(shrunk[1]).max() < 1 + 1e-9
+
+
+def test_shrinkage_is_the_inverse_of_the_precisions():
+    rng = np.random.default_rng(3)
+    jac, known = rng.standard_normal((60, 6)), np.array([[0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
+    levels, tau = [2, 3, 4, 5], 0.2  # so many levels are random
+    basis = jacobian_basis(jac, levels, known)
+    penalty = np.zeros((6, 6))
+    penalty[levels, levels] = 1 / tau**2
+    wanted = jac @ np.linalg.inv(jac.T @ jac + penalty + known.T @ known) @ jac.T
+    np.testing.assert_allclose(basis.u @ basis.shrink(tau) @ basis.u.T, wanted, atol=1e-10)
+    own = np.linalg.slogdet(jac.T @ jac + penalty + known.T @ known)[1] - np.linalg.slogdet(jac.T @ jac)[1]
+    assert basis.logdet(tau) == pytest.approx(own + 2 * 4 * math.log(tau), rel=1e-9)
