@@ -24,12 +24,10 @@ from frictrack import effects, models
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import MIN_CHI2_SEPARATED
 from frictrack.diagnose.experiments import (
-    Explanation,
     ModelDiscrimination,
     RunDesign,
     combined_experiments,
     evidence_interval,
-    explain_by_axes,
     last_settings,
     settings_of,
 )
@@ -39,7 +37,7 @@ from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.plan.causes import list_causes
 from frictrack.plan.experiment_setup import candidate_runs
-from frictrack.plan.explanations import list_explanations
+from frictrack.plan.explanations import Weighted, list_explanations
 from frictrack.plan.normal_matrices import reduce_without_rival, sum_runs
 from frictrack.plan.selection import detection_threshold, span_of_runs
 from frictrack.plan.setup_from_fit import fitted_setup
@@ -57,7 +55,8 @@ MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth fil
 class Question:
     """One question: whether `true` differs from `rival` (None: from nothing), with its weight and threshold.
 
-    `relative_size_std` is the relative standard deviation of the size of the true effect.
+    Evidence adds up: `now` is what the runs say already (without a rival: what they are expected to say), `known` the
+    part of it that is measured. `relative_size_std` is the relative standard deviation of the size of the true effect.
     """
 
     true: str
@@ -65,6 +64,7 @@ class Question:
     weight: float
     decisive: float
     now: float
+    known: float = 0.0
     relative_size_std: float = 0.0
     discrimination: ModelDiscrimination | None = None
 
@@ -79,14 +79,14 @@ class Question:
         """Evidence after a run, with the rival fitted to it by simulation."""
         if self.discrimination is None or option.design is None:
             return after
-        discrimination, design = self.discrimination, option.design
-        return _or_zero(lambda: discrimination.expected_delta_bic_after(design, refit=True))
+        return self.now + _added_evidence(self.discrimination, option.design, refit=True)
 
     def prediction(self, after: float) -> dict[str, Any]:
         """Entry of the JSON `predictions`."""
-        low, high = evidence_interval(after, self.relative_size_std)
+        low, high = evidence_interval(after - self.known, self.relative_size_std)
+        interval = [low + self.known, None if high is None else high + self.known]
         names = {"true": self.true, "rival": self.rival}
-        return {**names, "now": self.now, "expected": after, "interval": [low, high], "decisive": self.decisive}
+        return {**names, "now": self.now, "expected": after, "interval": interval, "decisive": self.decisive}
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tup
     if verdict in {"undetermined", "complete"}:
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
-    found = explain_by_axes(fit.solution) if verdict == "unexplained" else list_explanations(fit.solution, diagnosis)
+    found = list_explanations(fit.solution, diagnosis)
     return _rival_questions(found, costs) if len(found) > 1 else ([], [])
 
 
@@ -183,38 +183,34 @@ def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[
 # --- which explanation is true
 
 
-def _rival_questions(found: Sequence[Explanation], costs: Costs) -> tuple[list[Question], list[Option]]:
+def _rival_questions(found: Sequence[Weighted], costs: Costs) -> tuple[list[Question], list[Option]]:
     """One question for every ordered pair of explanations, weighted by the probability of the first."""
-    gains = np.array([e.gain for e in found])
-    weights = np.exp((gains - gains.max()) / 2)
-    weights /= weights.sum()
     pairs = [
-        (ModelDiscrimination(a, b), weight / (len(found) - 1))
-        for (a, weight), (b, _) in permutations(zip(found, weights, strict=True), 2)
-        if a.fitted_effect.kind not in b.fitted_effect.special_cases  # it predicts the same data whatever these are
+        (ModelDiscrimination(a.explanation, b.explanation), a.probability / (len(found) - 1))
+        for a, b in permutations(found, 2)
+        if a.explanation.fitted_effect.kind not in b.explanation.fitted_effect.special_cases  # which predict the same
     ]
-    questions = [
-        Question(
-            d.truth.effect, d.rival.effect, float(w), DECISIVE_DELTA_BIC,
-            _or_zero(lambda d=d: d.expected_delta_bic_now), d.truth.relative_size_std, d,
-        )
-        for d, w in pairs
-    ]  # fmt: skip
-    solution = found[0].solution
+    questions = []
+    for d, weight in pairs:
+        now, std = d.truth.gain - d.rival.gain, d.truth.relative_size_std
+        questions.append(Question(d.truth.effect, d.rival.effect, weight, DECISIVE_DELTA_BIC, now, now, std, d))
+    solution = found[0].explanation.solution
     last, options = last_settings(solution), []
     for entry in combined_experiments(solution, costs):
         settings = settings_of(solution, entry.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
-            after = tuple(_or_zero(lambda d=d, e=entry: d.expected_delta_bic_after(e.design)) for d, _ in pairs)
+            added = [_added_evidence(d, entry.design) for d, _ in pairs]
+            after = tuple(q.now + one for q, one in zip(questions, added, strict=True))
             options.append(Option(entry.key, entry.words, settings, cost, after, entry.design))
     return questions, options
 
 
-def _or_zero(compute: Any) -> float:
-    """Evidence; 0 if a motion cannot be integrated."""
+def _added_evidence(discrimination: ModelDiscrimination, design: RunDesign, *, refit: bool = False) -> float:
+    """Evidence that a run is expected to add; 0 if a motion cannot be integrated."""
     try:
-        return float(compute())
+        after = discrimination.expected_delta_bic_after(design, refit=refit)
+        return float(after - discrimination.expected_delta_bic_now)
     except FrictrackError:
         return 0.0
 
