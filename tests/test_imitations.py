@@ -25,19 +25,19 @@ SIGMA = 1e-5  # m
 MIN_SPEED = 0.02  # m/s
 
 
-def slide(values, mass, speed, level, rng, name):
-    """A slide over the course, from one end or the other, until it stops or leaves the course."""
+def slide(values, mass, speed, level, rng, *, name, shake=lambda t: 0.0):
+    """A slide over the course, from one end or the other, until it stops or leaves the course, seen by a camera."""
     t = np.arange(1000) / 4000.0
     x = integrate(values, Slider(mass=mass, load=level), t, (COURSE[0] if speed > 0 else COURSE[1], speed))
     slow = np.abs(np.gradient(x, t)) < MIN_SPEED
     out = (x < COURSE[0] - 1e-9) | (x > COURSE[1] + 1e-9) | slow
     end = int(np.argmax(out)) if out.any() else len(t)
-    return measured(t[:end], x[:end], sigma=SIGMA, mass=mass, rng=rng, name=name)
+    return measured(t[:end], x[:end] + shake(t[:end]), sigma=SIGMA, mass=mass, rng=rng, name=name)
 
 
 def two_runs(values, mass, speeds, levels, seed):
     rng = np.random.default_rng(seed)
-    return [slide(values, mass, v, q, rng, f"r{i}") for i, (v, q) in enumerate(zip(speeds, levels, strict=True))]
+    return [slide(values, mass, v, q, rng, name=f"r{i}") for i, (v, q) in enumerate(zip(speeds, levels, strict=True))]
 
 
 def test_an_effect_that_friction_levels_imitate_is_fitted_where_they_are_near_one():
@@ -107,6 +107,24 @@ def test_a_next_run_separates_an_effect_from_a_formula(wide_stribeck):
     assert next_run(made, found | {"candidates": without_rival}, COSTS)["separates"]
     sure = {"verdict": "missing", "candidates": without_rival, "unexplained": None}
     assert next_run(made, found | sure, COSTS) is None  # nothing is open
+
+
+@pytest.mark.parametrize(("unlike", "own"), [(0.055, False), (0.2, True)])
+def test_runs_get_amplitudes_of_their_own_only_if_that_lowers_the_bic(unlike, own):
+    """A gain of 18 by three amplitudes more is unlikely by chance, but it is no evidence: the BIC asks for 23."""
+    rng, law = np.random.default_rng(4), {"coulomb": {"F_c": 1.5}, "viscous": {"F_v": 0.14}}
+    sizes = 2.3e-5 * (1 + unlike * np.array([1.0, -1.0, 1.0, -1.0]))
+    runs = [
+        slide(law, 0.12, v, 1.0, rng, name=f"r{i}", shake=lambda t, a=a, i=i: a * np.sin(527.0 * t + i))
+        for i, (v, a) in enumerate(zip((3.4, -7.0, 5.0, -5.0), sizes, strict=True))
+    ]
+    bare = fit(list(law), runs).solution
+    found = refine_to_end(add_effect(bare, effects.get("camera_shake")))
+    assert ("camera_shake.amplitude[r0]" in found.problem.layout.names) == own
+    if not own:
+        each = effects.get("camera_shake").adjusted(amplitude={"per_run": True})
+        gain = found.objective - refine_to_end(add_effect(bare, each)).objective
+        assert 11.3 < gain < 3 * math.log(found.problem.n_frames)  # 11.3: what chance exceeds in 1 %
 
 
 def test_a_level_that_the_data_do_not_see_changes_nothing():

@@ -16,7 +16,9 @@ from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, EVENT_PENALTY
+from frictrack.fit.stepwise import EVENT_PENALTY
+
+ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
 
 
 def is_confirmed(tests: SearchTests, bare: Solution, fitted: Solution, effect: Effect) -> bool:
@@ -65,10 +67,10 @@ def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect:
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
-    """Largest loss of likelihood by one amplitude for all runs, where the scan had one for each run."""
+    """Loss of likelihood by chance by one amplitude for all runs, where the scan had one for each run."""
     layout = fitted.problem.layout
     slots = [s for s in layout.slots if s.effect == effect.name]
     phased = any(s.parameter == "phase" and s.run is not None for s in slots)
     shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
     more = len(layout.run_names) - 1
-    return float(chi2_isf(ALPHA_SHARED_AMPLITUDE, more)) if phased and shared and more else 0.0
+    return float(chi2_isf(ALPHA_LOST, more)) if phased and shared and more else 0.0

@@ -28,14 +28,13 @@ from frictrack.diagnose.experiments.rival_runs import (
 )
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
-from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, refine, white_noise_covariance
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, add_effect, is_unconstrained
+from frictrack.fit.stepwise import add_effect, amplitude_penalty, is_unconstrained
 from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
@@ -273,7 +272,7 @@ class ModelDiscrimination:
         return rival.objective - float(constraint @ constraint) + penalty * float(np.log(rival.problem.n_frames))
 
     def _with_amplitude_per_run(self, tied: Solution, planned: RivalOfPlannedRun, tau: float) -> Solution:
-        """The rival with an amplitude per run, if one common amplitude is significantly worse."""
+        """The rival with an amplitude per run, if that lowers the BIC."""
         layout, effect = tied.problem.layout, self.rival.effect
         old = next(e for e in layout.model.effects if e.name == effect)
         sizes = {
@@ -281,9 +280,7 @@ class ModelDiscrimination:
             for p in old.parameters
             if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
         }
-        more = len(layout.run_names) - 1
-        worse = float(chi2_isf(ALPHA_SHARED_AMPLITUDE, more))
-        needed = max(worse, len(sizes) * more * float(np.log(tied.problem.n_frames)))  # with less, BIC cannot fall
+        needed = amplitude_penalty(len(sizes) * (len(layout.run_names) - 1), tied.problem.n_frames)
         if not (sizes and has_per_run_coefficients(old)) or tied.objective < needed:
             return tied
         effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
@@ -299,7 +296,7 @@ class ModelDiscrimination:
             untied = refine_rival(RivalOfAllRuns(self._present, free, planned.with_layout(free)), p, tied.starts, tau)
         except FrictrackError:
             return tied
-        return untied if tied.objective - untied.objective > worse else tied
+        return untied if tied.objective - untied.objective > needed else tied
 
 
 def _with_measurement(response: PieceResponse, y: Array) -> PieceResponse:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement.reversals import best_on_grid, shoot_lengthening, split_start_effects
@@ -24,9 +23,9 @@ from frictrack.fit.separable import (
     variable_projection,
 )
 from frictrack.fit.stepwise import (
-    ALPHA_SHARED_AMPLITUDE,
     EVENT_PENALTY,
     add_effect,
+    amplitude_penalty,
     entry_order,
     guess_coefficients,
     is_unconstrained,
@@ -150,7 +149,7 @@ def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
 
 
 def _with_free_amplitudes(solution: Solution) -> Solution:
-    """One amplitude for all runs, or one per run where that is significantly better, wave after wave."""
+    """One amplitude for all runs, or one per run where that lowers the BIC, wave after wave."""
     runs = len(solution.problem.layout.run_names)
     for effect in solution.problem.model.effects if runs > 1 else ():
         amplitudes = {
@@ -168,7 +167,8 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
         free_amplitudes = fit_with_scatter(
             solution.problem.rebuild(layout, solution.problem.pieces), p, solution.starts, solution.tau
         )
-        if solution.objective - free_amplitudes.objective > chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
+        needed = amplitude_penalty(len(amplitudes) * (runs - 1), solution.problem.n_frames)
+        if solution.objective - free_amplitudes.objective > needed:
             solution = free_amplitudes
     return solution
 

@@ -12,9 +12,9 @@ from frictrack.fit.stepwise.growth import (
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
 from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, scan_effect
 from frictrack.fit.stepwise.trial import (
-    ALPHA_SHARED_AMPLITUDE,
     STRONG_MISFIT_CHI2,
     CandidateTrial,
+    amplitude_penalty,
     baseline_misfit,
     deepen_trials,
     gain_by_smaller_scatter,
@@ -27,11 +27,11 @@ from frictrack.fit.stepwise.trial import (
 )
 
 __all__ = [
-    "ALPHA_SHARED_AMPLITUDE",
     "EVENT_PENALTY",
     "STRONG_MISFIT_CHI2",
     "CandidateTrial",
     "add_effect",
+    "amplitude_penalty",
     "baseline_misfit",
     "deepen_trials",
     "effect_for_scan",

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
@@ -21,7 +20,6 @@ from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, MIN_GAIN_SHARE, St
 from frictrack.models import Model
 from frictrack.records import Array
 
-ALPHA_SHARED_AMPLITUDE = 0.01  # significance level at which amplitudes per run replace a common one
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
@@ -43,7 +41,7 @@ class CandidateTrial:
 def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array) -> CandidateTrial:
     """Fit a model with one more effect along the measured motion.
 
-    One amplitude serves all runs, unless an amplitude per run is significantly better.
+    One amplitude serves all runs, unless an amplitude per run lowers the BIC.
 
     Parameters
     ----------
@@ -71,7 +69,8 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     free_amplitudes = _best_of_starts(linearised, free, starts_of_scans(linearised, free, scans, data))
     if shared:
         return free_amplitudes
-    limit = free_amplitudes.misfit + float(chi2_isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
+    count = len(amplitudes) * (runs - 1)
+    limit = free_amplitudes.misfit + amplitude_penalty(count, linearised.solution.problem.n_frames)
     shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect, limit)
     return free_amplitudes if shared_amplitude.misfit > limit else shared_amplitude
 
@@ -379,6 +378,11 @@ def _with_shared_amplitude(
     problem = _projected_problem(linearised, layout)
     p = np.array([np.mean(known_values[n]) for n in layout.names])
     return _trial(effect, *_refined(problem, problem.at(p), limit))
+
+
+def amplitude_penalty(count: int, frames: int) -> float:
+    """Return the fall of chi-squared that `count` amplitudes more must exceed to lower the BIC of so many frames."""
+    return count * float(np.log(frames))
 
 
 def is_unconstrained(p: Parameter) -> bool:
