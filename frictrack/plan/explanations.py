@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
+from frictrack.diagnose import FIRST_FORMULA
 from frictrack.diagnose.experiments import Explanation, explain_by_axes, make_explanation
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -19,7 +20,6 @@ from frictrack.fit.stepwise import add_effect, refine_to_end
 
 MAX_BIC_NEAR = 60.0  # from the best, within which an explanation is compared
 MAX_EFFECTS = 4  # that are compared
-FORMULA_NAME = "formula:1"  # as in `frictrack add STUDY formula:1`
 
 
 @dataclass(frozen=True)
@@ -58,20 +58,23 @@ def list_explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[
     for name in missing:
         if name != doubtful:
             solution = refine_to_end(add_effect(solution, effects.get(name)))
-    rivals = listed[doubtful]["indistinguishable_from"]
-    best = listed[doubtful]["delta_bic"]
+    kept = _effects_near(solution, listed, doubtful)
+    fitted = list(_fitted(solution, [formula])) if formula else []
+    probability = float(diagnosis["unexplained"]["probability"]) if fitted else None
+    return _weighted([*fitted, *kept], probability)
+
+
+def _effects_near(solution: Solution, listed: Mapping[str, Any], doubtful: str) -> list[Explanation]:
+    """The effect with rivals, and the best of its rivals and of all candidates near it."""
+    rivals, best = listed[doubtful]["indistinguishable_from"], listed[doubtful]["delta_bic"]
     near = [n for n, c in listed.items() if c["delta_bic"] is not None and best - c["delta_bic"] < MAX_BIC_NEAR]
-    names = [doubtful, *rivals, *(n for n in near if n not in rivals and n != doubtful)]
-    names = [n for n in names if n not in solution.problem.model][: 2 * MAX_EFFECTS]
-    found = list(_fitted(solution, [effects.get(n) for n in names if n.partition(":")[0] in effects.LIBRARY]))
-    kept = sorted(found, key=lambda e: (e.effect != doubtful, -e.gain))[:MAX_EFFECTS]
-    if formula is None:
-        return _weighted(kept, None)
-    return _weighted([*_fitted(solution, [formula]), *kept], float(diagnosis["unexplained"]["probability"]))
+    names = [n for n in dict.fromkeys([doubtful, *rivals, *near]) if n not in solution.problem.model]
+    known = [effects.get(n) for n in names[: 2 * MAX_EFFECTS] if n.partition(":")[0] in effects.LIBRARY]
+    return sorted(_fitted(solution, known), key=lambda e: (e.effect != doubtful, -e.gain))[:MAX_EFFECTS]
 
 
 def _weighted(found: Sequence[Explanation], probability: float | None) -> list[Weighted]:
-    """Explanations with their probabilities from BIC; the first has a given one, because its prior is smaller."""
+    """Explanations with their probabilities from BIC; a formula comes first, with its own because of its prior."""
     gains = np.array([e.gain for e in found])
     shares = np.exp((gains - gains.max(initial=0.0)) / 2)
     if probability is not None and len(found) > 1:
@@ -86,7 +89,7 @@ def _rival_formula(diagnosis: Mapping[str, Any]) -> Effect | None:
     if not unexplained.get("rival"):
         return None
     table = tomllib.loads(unexplained["formulas"][0]["toml"])["effect"][0]
-    return replace(effects.definitions([effects.read_settings(table)])[0], name=FORMULA_NAME)
+    return replace(effects.definitions([effects.read_settings(table)])[0], name=FIRST_FORMULA)
 
 
 def _fitted(solution: Solution, tried: Sequence[Effect]) -> Iterator[Explanation]:
