@@ -60,7 +60,8 @@ def block_sums(
             total.gram[sums.points] += sums.gram
             total.data[sums.points] += sums.data
             total.coordinates[sums.points, :, at : at + len(piece.projected)] = sums.coordinates
-            stored.raise_scale(sums.points, np.sqrt(np.einsum("gkk->gk", total.gram[sums.points])))
+            squares = np.maximum(np.einsum("gkk->gk", total.gram[sums.points]), 0.0)  # what is left after a projection
+            stored.raise_scale(sums.points, np.sqrt(squares))
             for products in sums.products:
                 stored.add(products)
         at += len(piece.projected)
