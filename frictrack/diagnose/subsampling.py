@@ -12,14 +12,16 @@ from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, has_known_history
 
-MAX_PIECES = 32  # that are searched, unless there are more runs
+MAX_PIECES = 32  # of a long record that are searched, unless there are more runs
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
-MAX_FRAMES = 12_000  # over all pieces; the time of a search is proportional to them
+MAX_FRAMES = 12_000  # over all pieces, in records that are not long; the time of a search is proportional to them
 MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
 
 
 def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
-    """Refit the model on at most `MAX_PIECES` pieces.
+    """Refit the model on at most `MAX_PIECES` pieces of a long record.
+
+    Short records are divided where an event is missing; that piece must not be left out.
 
     Parameters
     ----------
@@ -34,7 +36,7 @@ def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
 
     """
     pieces = solution.problem.pieces
-    if len(pieces) <= MAX_PIECES:
+    if len(pieces) <= MAX_PIECES or solution.problem.n_frames <= MAX_FRAMES:
         return solution, ""
     kept = _evenly_spaced(pieces)
     problem = solution.problem.rebuild(_limit_spans(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
