@@ -70,8 +70,9 @@ def find_undetermined(
     curves
         Detection limits over all settings, by effect.
     grown
-        The model with the effects found, by which the coefficients of the law are judged; None if there are none.
-        Without them their standard deviations also hold what the effects explain.
+        The model with the effects found; None if there are none. A coefficient of the law is open if it is uncertain
+        with and without them: without them, its standard deviation also holds what the effects explain; beside them,
+        it may be uncertain because one of them replaces its force.
 
     Returns
     -------
@@ -79,8 +80,11 @@ def find_undetermined(
 
     """
     friction = mean_friction(first)
-    known = fit.parameters if grown is None else linear_estimates(grown).parameters
-    found = [*_undetermined_parameters(fit), *_uncertain_coefficients(known, first, friction)]
+    uncertain = list(_uncertain_coefficients(fit.parameters, first, friction))
+    if grown is not None and uncertain:
+        beside = {u.what for u in _uncertain_coefficients(linear_estimates(grown).parameters, first, friction)}
+        uncertain = [u for u in uncertain if u.what in beside]
+    found = [*_undetermined_parameters(fit), *uncertain]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
         if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
