@@ -3,13 +3,15 @@
 Formulas are fitted where a smooth force over one variable is about as likely as the effects found, or where effects
 with parameters of their own in every run, which imitate much, were found though the misfit repeats over one axis. Both
 are compared by their evidence. Every form has a smaller prior probability than an effect of the library, because there
-are more of them and a cause outside of the library is rarer.
+are more of them and a cause outside of the library is rarer. Of sets of effects there are even more, and several causes
+at once are rarer, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -19,13 +21,14 @@ from frictrack.axes import AXES
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
-from frictrack.diagnose.smooth_forces import ResidualForces, smooth_forces
+from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
 from frictrack.number_format import format_probability
 
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
+PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.05, 0.95
 
 
@@ -58,16 +61,19 @@ def compare_with_formulas(
     """
     start = forces.solution
     evidence = information_criterion(start) - information_criterion(found)
-    if not _is_worth_searching(forces, found, repeats, evidence - MAX_BIC_EQUAL):
+    count = max(len(found.problem.model.names) - len(start.problem.model.names), 1)
+    prior = _log_prior_odds(len(candidate_axes(forces.compressed)), count)
+    margin = MAX_BIC_EQUAL + 2 * max(prior, 0.0)  # with less evidence, a formula is unlikely
+    if not _is_worth_searching(forces, found, repeats, evidence - margin):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
     if not unexplained.formulas.entries:
         return None
     first = unexplained.formulas.entries[0]
     advantage = first["delta_bic"] - evidence
-    if advantage < -MAX_BIC_EQUAL:
+    if advantage < -margin:
         return None
-    log_odds = advantage / 2 - np.log(first["probability"]) + _log_prior_odds(unexplained.summary["axes"])
+    log_odds = advantage / 2 - np.log(first["probability"]) + prior
     probability = float(expit(log_odds))
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
@@ -92,10 +98,11 @@ def _is_worth_searching(
     return smooth_forces(forces.compressed, formula_axes(forces.compressed))[0].gain > evidence
 
 
-def _log_prior_odds(axes: int) -> float:
-    """Logarithm of the prior probability of one form over that of one effect; all of a kind are as likely."""
+def _log_prior_odds(axes: int, count: int) -> float:
+    """Logarithm of the prior probability of one form over that of a set of `count` effects; all of a kind are alike."""
     forms = len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)
-    return float(np.log(PRIOR_NONE / forms) - np.log((1 - PRIOR_NONE) / len(LIBRARY)))
+    sets = (1 - PRIOR_NONE) * PRIOR_ONE_MORE ** (count - 1) / comb(len(LIBRARY), count)
+    return float(np.log(PRIOR_NONE / forms) - np.log(sets))
 
 
 def _words(first: Mapping[str, Any], added: int, compared: Mapping[str, Any]) -> str:
