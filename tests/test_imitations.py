@@ -14,10 +14,18 @@ from runs import Slider, integrate, measured
 from frictrack import effects
 from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.conclusion import _limits
+from frictrack.diagnose.formula_comparison import _log_prior_odds
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL
+from frictrack.diagnose.power import find_undetermined, mean_friction
+from frictrack.diagnose.rounds import run_round
+from frictrack.diagnose.subsampling import MAX_PIECES, subsample_pieces
 from frictrack.fit import fit
+from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.parameters import jacobian_basis
+from frictrack.fit.segments import cut_into_segments
 from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.fit.uncertainty import linear_estimates
 from frictrack.plan import next_run
 
 COURSE = (0.05, 0.65)  # m
@@ -150,3 +158,38 @@ def test_shrinkage_is_the_inverse_of_the_precisions():
     np.testing.assert_allclose(basis.u @ basis.shrink(tau) @ basis.u.T, wanted, atol=1e-10)
     own = np.linalg.slogdet(jac.T @ jac + penalty + known.T @ known)[1] - np.linalg.slogdet(jac.T @ jac)[1]
     assert basis.logdet(tau) == pytest.approx(own + 2 * 4 * math.log(tau), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def four_runs():
+    law, rng = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}, np.random.default_rng(3)
+    speeds = (2.5, -7.0, 4.0, -3.0)
+    return fit(list(law), [slide(law, 0.3, v, 1.0, rng, name=f"r{i}") for i, v in enumerate(speeds)])
+
+
+def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
+    """Flash weakening far above all speeds is a force in proportion to the speed, as viscous friction is."""
+    first = run_round(four_runs.solution, (), np.random.default_rng(0), lambda what: None)
+    replaced = effects.get("flash_weakening").adjusted(v_w={"fixed": 3000.0}, dF={"bounds": (-1e6, 1e6)})
+    grown = add_effect(four_runs.solution, replaced)
+    _, curves = _limits(first)
+    known = linear_estimates(grown).parameters["viscous.F_v"]
+    assert known.std * 5.0 > 0.1 * mean_friction(first)  # at 5 m/s
+    assert not [u.what for u in find_undetermined(four_runs, first, curves, grown) if u.uncertainty is not None]
+
+
+def test_a_short_record_is_searched_in_all_its_segments(four_runs):
+    problem = four_runs.solution.problem
+    pieces = [part for p in problem.pieces for part in cut_into_segments([p], len(p.t) // 10)]
+    assert len(pieces) > MAX_PIECES
+    divided = problem.rebuild(problem.layout, pieces)
+    cut = fit_with_scatter(divided, four_runs.solution.p, divided.first_starts())
+    kept, remark = subsample_pieces(cut)
+    assert kept is cut
+    assert not remark
+
+
+def test_several_effects_are_a_less_likely_cause_than_one():
+    odds = [_log_prior_odds(6, count) for count in (1, 2, 3)]
+    assert odds[0] < math.log(0.1) < 0 < odds[2]  # one effect is likelier than one form, three are not
+    assert odds == sorted(odds)
