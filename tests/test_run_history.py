@@ -68,7 +68,7 @@ def test_before_an_unknown_pause_nothing_is_known():
 @pytest.mark.parametrize(
     ("name", "dry", "truth"),
     [
-        ("heating", heating(1.0, 30.0), {"k": 1.0, "tau": 30.0}),
+        ("heating", heating(2.0, 30.0), {"k": 2.0, "tau": 30.0}),
         ("run_in", run_in(1.0, 2.0), {"dF": 1.0, "length": 2.0}),
     ],
 )
