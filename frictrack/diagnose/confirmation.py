@@ -8,15 +8,13 @@ would discard effects that the search detects at its stated level.
 
 from __future__ import annotations
 
-import numpy as np
-
 from frictrack.diagnose.hypothesis_tests import SearchTests
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.stepwise import EVENT_PENALTY
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty
 
 ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
 
@@ -63,7 +61,7 @@ def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect:
     if not effect.single:
         return 0.0
     events = sum((effect.name, run) not in layout.absent for run in {p.run for p in problem.pieces})
-    return events * EVENT_PENALTY * float(np.log(problem.n_frames))
+    return bic_penalty(events * EVENT_PARAMETERS, problem.n_frames)
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:

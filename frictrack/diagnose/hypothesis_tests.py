@@ -15,7 +15,7 @@ from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidates
 from frictrack.fit.measured_friction import is_measured_friction
-from frictrack.fit.stepwise import EVENT_PENALTY, effect_for_scan, ties_are_resolved
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, effect_for_scan, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -189,7 +189,7 @@ def _scan(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) ->
     """Scan all candidates that have settings to scan."""
     grids = [candidate_grids(draws.law, effect_for_scan(solution, effect)) for effect in library]
     scans = iter(scan_candidates(draws.law, [grid for own in grids for grid in own], draws.series))
-    penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
+    penalty = bic_penalty(EVENT_PARAMETERS, solution.problem.n_frames)
     return [
         _scanned(effect, [next(scans) for _ in own], penalty) for effect, own in zip(library, grids, strict=True) if own
     ]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
+from frictrack.fit.stepwise import bic_penalty
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
@@ -87,4 +86,4 @@ def likelihood_gain(bare: Solution, fitted: Solution) -> float:
 
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
     """Penalty of BIC for the parameters of a model without its friction levels."""
-    return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))
+    return bic_penalty(len(layout.slots) - len(layout.levels), problem.n_frames)

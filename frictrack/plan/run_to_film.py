@@ -55,8 +55,8 @@ MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth fil
 class Question:
     """One question: whether `true` differs from `rival` (None: from nothing), with its weight and threshold.
 
-    Evidence adds up: `now` is what the runs say already (without a rival: what they are expected to say), `known` the
-    part of it that is measured. `relative_size_std` is the relative standard deviation of the size of the true effect.
+    Evidence adds up: `now` is what the runs say already (without a rival: what they are expected to say).
+    `relative_size_std` is the relative standard deviation of the size of the true effect.
     """
 
     true: str
@@ -64,7 +64,6 @@ class Question:
     weight: float
     decisive: float
     now: float
-    known: float = 0.0
     relative_size_std: float = 0.0
     discrimination: ModelDiscrimination | None = None
 
@@ -83,8 +82,9 @@ class Question:
 
     def prediction(self, after: float) -> dict[str, Any]:
         """Entry of the JSON `predictions`."""
-        low, high = evidence_interval(after - self.known, self.relative_size_std)
-        interval = [low + self.known, None if high is None else high + self.known]
+        measured = self.now if self.rival else 0.0
+        low, high = evidence_interval(after - measured, self.relative_size_std)
+        interval = [low + measured, None if high is None else high + measured]
         names = {"true": self.true, "rival": self.rival}
         return {**names, "now": self.now, "expected": after, "interval": interval, "decisive": self.decisive}
 
@@ -193,7 +193,7 @@ def _rival_questions(found: Sequence[Weighted], costs: Costs) -> tuple[list[Ques
     questions = []
     for d, weight in pairs:
         now, std = d.truth.gain - d.rival.gain, d.truth.relative_size_std
-        questions.append(Question(d.truth.effect, d.rival.effect, weight, DECISIVE_DELTA_BIC, now, now, std, d))
+        questions.append(Question(d.truth.effect, d.rival.effect, weight, DECISIVE_DELTA_BIC, now, std, d))
     solution = found[0].explanation.solution
     last, options = last_settings(solution), []
     for entry in combined_experiments(solution, costs):

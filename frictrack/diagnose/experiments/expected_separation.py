@@ -34,7 +34,7 @@ from frictrack.fit.least_squares import PieceResponse, Solution, refine, white_n
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.fit.stepwise import add_effect, amplitude_penalty, is_unconstrained
+from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
 from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
@@ -268,8 +268,8 @@ class ModelDiscrimination:
         fixed = count_unknowns(self.truth.solution.problem.layout) - count_unknowns(
             self.truth.conservative.problem.layout
         )
-        penalty = count_unknowns(rival.problem.layout) - count - fixed
-        return rival.objective - float(constraint @ constraint) + penalty * float(np.log(rival.problem.n_frames))
+        more = count_unknowns(rival.problem.layout) - count - fixed
+        return rival.objective - float(constraint @ constraint) + bic_penalty(more, rival.problem.n_frames)
 
     def _with_amplitude_per_run(self, tied: Solution, planned: RivalOfPlannedRun, tau: float) -> Solution:
         """The rival with an amplitude per run, if that lowers the BIC."""
@@ -280,7 +280,7 @@ class ModelDiscrimination:
             for p in old.parameters
             if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
         }
-        needed = amplitude_penalty(len(sizes) * (len(layout.run_names) - 1), tied.problem.n_frames)
+        needed = bic_penalty(len(sizes) * (len(layout.run_names) - 1), tied.problem.n_frames)
         if not (sizes and has_per_run_coefficients(old)) or tied.objective < needed:
             return tied
         effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)

@@ -23,9 +23,9 @@ from frictrack.fit.separable import (
     variable_projection,
 )
 from frictrack.fit.stepwise import (
-    EVENT_PENALTY,
+    EVENT_PARAMETERS,
     add_effect,
-    amplitude_penalty,
+    bic_penalty,
     entry_order,
     guess_coefficients,
     is_unconstrained,
@@ -117,7 +117,7 @@ def _by_variable_projection(
     separable = SeparableModel(layout, blocks)
     search = variable_projection(separable)
     state = search()
-    absent = search.unneeded_events(state, EVENT_PENALTY * np.log(separable.size))
+    absent = search.unneeded_events(state, bic_penalty(EVENT_PARAMETERS, separable.size))
     if absent:
         layout = replace(layout, absent=absent)
         separable = SeparableModel(layout, blocks)
@@ -167,7 +167,7 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
         free_amplitudes = fit_with_scatter(
             solution.problem.rebuild(layout, solution.problem.pieces), p, solution.starts, solution.tau
         )
-        needed = amplitude_penalty(len(amplitudes) * (runs - 1), solution.problem.n_frames)
+        needed = bic_penalty(len(amplitudes) * (runs - 1), solution.problem.n_frames)
         if solution.objective - free_amplitudes.objective > needed:
             solution = free_amplitudes
     return solution

@@ -10,11 +10,11 @@ from frictrack.fit.stepwise.growth import (
     simulate_trial,
 )
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, scan_effect
+from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise.scan_starts import scan_effect
 from frictrack.fit.stepwise.trial import (
     STRONG_MISFIT_CHI2,
     CandidateTrial,
-    amplitude_penalty,
     baseline_misfit,
     deepen_trials,
     gain_by_smaller_scatter,
@@ -27,12 +27,12 @@ from frictrack.fit.stepwise.trial import (
 )
 
 __all__ = [
-    "EVENT_PENALTY",
+    "EVENT_PARAMETERS",
     "STRONG_MISFIT_CHI2",
     "CandidateTrial",
     "add_effect",
-    "amplitude_penalty",
     "baseline_misfit",
+    "bic_penalty",
     "deepen_trials",
     "effect_for_scan",
     "entry_order",

@@ -21,7 +21,8 @@ from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
 from frictrack.fit.stepwise.order import entry_order, model_without, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, scan_effect
+from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise.scan_starts import scan_effect
 from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
 from frictrack.models import Model
 from frictrack.records import Array
@@ -141,7 +142,7 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
     The model absorbs a common clock error of all runs. The run nearest to the median clock is therefore removed
     first.
     """
-    penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
+    penalty = bic_penalty(EVENT_PARAMETERS, solution.problem.n_frames)
     while effect.clock is not None:
         layout = solution.problem.layout
         rates = {s.run: float(p) for s, p in zip(layout.slots, solution.p, strict=True) if s.effect == effect.name}

@@ -7,10 +7,9 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, ScannedSeries, candidate_grids, scan_candidate
 from frictrack.fit.stepwise.order import effect_for_scan
+from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
 from frictrack.records import Array
 
-# times log(frames): least gain of an event in one run (Bayesian information criterion: 1 per parameter)
-EVENT_PENALTY = 2.0
 MAX_STARTS = 4  # grid points of one scan that are refined
 MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
 MIN_GAIN_SHARE = 0.5  # share of the best gain
@@ -135,7 +134,7 @@ def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, i
 
 def _event_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
     """Events of single runs: kept where they gain more than their penalty, at least in the best run."""
-    penalty = EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
+    penalty = bic_penalty(EVENT_PARAMETERS, linearised.solution.problem.n_frames)
     gains = np.array([g for g, _, _ in picks])
     kept = np.flatnonzero((gains > penalty) | (gains == gains.max()))
     out: dict[tuple[str, int | None], float] = {}

@@ -16,7 +16,8 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout, Slot
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
-from frictrack.fit.stepwise.scan_starts import EVENT_PENALTY, MIN_GAIN_SHARE, Start, starts_of_scans
+from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise.scan_starts import MIN_GAIN_SHARE, Start, starts_of_scans
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -70,7 +71,7 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     if shared:
         return free_amplitudes
     count = len(amplitudes) * (runs - 1)
-    limit = free_amplitudes.misfit + amplitude_penalty(count, linearised.solution.problem.n_frames)
+    limit = free_amplitudes.misfit + bic_penalty(count, linearised.solution.problem.n_frames)
     shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect, limit)
     return free_amplitudes if shared_amplitude.misfit > limit else shared_amplitude
 
@@ -338,7 +339,7 @@ def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> Candida
 
 def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
     """A trial with events searched jointly in all runs, kept where they gain more than their penalty."""
-    name, penalty = trial.effect.name, EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
+    name, penalty = trial.effect.name, bic_penalty(EVENT_PARAMETERS, linearised.solution.problem.n_frames)
     layout = replace(trial.layout, absent=linearised.solution.problem.layout.absent)
     problem = _projected_problem(linearised, layout)
     search = VariableProjection(problem.separable, problem.tau)
@@ -378,11 +379,6 @@ def _with_shared_amplitude(
     problem = _projected_problem(linearised, layout)
     p = np.array([np.mean(known_values[n]) for n in layout.names])
     return _trial(effect, *_refined(problem, problem.at(p), limit))
-
-
-def amplitude_penalty(count: int, frames: int) -> float:
-    """Return the fall of chi-squared that `count` amplitudes more must exceed to lower the BIC of so many frames."""
-    return count * float(np.log(frames))
 
 
 def is_unconstrained(p: Parameter) -> bool:
