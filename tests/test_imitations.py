@@ -170,7 +170,7 @@ def four_runs():
 def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
     """Flash weakening far above all speeds is a force in proportion to the speed, as viscous friction is."""
     first = run_round(four_runs.solution, (), np.random.default_rng(0), lambda what: None)
-    replaced = effects.get("flash_weakening").adjusted(v_w={"fixed": 3000.0}, dF={"bounds": (-1e6, 1e6)})
+    replaced = effects.get("flash_weakening").adjusted(v_w={"fixed": 6000.0}, dF={"bounds": (-1e6, 1e6)})
     grown = add_effect(four_runs.solution, replaced)
     _, curves = _limits(first)
     known = linear_estimates(grown).parameters["viscous.F_v"]

@@ -22,7 +22,7 @@ from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayou
 from frictrack.fit.parameters.prior_penalties import prior_jacobian, prior_residual
 from frictrack.records import Array
 
-SCATTER_BOUNDS = (1e-4, 0.5)  # range of the relative standard deviation of the levels
+SCATTER_BOUNDS = (1e-6, 0.5)  # range of the relative standard deviation of the levels
 MEAN_LEVEL_WEIGHT = 1e4  # that holds the mean of few levels at one
 
 
