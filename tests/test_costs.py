@@ -143,7 +143,7 @@ def test_a_run_that_costs_much_is_named_only_if_it_is_worth_it(ambiguous):
 def test_an_undetermined_model_is_answered_by_the_run_that_shows_the_effect():
     """Fast runs cannot show a Stribeck effect; a run to a stop can, and this needs no diagnosis to know."""
     made = fit(LAW, runs_with("viscous", {"F_v": 1.2}, (6.0, 6.5, 7.0, 7.5), duration=0.06))
-    found = {"verdict": "undetermined", "undetermined": [{"what": "stribeck"}]}
+    found = {"verdict": "undetermined", "undetermined": [{"what": "stribeck"}], "candidates": []}
     named = next_run(made, found, Costs(camera=math.inf))
     assert named["separates"] == ["stribeck"]
     assert abs(named["settings"]["speed"]) < 5.0

@@ -193,3 +193,24 @@ def test_several_effects_are_a_less_likely_cause_than_one():
     odds = [_log_prior_odds(6, count) for count in (1, 2, 3)]
     assert odds[0] < math.log(0.1) < 0 < odds[2]  # one effect is likelier than one form, three are not
     assert odds == sorted(odds)
+
+
+def test_a_slope_that_levels_hide_is_sought_by_runs_back_and_more_of_them():
+    """Three runs forth and one back: their levels differ, yet three degrees of freedom are too few to be sure."""
+    law = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.1}}
+    there = {"slope": {"F": 0.25}}
+    rng = np.random.default_rng(3)
+    runs = [
+        slide(law | there, 0.3, v, 1 + 0.01 * rng.standard_normal(), rng, name=f"r{i}")
+        for i, v in enumerate((3.0, 4.5, 4.0, -3.5))
+    ]
+    made = fit(list(law), runs)
+    found = diagnose(made, quick=True, alpha=0.001).summary()
+    assert found["verdict"] in {"complete", "undetermined"}
+    slope = next(c for c in found["candidates"] if c["effect"] == "slope")
+    assert slope["delta_bic"] > MAX_BIC_EQUAL
+    named = next_run(made, found, Costs(camera=math.inf))
+    assert named["separates"][0] == "slope"
+    assert named["settings"]["speed"] < 0  # the direction of which there is one run only
+    told = named["predictions"][0]
+    assert slope["delta_bic"] / 3 < told["now"] < told["expected"] < told["decisive"]

@@ -59,26 +59,66 @@ class NormalMatrices:
             self.frames + other.frames,
         )
 
-    def unexplained_chi2(self) -> Array:
+    def unexplained_chi2(self, *, scatter_known: bool = True) -> Array:
         """Chi-squared of every true effect that the law and the best fit of the rival leave unexplained.
 
         A rival that needs a different amplitude in every run gets them, at the penalty of BIC for each.
+
+        Parameters
+        ----------
+        scatter_known
+            Whether the scatter of the levels is known. Otherwise these runs alone show it, and what the friction levels
+            say has only as many degrees of freedom.
 
         Returns
         -------
         ndarray, shape (D,)
 
         """
-        k = 0 if self.runs < MIN_RUNS_FOR_SCATTER else 1
+        left = self._unexplained(0)
+        if self.runs >= MIN_RUNS_FOR_SCATTER:
+            known = self._unexplained(1)
+            left = known if scatter_known else left + chi2_equivalent(known - left, self.runs - 2)
+        weight, first, second = self.moments
+        one_amplitude = second - first**2 / np.maximum(weight, 1e-300)
+        penalty = (self.runs - 1) * np.log(max(self.frames, 2))
+        return np.asarray(np.min(left + np.minimum(np.maximum(one_amplitude, 0.0), penalty), axis=0))
+
+    def _unexplained(self, k: int) -> Array:
+        """The same (G, D) at every grid point for one amplitude: with levels free (0) or with their prior (1)."""
         ss, sd = self.ss[k], self.sd[k]
         norm = np.sqrt(np.maximum(np.einsum("gss->gs", ss), 1e-300))
         unit = ss / norm[:, :, None] / norm[:, None, :] + RIDGE_RATIO * np.eye(ss.shape[1])
         right = sd / norm[:, :, None]
         explained = np.einsum("gsd,gsd->gd", right, np.linalg.solve(unit, right)) if ss.shape[1] else 0.0
-        weight, first, second = self.moments
-        one_amplitude = second - first**2 / np.maximum(weight, 1e-300)
-        penalty = (self.runs - 1) * np.log(max(self.frames, 2))
-        return np.asarray(np.min(self.dd[k] - explained + np.minimum(np.maximum(one_amplitude, 0.0), penalty), axis=0))
+        return np.asarray(self.dd[k] - explained)
+
+
+def chi2_equivalent(t2: Array, df: int) -> Array:
+    """Chi-squared of one degree of freedom that is as improbable as the square of Student's t.
+
+    Parameters
+    ----------
+    t2
+        Squares of t.
+    df
+        Degrees of freedom of the variance in t.
+
+    Returns
+    -------
+    ndarray
+
+    References
+    ----------
+    Wallace, D. L. (1959). Ann. Math. Stat. 30, 1121-1130.
+
+    Examples
+    --------
+    >>> round(float(chi2_equivalent(np.array(10.13), 3)), 1)  # both of probability 0.05
+    3.8
+
+    """
+    return np.asarray(((8 * df + 1) / (8 * df + 3)) ** 2 * df * np.log1p(np.maximum(t2, 0.0) / df))
 
 
 def reduce_without_rival(run: PlannedRun, traces: Array, tau: float) -> NormalMatrices:

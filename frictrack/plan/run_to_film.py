@@ -22,7 +22,7 @@ import numpy as np
 
 from frictrack import effects, models
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
-from frictrack.diagnose import MIN_CHI2_SEPARATED
+from frictrack.diagnose import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
 from frictrack.diagnose.experiments import (
     ModelDiscrimination,
     RunDesign,
@@ -35,6 +35,7 @@ from frictrack.effects import PLANNED_SHARE
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.plan.causes import list_causes
 from frictrack.plan.experiment_setup import candidate_runs
 from frictrack.plan.explanations import Weighted, list_explanations
@@ -48,6 +49,7 @@ from frictrack.threads import one_thread
 DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
+MIN_SCATTER = 1e-3  # of the friction levels beside a suspected effect
 MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth filming
 
 
@@ -167,6 +169,9 @@ def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tup
         return [], []
     verdict = diagnosis["verdict"]
     if verdict in {"undetermined", "complete"}:
+        suspected = _suspected_effects(diagnosis)
+        if suspected:
+            return _power_questions(fit, suspected, costs, suspected[0])
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
     found = list_explanations(fit.solution, diagnosis)
@@ -228,18 +233,33 @@ def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     return [n for n in named if effects.get(n).acts_on == "force" and effects.get(n).sized]
 
 
-def _power_questions(fit: Fit, names: Sequence[str], costs: Costs) -> tuple[list[Question], list[Option]]:
-    """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction."""
+def _suspected_effects(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Effects whose evidence would be strong if it were significant, the best first."""
+    likely = [c for c in diagnosis["candidates"] if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and not c["implausible"]]
+    return [c["effect"] for c in sorted(likely, key=lambda c: -c["delta_bic"]) if c["effect"] in effects.LIBRARY]
+
+
+def _power_questions(
+    fit: Fit, names: Sequence[str], costs: Costs, suspected: str | None = None
+) -> tuple[list[Question], list[Option]]:
+    """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction.
+
+    The scatter of the friction levels is that beside a `suspected` effect, as far as the runs show it.
+    """
     if not names:
         return [], []
     try:
         setup = replace(fitted_setup(fit), costs=costs)
+        if suspected:
+            beside = refine_to_end(add_effect(fit.solution, effects.get(suspected)))
+            setup = replace(setup, scatter=max(beside.tau, MIN_SCATTER))
         runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
     except FrictrackError:  # a drive, or a law without Coulomb friction
         return [], []
     count = sum(r.experiment in setup.completed for r in runs)
     tables = {n: t for n in names if (t := _evidence_of_effect(runs, n, setup.scatter)) is not None}
-    chi2 = {n: sum_runs(t[:count]).unexplained_chi2()[0] for n, t in tables.items()}
+    known = suspected is None
+    chi2 = {n: sum_runs(t[:count]).unexplained_chi2(scatter_known=known)[0] for n, t in tables.items()}
     times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
     decisive = detection_threshold()
     questions = [Question(n, None, 1.0 / len(chi2), decisive, float(now)) for n, now in chi2.items()]
@@ -248,7 +268,8 @@ def _power_questions(fit: Fit, names: Sequence[str], costs: Costs) -> tuple[list
         settings = setup.settings(run.experiment.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
-            after = tuple(float(sum_runs([*t[:count], *[t[i]] * times]).unexplained_chi2()[0]) for t in tables.values())
+            together = (sum_runs([*t[:count], *[t[i]] * times]) for t in tables.values())
+            after = tuple(float(part.unexplained_chi2(scatter_known=known)[0]) for part in together)
             options.append(Option(run.experiment.key, f"Film {run.experiment.words}", settings, cost, after))
     return questions, options
 
