@@ -15,7 +15,7 @@ from frictrack import effects
 from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.conclusion import _limits
-from frictrack.diagnose.formula_comparison import _log_prior_odds
+from frictrack.diagnose.formula_comparison import _log_prior_odds, _probability
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL
 from frictrack.diagnose.power import find_undetermined, mean_friction
 from frictrack.diagnose.rounds import run_round
@@ -193,6 +193,16 @@ def test_several_effects_are_a_less_likely_cause_than_one():
     odds = [_log_prior_odds(6, count) for count in (1, 2, 3)]
     assert odds[0] < math.log(0.1) < 0 < odds[2]  # one effect is likelier than one form, three are not
     assert odds == sorted(odds)
+
+
+def test_all_listed_forms_count_for_the_probability_of_a_formula():
+    """The likeliest form may be the one of a wide bend, whose BIC is far below that of a straight one."""
+    advantages, shares = np.array([-6.8, 5.8, 1.2]), np.array([0.21, 0.20, 0.10])
+    whole = _probability(advantages, shares, -4.0)
+    assert whole == pytest.approx(_probability(advantages[::-1], shares[::-1], -4.0))
+    odds = np.exp(advantages / 2).sum() / shares.sum() * math.exp(-4.0)
+    assert whole == pytest.approx(odds / (1 + odds))
+    assert _probability(advantages[:1], shares[:1], -4.0) < 0.01 < 0.3 < whole
 
 
 def test_a_slope_that_levels_hide_is_sought_by_runs_back_and_more_of_them():

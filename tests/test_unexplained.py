@@ -198,7 +198,7 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
 
 def test_runs_are_proposed_that_separate_an_effect_from_a_formula_that_is_as_likely():
     """A joint where few frames see it: a step in the friction, or a patch."""
-    small = slides(lambda x, v, t, s, load: 0.09 * load * s * np.tanh((x - 0.31) / 0.02), seed=4)
+    small = slides(lambda x, v, t, s, load: 0.08 * load * s * np.tanh((x - 0.31) / 0.02), seed=4)
     found = diagnose(fit(LAW, small))
     assert found.verdict == "ambiguous"
     assert found.unexplained["rival"] == "a formula of place"

@@ -15,7 +15,7 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
@@ -26,6 +26,7 @@ from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
 from frictrack.number_format import format_probability
+from frictrack.records import Array
 
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
 PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
@@ -69,12 +70,11 @@ def compare_with_formulas(
     unexplained = unexplained_force(start, forces=forces, functions=functions)
     if not unexplained.formulas.entries:
         return None
-    first = unexplained.formulas.entries[0]
-    advantage = first["delta_bic"] - evidence
-    if advantage < -margin:
+    listed = unexplained.formulas.entries
+    first, advantages = listed[0], np.array([entry["delta_bic"] - evidence for entry in listed])
+    if advantages.max() < -margin:
         return None
-    log_odds = advantage / 2 - np.log(first["probability"]) + prior
-    probability = float(expit(log_odds))
+    probability = _probability(advantages, np.array([entry["probability"] for entry in listed]), prior)
     decisive = probability > MIN_PROBABILITY_DECISIVE
     rival = f"a formula of {' and '.join(AXES[name].name for name in first['variables'])}"
     is_rival = MAX_PROBABILITY_UNLIKELY < probability <= MIN_PROBABILITY_DECISIVE
@@ -96,6 +96,15 @@ def _is_worth_searching(
     if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
     return smooth_forces(forces.compressed, formula_axes(forces.compressed))[0].gain > evidence
+
+
+def _probability(advantages: Array, shares: Array, prior: float) -> float:
+    """Probability that one of the forms is the cause and not the effects found.
+
+    `advantages` (n,) are the BIC of the listed forms over that of the effects, `shares` (n,) the probabilities of these
+    forms among all, and `prior` the logarithm of the prior odds of one form.
+    """
+    return float(expit(logsumexp(advantages / 2) - np.log(shares.sum()) + prior))
 
 
 def _log_prior_odds(axes: int, count: int) -> float:
