@@ -10,7 +10,6 @@ at once are rarer, too.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from math import comb
 from typing import Any
 
@@ -22,6 +21,7 @@ from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axe
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
+from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
@@ -68,9 +68,10 @@ def compare_with_formulas(
     if not _is_worth_searching(forces, found, repeats, evidence - margin):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
-    if not unexplained.formulas.entries:
+    formulas = unexplained.formulas.without(lambda one: is_special_case(one.solution, found))
+    listed = formulas.entries
+    if not listed:
         return None
-    listed = unexplained.formulas.entries
     first, advantages = listed[0], np.array([entry["delta_bic"] - evidence for entry in listed])
     if advantages.max() < -margin:
         return None
@@ -81,7 +82,7 @@ def compare_with_formulas(
     compared = {"probability": probability, "decisive": decisive, "rival": rival if is_rival else None}
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
     compared |= {"words": _words(first, added, compared)}
-    return replace(unexplained, summary=unexplained.summary | compared)
+    return UnexplainedForce(unexplained.summary | compared | {"formulas": listed}, formulas)
 
 
 def _is_worth_searching(

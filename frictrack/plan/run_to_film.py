@@ -50,7 +50,7 @@ DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists 
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MIN_SCATTER = 1e-3  # of the friction levels beside a suspected effect
-MIN_PROGRESS = 0.01  # of all open questions, below which a run is not worth filming
+MIN_GAIN = 0.02  # share of decisive evidence, over all questions, below which a run is not worth filming
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,10 @@ class Question:
     def progress(self, after: float) -> float:
         """Weighted progress toward decisive evidence."""
         return self.weight * (self._share(after) - self._share(self.now))
+
+    def gain(self, after: float) -> float:
+        """Weighted share of decisive evidence that is added, also where little was left to add."""
+        return self.weight * float(np.clip((after - self.now) / self.decisive, 0.0, 1.0))
 
     def _share(self, evidence: float) -> float:
         return float(np.clip(evidence / self.decisive, 0.0, 1.0))
@@ -145,7 +149,7 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
         return None
     best = max(options, key=lambda o: o.value(questions))
     open_now = [(q, e) for q, e in zip(questions, best.after, strict=True) if q.now < q.decisive]
-    if not open_now or best.value(questions)[0] * best.cost < MIN_PROGRESS * sum(q.weight for q in questions):
+    if sum(q.gain(e) for q, e in open_now) < MIN_GAIN * sum(q.weight for q in questions):
         return None
     likeliest = max(q.weight for q, _ in open_now)
     refitted = [(q, q.refitted(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
@@ -175,7 +179,7 @@ def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tup
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
     found = list_explanations(fit.solution, diagnosis)
-    return _rival_questions(found, costs) if len(found) > 1 else ([], [])
+    return _rival_questions(found, costs, further=verdict == "unexplained") if len(found) > 1 else ([], [])
 
 
 def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[Question], list[Option]]:
@@ -188,8 +192,11 @@ def _answerable(questions: list[Question], options: list[Option]) -> tuple[list[
 # --- which explanation is true
 
 
-def _rival_questions(found: Sequence[Weighted], costs: Costs) -> tuple[list[Question], list[Option]]:
-    """One question for every ordered pair of explanations, weighted by the probability of the first."""
+def _rival_questions(found: Sequence[Weighted], costs: Costs, *, further: bool) -> tuple[list[Question], list[Option]]:
+    """One question for every ordered pair of explanations, weighted by the probability of the first.
+
+    With `further`, evidence that is decisive already must be found once more: the runs are not explained yet.
+    """
     pairs = [
         (ModelDiscrimination(a.explanation, b.explanation), a.probability / (len(found) - 1))
         for a, b in permutations(found, 2)
@@ -198,7 +205,8 @@ def _rival_questions(found: Sequence[Weighted], costs: Costs) -> tuple[list[Ques
     questions = []
     for d, weight in pairs:
         now, std = d.truth.gain - d.rival.gain, d.truth.relative_size_std
-        questions.append(Question(d.truth.effect, d.rival.effect, weight, DECISIVE_DELTA_BIC, now, std, d))
+        decisive = DECISIVE_DELTA_BIC + (now if further and now >= DECISIVE_DELTA_BIC else 0.0)
+        questions.append(Question(d.truth.effect, d.rival.effect, weight, decisive, now, std, d))
     solution = found[0].explanation.solution
     last, options = last_settings(solution), []
     for entry in combined_experiments(solution, costs):

@@ -7,7 +7,7 @@ their evidence, and the most probable are fitted in full. If significant misfit 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -53,10 +53,20 @@ MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit
 
 @dataclass(frozen=True)
 class FoundFormulas:
-    """Formulas that fit what a model leaves: JSON entries, most probable first, and the fit of the first one."""
+    """Formulas that fit what a model leaves, most probable first: JSON entries, and the fits."""
 
     entries: list[dict[str, Any]] = field(default_factory=list)
-    first: FittedFormula | None = None
+    fitted: list[FittedFormula] = field(default_factory=list)
+
+    @property
+    def first(self) -> FittedFormula | None:
+        """The fit of the first one; None if there is none."""
+        return self.fitted[0] if self.fitted else None
+
+    def without(self, is_known: Callable[[FittedFormula], bool]) -> FoundFormulas:
+        """The formulas that are not known already."""
+        kept = [pair for pair in zip(self.entries, self.fitted, strict=True) if not is_known(pair[1])]
+        return FoundFormulas([entry for entry, _ in kept], [one for _, one in kept])
 
 
 def search_formulas(
@@ -94,7 +104,7 @@ def search_formulas(
         others = [form for form in group if form != first] if one is shown[0] else [first] * (one.form in group)
         entry = describe_formula(one, solution)
         entries.append(entry | {"probability": probabilities[one.form], "equivalents": others})
-    return FoundFormulas(entries, shown[0])
+    return FoundFormulas(entries, shown)
 
 
 def least_misfit(forces: ResidualForces, functions: Sequence[Shape] = ()) -> float:
