@@ -50,7 +50,7 @@ DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists 
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MIN_SCATTER = 1e-3  # of the friction levels beside a suspected effect
-MIN_GAIN = 0.02  # share of decisive evidence, over all questions, below which a run is not worth filming
+MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
 
 
 @dataclass(frozen=True)
