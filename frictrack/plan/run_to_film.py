@@ -50,6 +50,7 @@ DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists 
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MIN_SCATTER = 1e-3  # of the friction levels beside a suspected effect
+MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
 MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
 
 
@@ -242,8 +243,12 @@ def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
 
 
 def _suspected_effects(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Effects whose evidence would be strong if it were significant, the best first."""
-    likely = [c for c in diagnosis["candidates"] if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and not c["implausible"]]
+    """Effects with much evidence that is nearly significant, the best first."""
+    likely = [
+        c
+        for c in diagnosis["candidates"]
+        if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and c["p"] < MAX_P_SUSPECTED and not c["implausible"]
+    ]
     return [c["effect"] for c in sorted(likely, key=lambda c: -c["delta_bic"]) if c["effect"] in effects.LIBRARY]
 
 
