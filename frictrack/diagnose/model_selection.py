@@ -37,7 +37,7 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
     problem = rival.problem.rebuild(rival.problem.layout, pieces)
-    tau = max(best.tau, 1e-3)
+    tau = best.tau_of_other_runs
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15, min_fall=MIN_CHI2_FALL)
     held = penalty_residual(best.problem.layout, best.p, tau)
     return fitted.objective - float(held @ held)

@@ -49,7 +49,6 @@ from frictrack.threads import one_thread
 DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
-MIN_SCATTER = 1e-3  # of the friction levels beside a suspected effect
 MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
 MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
 
@@ -265,7 +264,7 @@ def _power_questions(
         setup = replace(fitted_setup(fit), costs=costs)
         if suspected:
             beside = refine_to_end(add_effect(fit.solution, effects.get(suspected)))
-            setup = replace(setup, scatter=max(beside.tau, MIN_SCATTER))
+            setup = replace(setup, scatter=beside.tau_of_other_runs)
         runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
     except FrictrackError:  # a drive, or a law without Coulomb friction
         return [], []

@@ -67,7 +67,7 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
         noise=noise,
         law=law,
         values={e.name: dict(values[e.name]) for e in base_effects},
-        scatter=DEFAULT_SCATTER if scatter_is_assumed else max(solution.tau, 1e-3),
+        scatter=DEFAULT_SCATTER if scatter_is_assumed else solution.tau_of_other_runs,
         course=span.x_max - span.x_min,
         start=span.x_min,
         assumed=assumed,

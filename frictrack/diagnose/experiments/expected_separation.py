@@ -194,7 +194,7 @@ class ModelDiscrimination:
     @cached_property
     def fitted_rival(self) -> Solution:
         """The rival fitted to what the truth predicts of the present runs, without noise."""
-        rival, tau = self.rival.solution, max(self.truth.conservative.tau, 1e-3)
+        rival, tau = self.rival.solution, self.truth.conservative.tau_of_other_runs
         true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in self.truth.conservative.responses}
         pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
         predicted = [_with_measurement(r, p.y) for r, p in zip(rival.responses, pieces, strict=True)]
@@ -214,7 +214,7 @@ class ModelDiscrimination:
     def expected_delta_bic_now(self) -> float:
         """Expected difference of BIC on the present runs, positive for the truth."""
         truth = self.truth.conservative
-        constraint = penalty_residual(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
+        constraint = penalty_residual(truth.problem.layout, truth.p, truth.tau_of_other_runs)
         return self._bic(self.fitted_rival, constraint, count_unknowns(truth.problem.layout))
 
     def expected_delta_bic_after(self, design: RunDesign, *, refit: bool = False) -> float:

@@ -71,7 +71,9 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     values_by_name |= {f"{effect.name}.h{k}": float(h) for k, h in enumerate(np.interp(knots, smooth.at, smooth.force))}
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
     p = np.array([values_by_name[name] for name in layout.names])
-    return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
+    return refine(
+        problem, p, solution.starts, tau=solution.tau_of_other_runs, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL
+    )
 
 
 def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) -> Effect:

@@ -350,4 +350,4 @@ def _repeat_series(
 def expected_scatter(solution: Solution, runs: int) -> float:
     """Expected scatter of the friction level with a given number of runs."""
     known = len(solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER or runs < MIN_RUNS_FOR_SCATTER
-    return max(solution.tau, 1e-3) if known else DEFAULT_SCATTER
+    return solution.tau_of_other_runs if known else DEFAULT_SCATTER

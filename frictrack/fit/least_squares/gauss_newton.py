@@ -29,6 +29,7 @@ from frictrack.fit.parameters import (
 from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
+MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
 MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
@@ -163,6 +164,11 @@ class Solution:
         scattered = replace(self, tau=tau, objective=objective)
         vars(scattered)["few_rows_and_residual"] = self.few_rows_and_residual  # of the same responses
         return scattered
+
+    @property
+    def tau_of_other_runs(self) -> float:
+        """Scatter to expect of the friction levels of other runs: those of few runs may be nearly equal by chance."""
+        return max(self.tau, MIN_TAU_OF_OTHER_RUNS)
 
     @property
     def levels_are_random(self) -> bool:

@@ -20,7 +20,6 @@ from frictrack.records import Array
 from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not determined by the runs
-MIN_SCATTER = 1e-3  # smallest scatter of the friction levels
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
 
     """
     layout = solution.problem.layout
-    tau = max(solution.tau, MIN_SCATTER)
+    tau = solution.tau_of_other_runs
     rotated = solution.rotated_jacobian
     law = np.vstack([rotated.rows, penalty_jacobian(layout, tau, solution.p)])
     law = law if kept is None else law[:, kept]
