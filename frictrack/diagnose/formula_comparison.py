@@ -68,7 +68,9 @@ def compare_with_formulas(
     if not _is_worth_searching(forces, found, repeats, evidence - margin):
         return None
     unexplained = unexplained_force(start, forces=forces, functions=functions)
-    formulas = unexplained.formulas.without(lambda one: is_special_case(one.solution, found))
+    special = [one for one in unexplained.formulas.fitted if is_special_case(one.solution, found)]
+    evidence = max([evidence, *(one.delta_bic for one in special)])  # of the effect, if it is one of them
+    formulas = unexplained.formulas.without(special)
     listed = formulas.entries
     if not listed:
         return None

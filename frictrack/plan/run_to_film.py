@@ -31,6 +31,7 @@ from frictrack.diagnose.experiments import (
     last_settings,
     settings_of,
 )
+from frictrack.distributions import chi2_isf
 from frictrack.effects import PLANNED_SHARE
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
@@ -39,7 +40,7 @@ from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.plan.causes import list_causes
 from frictrack.plan.experiment_setup import candidate_runs
 from frictrack.plan.explanations import Weighted, list_explanations
-from frictrack.plan.normal_matrices import reduce_without_rival, sum_runs
+from frictrack.plan.normal_matrices import NormalMatrices, reduce_without_rival, sum_runs
 from frictrack.plan.selection import detection_threshold, span_of_runs
 from frictrack.plan.setup_from_fit import fitted_setup
 from frictrack.plan.traces import PlannedRun, effect_trace, planned_size, simulate_runs
@@ -50,6 +51,7 @@ DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists 
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
+NOTHING: Mapping[str, float] = {}
 MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
 
 
@@ -175,7 +177,7 @@ def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> tup
     if verdict in {"undetermined", "complete"}:
         suspected = _suspected_effects(diagnosis)
         if suspected:
-            return _power_questions(fit, suspected, costs, suspected[0])
+            return _power_questions(fit, list(suspected), costs, suspected)
         questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
         return (questions, options) if verdict == "undetermined" else _answerable(questions, options)
     found = list_explanations(fit.solution, diagnosis)
@@ -241,52 +243,58 @@ def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     return [n for n in named if effects.get(n).acts_on == "force" and effects.get(n).sized]
 
 
-def _suspected_effects(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Effects with much evidence that is nearly significant, the best first."""
+def _suspected_effects(diagnosis: Mapping[str, Any]) -> dict[str, float]:
+    """Effects with much evidence that is nearly significant, the best first, and their evidence as chi-squared."""
     likely = [
         c
         for c in diagnosis["candidates"]
         if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and c["p"] < MAX_P_SUSPECTED and not c["implausible"]
     ]
-    return [c["effect"] for c in sorted(likely, key=lambda c: -c["delta_bic"]) if c["effect"] in effects.LIBRARY]
+    ordered = sorted(likely, key=lambda c: -c["delta_bic"])
+    return {c["effect"]: float(chi2_isf(c["p"], 1)) for c in ordered if c["effect"] in effects.LIBRARY}
 
 
 def _power_questions(
-    fit: Fit, names: Sequence[str], costs: Costs, suspected: str | None = None
+    fit: Fit, names: Sequence[str], costs: Costs, suspected: Mapping[str, float] = NOTHING
 ) -> tuple[list[Question], list[Option]]:
     """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction.
 
-    The scatter of the friction levels is that beside a `suspected` effect, as far as the runs show it.
+    Of `suspected` effects, the evidence is measured; it grows with further runs as that of such an effect would, if the
+    friction levels scatter as they do beside the first of them.
     """
     if not names:
         return [], []
     try:
         setup = replace(fitted_setup(fit), costs=costs)
         if suspected:
-            beside = refine_to_end(add_effect(fit.solution, effects.get(suspected)))
+            beside = refine_to_end(add_effect(fit.solution, effects.get(next(iter(suspected)))))
             setup = replace(setup, scatter=beside.tau_of_other_runs)
         runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
     except FrictrackError:  # a drive, or a law without Coulomb friction
         return [], []
     count = sum(r.experiment in setup.completed for r in runs)
     tables = {n: t for n in names if (t := _evidence_of_effect(runs, n, setup.scatter)) is not None}
-    known = suspected is None
-    chi2 = {n: sum_runs(t[:count]).unexplained_chi2(scatter_known=known)[0] for n, t in tables.items()}
     times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
-    decisive = detection_threshold()
-    questions = [Question(n, None, 1.0 / len(chi2), decisive, float(now)) for n, now in chi2.items()]
+
+    def evidence(name: str, *further: NormalMatrices) -> float:
+        together = sum_runs([*tables[name][:count], *further])
+        return float(together.unexplained_chi2(scatter_known=not suspected)[0])
+
+    expected = {n: evidence(n) for n in tables}
+    scale = {n: suspected[n] / max(one, 1e-300) if suspected else 1.0 for n, one in expected.items()}
+    decisive = detection_threshold(forms=1) if suspected else detection_threshold()
+    questions = [Question(n, None, 1.0 / len(scale), decisive, scale[n] * one) for n, one in expected.items()]
     last, options = last_settings(fit.solution), []
     for i, run in enumerate(runs[count:], count):
         settings = setup.settings(run.experiment.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
-            together = (sum_runs([*t[:count], *[t[i]] * times]) for t in tables.values())
-            after = tuple(float(part.unexplained_chi2(scatter_known=known)[0]) for part in together)
+            after = tuple(scale[n] * evidence(n, *[t[i]] * times) for n, t in tables.items())
             options.append(Option(run.experiment.key, f"Film {run.experiment.words}", settings, cost, after))
     return questions, options
 
 
-def _evidence_of_effect(runs: Sequence[PlannedRun], name: str, scatter: float) -> list[Any] | None:
+def _evidence_of_effect(runs: Sequence[PlannedRun], name: str, scatter: float) -> list[NormalMatrices] | None:
     """Products of one effect of `SOUGHT_SHARE` of the friction and the rest of the law, in every run."""
     law = models.of([e for e in runs[0].problem.model.effects if e.name != name])
     setup_span = span_of_runs(list(runs))

@@ -256,9 +256,9 @@ def _undetected(evidence: Array) -> set[int]:
 
 
 @cache
-def detection_threshold() -> float:
-    """Expected rise of chi-squared that is detected in 95 of 100 repeats, in a search of the whole library."""
-    return noncentrality(float(chi2_isf(ALPHA / 2 / N_INDEPENDENT_FORMS, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
+def detection_threshold(forms: int = N_INDEPENDENT_FORMS) -> float:
+    """Expected rise of chi-squared that is detected in 95 of 100 repeats, in a search of so many independent forms."""
+    return noncentrality(float(chi2_isf(ALPHA / 2 / forms, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
 
 
 def _score(evidence: Array) -> tuple[int, float]:

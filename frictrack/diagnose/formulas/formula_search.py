@@ -7,7 +7,7 @@ their evidence, and the most probable are fitted in full. If significant misfit 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -63,9 +63,10 @@ class FoundFormulas:
         """The fit of the first one; None if there is none."""
         return self.fitted[0] if self.fitted else None
 
-    def without(self, is_known: Callable[[FittedFormula], bool]) -> FoundFormulas:
-        """The formulas that are not known already."""
-        kept = [pair for pair in zip(self.entries, self.fitted, strict=True) if not is_known(pair[1])]
+    def without(self, others: Sequence[FittedFormula]) -> FoundFormulas:
+        """All but some of the formulas."""
+        pairs = zip(self.entries, self.fitted, strict=True)
+        kept = [pair for pair in pairs if not any(pair[1] is one for one in others)]
         return FoundFormulas([entry for entry, _ in kept], [one for _, one in kept])
 
 
