@@ -6,6 +6,7 @@ The motions are integrated by scipy; nothing of frictrack's laws or integrator i
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,18 +14,22 @@ import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
+from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas.formula_search import search_formulas
 from frictrack.diagnose.formulas.shapes import SHAPES
 from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, Repeatability
+from frictrack.diagnose.search import _FormulaInstead
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import definitions, read_settings
 from frictrack.fit import fit
 from frictrack.fit.least_squares import refine
+from frictrack.fit.stepwise import add_effect
 
 LAW = ["coulomb", "viscous"]
 PLAN = ((3.4, 1), (4.0, 1), (6.0, 1), (4.5, 2), (-4.0, 1), (-5.5, 1))  # start speed m/s, mass over the reference
@@ -194,6 +199,19 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
     assert delta_bic == found.summary["formulas"][0]["delta_bic"]
     assert law.problem.model.names == [*LAW, "formula:1"]
     assert refine(law.problem, law.p, law.starts, tau=law.tau).objective == pytest.approx(law.objective, abs=1e-3)
+
+
+def test_several_effects_that_one_formula_beats_are_not_exchanged_for_others(fits):
+    """A magnet: a few waves in every run imitate it, and any other set of so many effects can only do the same."""
+    start = fits["magnet"].solution
+    formula = _FormulaInstead(start, (), True)
+    names = ("vibration", "drift", "spring")
+    waves = [RefinedCandidate(effects.get(n), add_effect(start, effects.get(n)), 1.0, 0.001) for n in names]
+    assert formula.explains_more(waves)
+    assert not formula.explains_more(waves[:2])
+    best = search_formulas(ResidualForces(start)).first.solution
+    assert not formula.explains_more([replace(one, solution=best) for one in waves])
+    assert not _FormulaInstead(start, (), False).explains_more(waves)
 
 
 def test_runs_are_proposed_that_separate_an_effect_from_a_formula_that_is_as_likely():

@@ -20,7 +20,7 @@ from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.formulas import Shape, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
 from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
 from frictrack.diagnose.refined_candidates import RefinedCandidate, refine_fully
 from frictrack.diagnose.residual_kinds import residual_kind
@@ -35,13 +35,17 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import refine_to_end
+from frictrack.fit.stepwise import bic_penalty, refine_to_end
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
 
 MAX_EFFECTS = 4  # that are added
 MAX_ROUNDS = 8  # of testing, adding and reviewing
 MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one formula leaves in place of all of them
+MIN_EFFECTS_IMITATING = 3  # effects found, from which on they may imitate one formula
+MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no other set is searched
+MAX_UNKNOWNS_OF_FORMULA = 4
+MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above the noise
 
 Progress = Callable[[int, int, str], None]
 
@@ -183,6 +187,8 @@ def _search(
             found.append(
                 replace(best, indistinguishable_from=find_rivals(best, _consistent_with_sensor(last.tried, sensor)))
             )
+        elif formula.explains_more(found):
+            break
         else:
             before = [t.effect.name for t in found]
             found = kind.review(tested, found, own, notify_round)
@@ -220,6 +226,19 @@ class _FormulaInstead:
         """Whether it leaves far less than a misfit, which is far above the noise itself."""
         is_far = misfit > MIN_REDUCED_CHI2_FAR * self.start.problem.n_frames
         return self.is_comparable and is_far and MIN_RATIO_BEATEN * self.misfit < misfit
+
+    def explains_more(self, found: Sequence[RefinedCandidate]) -> bool:
+        """Whether it leaves only noise, and several effects found explain far less by the BIC: they imitate it.
+
+        Other sets of effects need not be searched then, because the few parameters of a formula suffice.
+        """
+        if not self.is_comparable or len(found) < MIN_EFFECTS_IMITATING:
+            return False
+        start, n = self.start, self.start.problem.n_frames
+        if self.misfit > n + MIN_SIGMAS_MISFIT * np.sqrt(2 * n):
+            return False
+        fall = start.objective - self.misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
+        return bool(information_criterion(start) - fall < information_criterion(found[-1].law) - MIN_BIC_BEATEN)
 
 
 def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:
