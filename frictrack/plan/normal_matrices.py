@@ -18,6 +18,7 @@ import numpy as np
 
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.fit.stepwise import bic_penalty
 from frictrack.plan.causes import Cause
 from frictrack.plan.traces import PlannedRun, effect_columns
 from frictrack.records import Array
@@ -81,7 +82,7 @@ class NormalMatrices:
             left = known if scatter_known else left + chi2_equivalent(known - left, self.runs - 2)
         weight, first, second = self.moments
         one_amplitude = second - first**2 / np.maximum(weight, 1e-300)
-        penalty = (self.runs - 1) * np.log(max(self.frames, 2))
+        penalty = bic_penalty(self.runs - 1, max(self.frames, 2))
         return np.asarray(np.min(left + np.minimum(np.maximum(one_amplitude, 0.0), penalty), axis=0))
 
     def _unexplained(self, k: int) -> Array:

@@ -51,7 +51,6 @@ DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists 
 SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
 MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
 MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
-NOTHING: Mapping[str, float] = {}
 MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
 
 
@@ -255,7 +254,7 @@ def _suspected_effects(diagnosis: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _power_questions(
-    fit: Fit, names: Sequence[str], costs: Costs, suspected: Mapping[str, float] = NOTHING
+    fit: Fit, names: Sequence[str], costs: Costs, suspected: Mapping[str, float] | None = None
 ) -> tuple[list[Question], list[Option]]:
     """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction.
 
@@ -281,7 +280,8 @@ def _power_questions(
         return float(together.unexplained_chi2(scatter_known=not suspected)[0])
 
     expected = {n: evidence(n) for n in tables}
-    scale = {n: suspected[n] / max(one, 1e-300) if suspected else 1.0 for n, one in expected.items()}
+    # if the runs say less than is expected of such an effect, it is smaller, and further runs say less, too
+    scale = {n: suspected[n] / max(one, suspected[n]) if suspected else 1.0 for n, one in expected.items()}
     decisive = detection_threshold(forms=1) if suspected else detection_threshold()
     questions = [Question(n, None, 1.0 / len(scale), decisive, scale[n] * one) for n, one in expected.items()]
     last, options = last_settings(fit.solution), []
