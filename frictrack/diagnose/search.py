@@ -17,7 +17,7 @@ from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
 from frictrack.diagnose.compressed import MIN_REDUCED_CHI2_FAR
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
-from frictrack.diagnose.formulas import Shape, least_misfit, shapes_of_functions
+from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
@@ -45,7 +45,6 @@ MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one fo
 MIN_EFFECTS_IMITATING = 3  # effects found, from which on they may imitate one formula
 MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no other set is searched
 MAX_UNKNOWNS_OF_FORMULA = 4
-MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above the noise
 
 Progress = Callable[[int, int, str], None]
 
@@ -211,7 +210,7 @@ def _search(
 
 @dataclass(frozen=True, eq=False)
 class _FormulaInstead:
-    """One formula in place of all effects: where it explains far more, and they leave most, no more are added."""
+    """One formula in place of all effects: where it explains far more, these are neither completed nor exchanged."""
 
     start: Solution
     shapes: tuple[Shape, ...]
@@ -232,10 +231,8 @@ class _FormulaInstead:
 
         Other sets of effects need not be searched then, because the few parameters of a formula suffice.
         """
-        if not self.is_comparable or len(found) < MIN_EFFECTS_IMITATING:
-            return False
         start, n = self.start, self.start.problem.n_frames
-        if self.misfit > n + MIN_SIGMAS_MISFIT * np.sqrt(2 * n):
+        if not self.is_comparable or len(found) < MIN_EFFECTS_IMITATING or not is_noise(self.misfit - n, n):
             return False
         fall = start.objective - self.misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
         return bool(information_criterion(start) - fall < information_criterion(found[-1].law) - MIN_BIC_BEATEN)

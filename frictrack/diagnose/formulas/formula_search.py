@@ -313,4 +313,27 @@ def _excess_chi2(solution: Solution) -> float:
 
 
 def _is_noise(solution: Solution) -> bool:
-    return _excess_chi2(solution) < MIN_SIGMAS_MISFIT * np.sqrt(2 * solution.problem.n_frames)
+    return is_noise(_excess_chi2(solution), solution.problem.n_frames)
+
+
+def is_noise(excess: float, frames: int) -> bool:
+    """Return whether chi-squared exceeds its expectation by no more than noise does.
+
+    Parameters
+    ----------
+    excess
+        Chi-squared above its expectation.
+    frames
+        Number of frames.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> is_noise(100.0, 1000), is_noise(300.0, 1000)  # the standard deviation is 45
+    (True, False)
+
+    """
+    return bool(excess < MIN_SIGMAS_MISFIT * np.sqrt(2 * frames))
