@@ -8,6 +8,7 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.axes import AXES
+from frictrack.fit.parameters import SCATTER_BOUNDS
 from frictrack.number_format import format_number, format_quantity, format_range, format_share
 from frictrack.plots import passes
 from frictrack.report import provenance, tables
@@ -94,7 +95,9 @@ def _parameters(results: Results) -> str:
     words = f"{len(shared)} shared by all runs"
     if unknown:
         words += f"; not determined: {join_words(unknown)}"
-    if scatter:
+    if scatter and scatter["value"] < 2 * SCATTER_BOUNDS[0]:
+        words += "; no scatter of the friction between runs is seen"
+    elif scatter:
         words += (
             f"; friction scatters between runs by {format_quantity(100 * scatter['value'], 100 * scatter['std'], '%')}"
         )
