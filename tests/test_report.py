@@ -14,6 +14,7 @@ from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
+from frictrack.fit.parameters import SCATTER_BOUNDS
 from frictrack.report import markup, tables, verdict_text
 from frictrack.report import measurement_quality as of_measurement
 from frictrack.report.next_step_text import next_steps
@@ -103,6 +104,15 @@ def test_parameters_are_rounded_and_explained(page):
     assert "at its bound" in page.words
     assert "strongly correlated (−0.970): if one increases and the other decreases, the prediction" in page.words
     assert "scatters between runs by 2.1 ± 0.8 %" in page.words
+
+
+def test_a_scatter_at_its_lower_bound_is_said_in_words(quick):
+    r = results()
+    at_bound = {"value": SCATTER_BOUNDS[0], "std": 0.4 * SCATTER_BOUNDS[0]}
+    m = replace(r.current, summary={**r.current.summary, "friction_scatter": at_bound}, current=True)
+    words = Page(report.render(replace(r, models=(m,)))).words
+    assert words.lower().count("no scatter of dry friction between runs is seen") == 2  # folded line and section
+    assert "scatters between runs" not in words
 
 
 def test_findings_hashes_and_versions_are_kept(page):

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from frictrack.fit.parameters import SCATTER_BOUNDS
 from frictrack.number_format import MINUS, format_number, format_quantity, format_range
 from frictrack.report.candidate_text import join_words
 from frictrack.report.markup import mark_code
@@ -60,6 +61,13 @@ def scale_line(results: Results) -> str:
         )
     filmed = any(r.film is not None for r in results.runs)
     return f"{SCALE_LINE} {NO_SCALE_ERROR}" if filmed else SCALE_LINE
+
+
+def scatter_words(scatter: Mapping[str, float]) -> str:
+    """Describe by how much dry friction differs from run to run; at its lower bound the estimate is no number."""
+    if scatter["value"] < 2 * SCATTER_BOUNDS[0]:
+        return "no scatter of dry friction between runs is seen"
+    return f"dry friction scatters between runs by {format_quantity(100 * scatter['value'], 100 * scatter['std'], '%')}"
 
 
 def model_motion_sentences(model: ModelResults) -> list[Markup]:

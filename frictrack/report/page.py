@@ -12,7 +12,6 @@ from markupsafe import Markup
 
 from frictrack import plots
 from frictrack.files import replace_text
-from frictrack.number_format import format_quantity
 from frictrack.records import Array
 from frictrack.report import (
     budgets,
@@ -102,7 +101,7 @@ def render(results: Results, key: str = "") -> str:
         tables=tables,
         provenance=provenance,
         mark_equation=mark_equation,
-        format_quantity=format_quantity,
+        scatter_words=fit_text.scatter_words,
         **_first_screen(results, draw),
         **_diagnosis_sections(results, draw),
         **_model_sections(results, draw),

@@ -8,11 +8,11 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.axes import AXES
-from frictrack.fit.parameters import SCATTER_BOUNDS
-from frictrack.number_format import format_number, format_quantity, format_range, format_share
+from frictrack.number_format import format_number, format_range, format_share
 from frictrack.plots import passes
 from frictrack.report import provenance, tables
 from frictrack.report.candidate_text import held_out_change, held_out_error, join_words
+from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
 from frictrack.results import ModelResults, Results
 
@@ -95,13 +95,7 @@ def _parameters(results: Results) -> str:
     words = f"{len(shared)} shared by all runs"
     if unknown:
         words += f"; not determined: {join_words(unknown)}"
-    if scatter and scatter["value"] < 2 * SCATTER_BOUNDS[0]:
-        words += "; no scatter of the friction between runs is seen"
-    elif scatter:
-        words += (
-            f"; friction scatters between runs by {format_quantity(100 * scatter['value'], 100 * scatter['std'], '%')}"
-        )
-    return words
+    return f"{words}; {scatter_words(scatter)}" if scatter else words
 
 
 def _model(results: Results) -> str:
