@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from few_effects import use_few_effects
+from scipy.integrate import solve_ivp
 
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import truth_sampling as drawing
@@ -31,6 +33,8 @@ from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
 from frictrack.fit.stepwise import remove_effect
 from frictrack.flow import Session, open_study
+from frictrack.records import Array
+from frictrack.simulate import Trajectory, simulate
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
 TRUTH = Truth(
@@ -178,6 +182,29 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
         x, v = x + h * v, v + h * a
     assert trajectory.x[-1] - trajectory.x[0] == pytest.approx(x, rel=2e-3)
     assert trajectory.v[-1] == pytest.approx(v, rel=2e-3)
+
+
+@pytest.mark.parametrize("simulated", [simulate_memory, simulate])
+def test_the_way_since_release_counts_in_a_law_with_memory(simulated: Callable[..., Trajectory]):
+    ring = {"amplitude": 0.3, "frequency": 120.0, "r": 0.8, "beam_length": 0.9, "phase": 0.4}
+    heat = {"dF": 0.4, "length": 0.03}
+    law = TRUTH.base + effect_named("presliding") + effect_named("beam_vibration") + effect_named("thermal")
+    values = LAW | {"presliding": {"stiffness": 1e-3, "exponent": 1.0}, "beam_vibration": ring, "thermal": heat}
+    conditions, t = replace(TRUTH, push=0.012, clamp=-0.02).conditions(TRUTH.runs[0]), np.arange(160) / 2000
+    push = conditions.drive
+    assert push is not None
+
+    def motion(now: float, y: Array) -> list[float]:
+        x, v, cycles, state = y
+        u = (x + 0.02) / 0.9
+        rate = 120.0 / np.sqrt(1 + 0.8 * ((3 * u**2 - u**3) / 2) ** 2)
+        warm = -0.4 * (1 - np.exp(-(x - 0.05) / 0.03))
+        friction = 3.0 * state + 0.3 * v + warm + 0.3 * np.sin(2 * np.pi * cycles + 0.4)
+        return [v, (float(push(np.array([now]))[0]) - friction) / 0.3, rate, v / 1e-3 * (1 - state)]
+
+    found = simulated(law, values, conditions, t, (0.05, 0.0))
+    truth = solve_ivp(motion, (0.0, t[-1]), [0.05, 0.0, 0.0, 0.0], "LSODA", t, rtol=1e-10, atol=1e-13)
+    np.testing.assert_allclose(found.x, truth.y[0], rtol=0, atol=3e-9)
 
 
 @pytest.mark.parametrize("name", FOREIGN)

@@ -90,9 +90,9 @@ class SimulationState:
         if not len(self.history.rows[0]):
             return path
         history = self.history.until(float(t[0]))
-        path = replace(path, travelled=float(history[3, -1]), begins=float(history[1, -1]))
+        path = replace(path, travelled=float(history[3, -1]), begins=float(history[1, -1]), before=history[:3])
         if not self.model.memory:
-            return replace(path, before=history[:3])
+            return path
         if self.smooth:
             path.s[:] = self.directions(v)
         elif self.model.turns and not self.heading and v[0] == 0:  # it has only been at rest so far
