@@ -20,10 +20,12 @@ from frictrack.motion import (
 )
 from frictrack.motion.smoother import (
     LineParameters,
+    ScoredStructure,
     SmootherData,
     Structure,
     StructureSearch,
     cutoff_of,
+    deviations,
     factor_smoother,
     penalty,
 )
@@ -365,6 +367,18 @@ def test_lines_are_followed_as_far_as_they_wander(rng):
     motion = differentiate(filtered)
     assert rms(motion.a - a) < 0.06 * rms(a + 20.0)
     assert 0.5 < rms((motion.a - a) / motion.sigma_a) < 1.3
+
+
+def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
+    n, peak = 283, 0.56
+    swelling = np.linspace(-4.0, 4.0, n) * np.sin(peak * np.arange(n)) + rng.normal(size=n)
+    search = StructureSearch(SmootherData(swelling, np.ones(n)))
+    tied = Structure((search.highest,), ((peak, 30.0), (peak + 1e-4, 30.0)))
+    refined = search.refine(ScoredStructure(tied, search.loss(tied))).structure
+    (first, _), (second, _) = refined.lines
+    assert abs(second - first) * n / (2 * np.pi) > 0.1
+    found = deviations(refined.factor_smoother(search.data), swelling, 1.0, 1 / FPS)
+    assert np.max(found[0]) < 1.0
 
 
 # -- what a mean is worth --------------------------------------------------------------------------------------

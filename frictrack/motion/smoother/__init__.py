@@ -19,7 +19,7 @@ from frictrack.motion.smoother.structure_average import (
     alternatives,
     mean_shift,
 )
-from frictrack.motion.smoother.structure_search import StructureSearch, undetectable_amplitude
+from frictrack.motion.smoother.structure_search import ScoredStructure, StructureSearch, undetectable_amplitude
 
 __all__ = [
     "MAX_WHOLE_FRAMES",
@@ -29,6 +29,7 @@ __all__ = [
     "FactoredSmoother",
     "LineParameters",
     "NoiseColour",
+    "ScoredStructure",
     "SmootherData",
     "Structure",
     "StructureChange",

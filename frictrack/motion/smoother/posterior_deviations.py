@@ -56,7 +56,8 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
 def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -> Iterator[Array]:
     """Yield for each line the change of x, v and a by one standard deviation of its frequency, (3, n), for unit noise.
 
-    A frequency error changes the phase of the line along the record; the smoother removes a part of that.
+    A frequency error changes the phase of the line along the record; the smoother removes a part of that. A line found
+    in n frames is known to half a Rayleigh cell, pi/n per frame, in any case.
     """
     s, d = factor.layout, factor.data
     if not s.k:
@@ -66,8 +67,8 @@ def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -
     for row, omega in zip(s.frame[1:], factor.lines.omega, strict=True):
         phase_error = frames_from_centre * np.gradient(found[row]) / omega
         left = phase_error - factor.smooth(phase_error)
-        information = float(np.sum(d.apply_inverse_covariance(phase_error) * left))
-        yield stencil_derivatives(left, interval) / np.sqrt(max(information, np.finfo(float).tiny))
+        information = max(float(np.sum(d.apply_inverse_covariance(phase_error) * left)), 0.0)
+        yield stencil_derivatives(left, interval) / np.sqrt(information + (s.n / np.pi) ** 2)
 
 
 def weighted_cubic(y: Array, w: Array) -> Array:

@@ -89,12 +89,18 @@ class StructureSearch:
         self.cost = float(np.log(data.count))  # of one parameter
 
     def loss(self, structure: Structure) -> float:
-        """Twice the negative log-likelihood, with the prior of the stiffness."""
+        """Twice the negative log-likelihood, with the priors of the stiffness and of the distance between lines."""
         steps = np.diff(structure.stiffness) / KNOT_SPREAD
         # A pure cubic is unlikely: keep the variance of the rest off zero (Chung et al. 2013, Psychometrika 78).
         bent = 0.5 * float(np.mean(structure.stiffness))
         self.remaining_work -= self.n * (1 + len(structure.lines)) ** 2
-        return structure.factor_smoother(self.data).restricted_likelihood()[0] + float(steps @ steps) + bent
+        likelihood = structure.factor_smoother(self.data).restricted_likelihood()[0]
+        return likelihood + float(steps @ steps) + bent + self._coincidence(structure)
+
+    def _coincidence(self, structure: Structure) -> float:
+        """Prior that keeps lines apart: two within a Rayleigh cell are one, and their amplitudes would only cancel."""
+        cells = np.diff(np.sort([omega for omega, _ in structure.lines])) * self.n / (2 * np.pi)
+        return -2.0 * float(np.sum(np.log(np.maximum(-np.expm1(-(cells**2)), np.finfo(float).tiny))))
 
     @cached_property
     def stiff(self) -> Structure:
