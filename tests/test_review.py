@@ -10,11 +10,11 @@ from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import effects, models
 from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.review import _without
+from frictrack.diagnose.review import _named_in_order, _without
 from frictrack.diagnose.rounds import RoundOutcome
 from frictrack.fit import fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import add_effect
+from frictrack.fit.stepwise import add_effect, rename_effects
 
 LAW = ["coulomb", "viscous"]
 
@@ -51,3 +51,29 @@ def test_a_model_that_was_not_tested_or_has_moved_on_is_fitted(grown, tested) ->
     again = _without(moved, ["drag"], tested)
     assert again is not one
     assert again.objective == pytest.approx(one.objective, abs=1.0)
+
+
+def test_the_second_of_its_kind_is_the_first_once_that_is_removed(grown) -> None:
+    _, one, two = grown
+    second = rename_effects(one, {"texture": "texture:2"})
+    found = RefinedCandidate(effects.get("texture:2"), second, 9.0, 0.001)
+    drag = RefinedCandidate(
+        effects.get("drag"),
+        rename_effects(two, {"texture": "texture:2"}),
+        5.0,
+        0.001,
+        indistinguishable_from=("texture:2",),
+    )
+    alone, other = _named_in_order([found, drag])
+    assert alone.effect.name == "texture"
+    assert alone.law.problem.model.names == one.problem.model.names
+    assert alone.law.problem.layout.names == one.problem.layout.names
+    np.testing.assert_array_equal(alone.law.p, one.p)
+    assert other.indistinguishable_from == ("texture",)
+
+
+def test_the_second_of_its_kind_stays_the_second_beside_one_of_the_model(grown) -> None:
+    _, one, _ = grown
+    both = add_effect(one, effects.get("texture:2"))
+    found = [RefinedCandidate(effects.get("texture:2"), both, 9.0, 0.001)]
+    assert _named_in_order(found) == found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
@@ -17,11 +17,13 @@ from frictrack.fit.linearised import CandidateScan, linearise, measured_series
 from frictrack.fit.stepwise import (
     deepen_trials,
     remove_effect,
+    rename_effects,
     scan_effect,
     simulate_trial,
     try_effect,
     try_known_effect,
 )
+from frictrack.models import Model
 from frictrack.records import Array
 
 MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
@@ -78,7 +80,31 @@ def review_found(
             remaining = _with_law([k for k in remaining if k.effect.name != name], reduced)
         elif full.objective <= MAX_CHI2_PER_FRAME_EXCHANGED * full.problem.n_frames and name == same_kind[-1]:
             remaining = _exchange_effect(remaining, same_kind, (reduced, tested), own)
-    return remaining
+    return _named_in_order(remaining) if remaining else []
+
+
+def _named_in_order(found: Sequence[RefinedCandidate]) -> list[RefinedCandidate]:
+    """Close gaps that removed effects leave in the names: ``patch:2`` is ``patch`` once the first patch is gone."""
+    mine = [k.effect.name for k in found]
+    model, names = Model(tuple(e for e in found[-1].law.problem.model.effects if e.name not in mine)), dict[str, str]()
+    for effect in sorted((k.effect for k in found), key=lambda e: (len(e.name), e.name)):
+        names[effect.name] = model.next_instance(effect.kind)
+        model += effect.called(names[effect.name])
+    if all(old == new for old, new in names.items()):
+        return list(found)
+    removed = {new: old for old, new in names.items() if new not in names}  # earlier laws may still hold it
+    return [_renamed(k, names | removed) for k in found]
+
+
+def _renamed(found: RefinedCandidate, names: Mapping[str, str]) -> RefinedCandidate:
+    """The same effect found, in a law with other names."""
+    return replace(
+        found,
+        effect=found.effect.called(names[found.effect.name]),
+        solution=None if found.solution is None else rename_effects(found.solution, names),
+        indistinguishable_from=tuple(names.get(name, name) for name in found.indistinguishable_from),
+        linear_trial=None,
+    )
 
 
 def _without(full: Solution, names: Sequence[str], tested: Sequence[RoundOutcome]) -> Solution:

@@ -6,6 +6,7 @@ from frictrack.fit.stepwise.growth import (
     rebuild_problem,
     refine_to_end,
     remove_effect,
+    rename_effects,
     reorder_effects,
     simulate_trial,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "rebuild_problem",
     "refine_to_end",
     "remove_effect",
+    "rename_effects",
     "reorder_effects",
     "reversed_ties",
     "scan_effect",
