@@ -6,6 +6,7 @@ The motions come from SciPy's integrator.
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,32 @@ def test_two_effects_that_each_explain_nothing_in_place_of_one_are_tried_togethe
     found = [RefinedCandidate(LIBRARY[name], wrong, 100.0, 0.001) for name in ("flash_weakening", "texture")]
     kept, others = exchange_effects(first, [first.tested], found)
     assert {"drag", "timebase", "texture"} in [{t.effect.name for t in kept}, *(set(one.effects) for one in others)]
+
+
+def test_one_effect_that_imitates_two_gives_way_to_them():
+    """A spring imitates air drag with friction that grows with the logarithm of the speed."""
+    runs = []
+    for i, (speed, ratio) in enumerate(((2.1, 1), (3.8, 1), (5.4, 1), (7.0, 1), (4.6, 0.5), (4.6, 2))):
+        t, mass = np.arange(900) / FPS, ratio * 0.22
+
+        def motion(_: float, y: np.ndarray, mass: float = mass, ratio: float = ratio) -> list[float]:
+            v = y[1]
+            dry = 0.9 + 0.44 * np.exp(-v / 0.64) + 0.0172 * np.log(v / 1e-6)
+            return [v, -(ratio * dry + 0.113 * v + 0.0013 * v * v) / mass]
+
+        def slow(_: float, y: np.ndarray) -> float:
+            return y[1] - 0.05
+
+        slow.terminal = True
+        solved = solve_ivp(motion, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13, events=slow)
+        rng = np.random.default_rng(i)
+        runs.append(measured(solved.t, solved.y[0], sigma=2.3e-6, mass=mass, name=f"r{i}", rng=rng))
+    fit = ft.fit("tustin", runs)
+    first = run_round(fit.solution, [], np.random.default_rng(0), lambda what: None)
+    spring = next(t for t in first.tried if t.effect.name == "spring")
+    found = [replace(spring, solution=ft.fit(["tustin", "spring"], runs).solution)]
+    kept, others = exchange_effects(first, [first.tested], found)
+    assert {"drag", "log_velocity"} in [{t.effect.name for t in kept}, *(set(one.effects) for one in others)]
 
 
 def test_the_true_pair_stays():

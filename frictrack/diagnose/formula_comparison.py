@@ -10,7 +10,6 @@ at once are rarer, too.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -18,18 +17,16 @@ from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
-from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
 from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
-from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import Solution
 from frictrack.number_format import format_probability
 from frictrack.records import Array
 
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library
-PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MAX_PROBABILITY_UNLIKELY, MIN_PROBABILITY_DECISIVE = 0.05, 0.95
 
 
@@ -113,8 +110,7 @@ def _probability(advantages: Array, shares: Array, prior: float) -> float:
 def _log_prior_odds(axes: int, count: int) -> float:
     """Logarithm of the prior probability of one form over that of a set of `count` effects; all of a kind are alike."""
     forms = len(SHAPES) * len(AXIS_SYMBOLS) * max(axes, 1)
-    sets = (1 - PRIOR_NONE) * PRIOR_ONE_MORE ** (count - 1) / comb(len(LIBRARY), count)
-    return float(np.log(PRIOR_NONE / forms) - np.log(sets))
+    return float(np.log(PRIOR_NONE / forms) - np.log(1 - PRIOR_NONE) - log_prior_of_set(count))
 
 
 def _words(first: Mapping[str, Any], added: int, compared: Mapping[str, Any]) -> str:

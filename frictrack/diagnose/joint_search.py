@@ -2,7 +2,8 @@
 
 Effects are fitted together along the measured motion, where a set takes milliseconds: one effect in place of each
 found while that explains more, then two of those that did best in place of one, two or three, and every other effect
-beside the best few. Sets that explain as much as the effects found are simulated.
+beside the best few. Sets that explain as much as the effects found are simulated. In place of one effect found, two
+are tried that each explain much alone: a third may imitate their sum.
 
 References
 ----------
@@ -17,11 +18,14 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
     MIN_CHI2_SEPARATED,
     information_criterion,
+    log_prior_of_set,
     parameter_penalty,
 )
 from frictrack.diagnose.refined_candidates import RefinedCandidate
@@ -42,7 +46,8 @@ from frictrack.fit.stepwise import (
 from frictrack.records import Array
 
 N_PAIRED = 4  # effects, in place of each found, that are paired with every other
-N_EXCHANGED = 10  # effects of which pairs are tried
+MIN_SHARE_PAIRED = 0.5  # of the evidence of one effect found, that each of two in its place has alone
+N_EXCHANGED, N_EXCHANGED_FOR_ONE = 10, 16  # effects of which pairs are tried; if one effect was found
 MAX_EXCHANGES = 4  # of one effect for another, one after the other
 MAX_SETS_SIMULATED = 6
 MAX_DELTA_BIC_SIMULATED = 2 * MIN_CHI2_SEPARATED  # behind the effects found, along the measured motion
@@ -52,7 +57,7 @@ Names = frozenset[str]
 
 @dataclass(frozen=True)
 class AlternativeSet:
-    """A set of effects that explains as much as those named, and its BIC over theirs."""
+    """A set of effects that explains as much as those named, and its BIC over theirs, with the priors of sets."""
 
     effects: tuple[str, ...]
     delta_bic: float
@@ -90,14 +95,15 @@ def exchange_effects(
 
     """
     law = found[-1].law
-    if len(found) < 2 or not law.problem.simulates or law.problem.budget.is_spent:
+    members = _members(first, tested, found, is_allowed)
+    if not members or not law.problem.simulates or law.problem.budget.is_spent:
         return found, []
     search = _SetSearch(
-        first.draws.law, _fitted_effects(first, tested, found, is_allowed), _values(law.problem.layout, law.p)
+        first.draws.law, _fitted_effects(first, tested, found, members), _values(law.problem.layout, law.p)
     )
     names = frozenset(t.effect.name for t in found)
     laws = {names: law} | _simulated(search, names)
-    criteria = {one: information_criterion(solution) for one, solution in laws.items()}
+    criteria = {one: information_criterion(solution) - 2 * log_prior_of_set(len(one)) for one, solution in laws.items()}
     best = min(criteria, key=criteria.__getitem__)
     if criteria[names] < criteria[best] + MAX_BIC_BARE_MENTION:
         best = names
@@ -140,19 +146,20 @@ class _SetSearch:
     values: dict[tuple[str, str, int | None], float]  # of the model with the effects found
     trials: dict[Names, CandidateTrial] = field(default_factory=dict)
 
-    def criterion(self, names: Names) -> float:
-        """BIC of a set along the measured motion, but for a constant."""
+    def criterion(self, names: Names, limit: float = np.inf) -> float:
+        """BIC of a set along the measured motion, but for a constant; only roughly if it cannot fall below a limit."""
         if names not in self.trials:
-            self.trials[names] = self._fitted(names)
+            self.trials[names] = self._fitted(names, limit)
         return self._bic(self.trials[names])
 
-    def _fitted(self, names: Names) -> CandidateTrial:
+    def _fitted(self, names: Names, limit: float) -> CandidateTrial:
         members = [known for name, known in self.effects.items() if name in names]
         values = dict(self.values)
         for known in members:
             values |= known.values
         absent = frozenset[tuple[str, int]]().union(*(known.absent for known in members))
-        return try_together(self.law, [known.effect for known in members], values, absent)
+        below = limit - parameter_penalty(self.law.solution.problem.layout, self.law.solution.problem)
+        return try_together(self.law, [known.effect for known in members], values, absent, below=below)
 
     def _bic(self, trial: CandidateTrial) -> float:
         return trial.misfit + parameter_penalty(trial.layout, self.law.solution.problem)
@@ -160,15 +167,16 @@ class _SetSearch:
     def best(self, found: Names) -> list[Names]:
         """The sets that are near the effects found, or better, without what adds nothing; best first."""
         centre = self._descend(found)
-        near = sorted(self._others(centre), key=lambda name: self._rank(centre, name))[:N_EXCHANGED]
+        count = N_EXCHANGED if len(centre) > 1 else N_EXCHANGED_FOR_ONE
+        near = sorted(self._others(centre), key=lambda name: self._rank(centre, name))[:count]
+        limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
         for out in _subsets(centre):
             if out < centre:
                 self.criterion(centre - out)
             for pair in combinations(near, 2):
-                self.criterion(centre - out | frozenset(pair))
+                self.criterion(centre - out | frozenset(pair), limit)
         for one in centre:
-            self._pair_up(centre - {one})
-        limit = self.criterion(found) + MAX_DELTA_BIC_SIMULATED
+            self._pair_up(centre - {one}, limit)
         promises = {names: self._promise(names) for names in self.trials if self.criterion(names) < limit}
         order = sorted(promises, key=promises.__getitem__)
         return [names for names in order if names != found and not _adds_nothing(names, promises)]
@@ -177,12 +185,12 @@ class _SetSearch:
         """BIC of a set if the scatter of the friction levels is estimated beside it."""
         return self.criterion(names) - gain_by_smaller_scatter(self.law, self.trials[names])
 
-    def _pair_up(self, rest: Names) -> None:
+    def _pair_up(self, rest: Names, limit: float) -> None:
         """Try every effect beside those that explain most alone: two may explain what neither of them does."""
         others = self._others(rest)
         for name in sorted(others, key=lambda name: self.criterion(rest | {name}))[:N_PAIRED]:
             for other in others:
-                self.criterion(rest | {name, other})
+                self.criterion(rest | {name, other}, limit)
 
     def _descend(self, names: Names) -> Names:
         """Exchange one effect after the other while that explains more."""
@@ -229,13 +237,25 @@ def _simulated(search: _SetSearch, found: Names) -> dict[Names, Solution]:
     return out
 
 
-def _fitted_effects(
+def _members(
     first: Round,
     tested: Sequence[RoundOutcome],
     found: Sequence[RefinedCandidate],
     is_allowed: Callable[[Effect], bool],
+) -> list[str]:
+    """Effects of which sets are made in place of those found; in place of one, those that explain much alone."""
+    allowed = [s.effect.name for s in first.tests.scanned if is_allowed(s.effect)]
+    if len(found) > 1:
+        return allowed
+    least = MIN_SHARE_PAIRED * max((t.delta_bic for t in found), default=0.0)
+    strong = {t.effect.name for t in tested[0].tried if t.delta_bic > least}
+    return [name for name in allowed if name in strong]
+
+
+def _fitted_effects(
+    first: Round, tested: Sequence[RoundOutcome], found: Sequence[RefinedCandidate], members: Sequence[str]
 ) -> dict[str, _FittedEffect]:
-    """Every effect of the library with the values of its latest fit; a clock error is no force along the motion."""
+    """Effects with the values of their latest fit; a clock error is no force along the motion."""
     data: Array = first.draws.series.coordinates[:, 0]
     latest: dict[str, tuple[ParameterLayout, Array]] = {}
     for t in (t for outcome in tested for t in outcome.tried if not t.objection):
@@ -246,13 +266,12 @@ def _fitted_effects(
     whole = found[-1].law
     latest |= {t.effect.name: (whole.problem.layout, whole.p) for t in found}
     for s in first.tests.scanned:
-        if s.effect.name not in latest and is_allowed(s.effect):
+        if s.effect.name not in latest and s.effect.name in members:
             trial = try_effect(first.draws.law, s.effect, s.scans, data)
             latest[s.effect.name] = trial.layout, trial.p
     added = {t.effect.name for t in found}
-    allowed = [s.effect.name for s in first.tests.scanned if is_allowed(s.effect)]
     out: dict[str, _FittedEffect] = {}
-    for name in dict.fromkeys((*allowed, *(t.effect.name for t in found))):  # no second effect of a kind that was found
+    for name in dict.fromkeys((*members, *(t.effect.name for t in found))):  # no second effect of a kind that was found
         layout, p = latest[name]
         effect = next(e for e in layout.model.effects if e.name == name)
         values = {key: value for key, value in _values(layout, p).items() if key[0] == name}

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import comb, log
 
+from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.stepwise import bic_penalty
@@ -11,6 +13,7 @@ from frictrack.fit.stepwise import bic_penalty
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
 MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Raftery 1995)
+PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
 
@@ -87,3 +90,17 @@ def likelihood_gain(bare: Solution, fitted: Solution) -> float:
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
     """Penalty of BIC for the parameters of a model without its friction levels."""
     return bic_penalty(len(layout.slots) - len(layout.levels), problem.n_frames)
+
+
+def log_prior_of_set(count: int) -> float:
+    """Logarithm of the prior probability of one set of so many effects, over that of any one effect.
+
+    Each effect more is less likely, and there are more sets of that size; all of a size are alike.
+
+    Examples
+    --------
+    >>> log_prior_of_set(3) < log_prior_of_set(2) < log_prior_of_set(1)
+    True
+
+    """
+    return (count - 1) * log(PRIOR_ONE_MORE) - log(comb(len(LIBRARY), count))

@@ -94,6 +94,8 @@ def try_together(
     effects: Sequence[Effect],
     values: Mapping[tuple[str, str, int | None], float],
     absent: frozenset[tuple[str, int]] = frozenset(),
+    *,
+    below: float = np.inf,
 ) -> CandidateTrial:
     """Fit a model with several more effects along the measured motion, from given values.
 
@@ -107,6 +109,8 @@ def try_together(
         First values of all unknowns by effect, parameter and run (None for all runs).
     absent : frozenset of (str, int)
         Effects that are absent in a run.
+    below : float
+        The fit ends where the misfit is not expected to fall below this value.
 
     Returns
     -------
@@ -118,7 +122,8 @@ def try_together(
     layout = replace(old, model=Model((*old.model.effects, *effects)), absent=old.absent | absent)
     problem = _projected_problem(linearised, layout)
     p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
-    return _trial(effects[-1], problem, problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL))
+    state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
+    return _trial(effects[-1], problem, state)
 
 
 def try_linear_effects(
