@@ -501,6 +501,16 @@ def test_a_cause_that_the_others_imitate_need_not_be_named():
     assert (two["both"]["hits"], two["wrong_without_doubt"]["hits"]) == (3, 2)
 
 
+def test_what_a_track_notes_may_be_named_as_well():
+    hidden = ("drag", "lens")
+    rows = [
+        outcome("two", hidden, named=("lens", "drag"), verdict="missing", noted=("lens",)),
+        outcome("two", hidden, named=("drag",), verdict="missing", noted=("lens",)),
+        outcome("two", hidden, named=("lens",), verdict="missing", noted=("lens",)),
+    ]
+    assert tally(rows)["two"]["wrong_without_doubt"]["hits"] == 1
+
+
 def test_a_fault_that_the_law_imitates_is_none_that_the_data_can_show():
     seen = outcome("one", ("lens",), ("lens",), equivalents={"lens": ("lens",)})
     fault = tally([seen, replace(seen, equivalents={"lens": ("lens", NOTHING)})])["fault"]["called"]

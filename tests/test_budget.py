@@ -191,7 +191,7 @@ def test_peak_locking_within_its_error_counts_nothing_but_says_how_much_it_may_b
     run, filtered = creeping(40.0 * PITCH)
     row = budget(run, filtered, {"peak_locking_px": 0.004, "peak_locking_std_px": 0.003}).row("peak locking")
     assert (row.size, row.frame_N, row.mean_N) == (0.0, 0.0, 0.0)
-    assert row.known_from.startswith("none found; at most 0.01 px, which would add ")
+    assert row.known_from.startswith("none found; at most 0.010 px, which would add ")
 
 
 def test_what_is_left_of_camera_shake_counts():

@@ -84,7 +84,7 @@ def is_wrong_without_doubt(row: Outcome) -> bool:
     left = [h for h in row.hidden if h not in row.noted]
     exact = any(
         set(order) >= set(_needed(row, left)) and _fit(row, row.named, order)
-        for order in permutations(left, len(row.named))
+        for order in permutations(row.hidden, len(row.named))
     )
     return row.verdict == "missing" and not exact
 

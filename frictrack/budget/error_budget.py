@@ -28,6 +28,7 @@ from frictrack.budget.frame_rate import frame_rate_error
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
 from frictrack.motion import noise_level
+from frictrack.number_format import format_number
 from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ class _RunErrors:
 
     def _effect_of_permille(self, rows: Array) -> str:
         """Say what an error of 0.1 % would add to the mean."""
-        return f"each 0.1 % would add {1e-3 * self.effect(rows)[1]:.2g} N"
+        return f"each 0.1 % would add {format_number(1e-3 * self.effect(rows)[1], 2)} N"
 
     def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
         """Peak locking and camera shake: systematic errors of the picture."""
@@ -189,15 +190,14 @@ class _RunErrors:
         frame, mean = self._effect_of_wave(response, 2 * np.pi * response.filtered.x / pitch, pitch)  # of one px
         if size < MIN_SIGMAS_LOCKING * error:
             largest = size + 2 * error
+            most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
             known_from = (
-                f"none found; at most {largest:.2g} px, which would add {largest * frame:.2g} N in a frame and "
-                f"{largest * mean:.2g} N in the mean"
+                f"none found; at most {most} px, which would add {in_frame} N in a frame and {in_mean} N in the mean"
             )
             return Contribution(LOCKING, 0.0, "px", known_from, 0.0, 0.0, ALL_FRAMES)
         true = float(np.sqrt(size**2 - error**2))
-        return Contribution(
-            LOCKING, true, "px", f"amplitude, measured to {error:.2g} px", true * frame, true * mean, ALL_FRAMES
-        )
+        known_from = f"amplitude, measured to {format_number(error, 2)} px"
+        return Contribution(LOCKING, true, "px", known_from, true * frame, true * mean, ALL_FRAMES)
 
     def _camera_shake(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
         """What is left of a camera shake: the error of what was subtracted, or all of it if nothing was."""
