@@ -536,7 +536,7 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
     Raises
     ------
     FrictrackError
-        If a name is neither that of a model nor that of an effect; the message tells its place.
+        (usage) If a name is neither that of a model nor that of an effect; the message tells its place.
 
     Examples
     --------
@@ -547,10 +547,23 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
 
     """
     extra = list(extra)
+    _check_names(text)
     words = [part.strip() for part in text.split(",") if part.strip()] if isinstance(text, str) else list(text)
     _check_words(words, extra)
     whole = isinstance(text, str) and len(words) == 1
     return Model(tuple(effect for word in words for effect in _effects_of(word, extra, whole=whole)))
+
+
+def _check_names(given: object) -> None:
+    """Raise an error for anything but a text, or names and effects in a list."""
+    if isinstance(given, str):
+        return
+    words = list(given) if isinstance(given, Iterable) else [given]
+    other = next((type(word).__name__ for word in words if not isinstance(word, str | Effect)), None)
+    if other is not None:
+        raise FrictrackError(
+            f'expected the name of a model, such as "tustin", or a list of effects but got {other}', usage=True
+        )
 
 
 def _check_words(words: Sequence[str | Effect], extra: Sequence[Effect]) -> None:

@@ -79,6 +79,11 @@ def test_a_stricter_level_demands_a_larger_effect(nothing_missing):
         diagnose(fitted, alpha=0.0)
 
 
+def test_anything_but_a_fit_is_refused():
+    with pytest.raises(FrictrackError, match=r"expected a fit, as ft\.fit returns it, but got list"):
+        diagnose([])
+
+
 def test_a_law_that_is_the_whole_truth_is_complete(nothing_missing):
     found = nothing_missing
     assert (found.verdict, found.missing, found.fails_at, found.unexplained) == ("complete", [], [], None)

@@ -353,11 +353,14 @@ def without_mass():
     [
         (lambda: [parabola(0), parabola(1)], "expected every run to have its own name but got run twice"),
         (lambda: [replace(parabola(0), role="validation")], "expected at least one run to fit but all have role"),
-        (lambda: [], "expected at least one run to fit"),
+        (lambda: [], "expected a list of runs, such as ft.samples.runs(), but got none"),
+        (lambda: parabola(0), "expected a list of runs but got one run; write [run]"),
+        (lambda: "r1", "expected a list of runs, such as ft.samples.runs(), but got str"),
+        (lambda: None, "expected a list of runs, such as ft.samples.runs(), but got NoneType"),
         (lambda: [without_mass()], 'run "run": expected a mass for a fit of the displacement but got none'),
         (lambda: [replace(parabola(0), free=(0.01, 0.011))], 'run "run": expected at least 8 free frames but got 5'),
     ],
-    ids=["same name", "validation only", "no run", "no mass", "too few frames"],
+    ids=["same name", "validation only", "no run", "one run", "a name", "nothing", "no mass", "too few frames"],
 )
 def test_runs_that_cannot_be_fitted_are_refused_in_one_sentence(runs, said):
     with pytest.raises(FrictrackError) as caught:

@@ -55,6 +55,8 @@ def test_tustin_holds_the_exponent_that_the_stribeck_model_frees():
         ("tustin,foo", 'but got "foo" (name 2 of 2); known are tustin'),
         ("tustin,texure,patsh", 'got "texure" (name 2 of 3) and "patsh" (name 3 of 3); did you mean "texture"'),
         (["tustin", "foo"], 'but got "foo" (name 2 of 2)'),
+        (None, 'expected the name of a model, such as "tustin", or a list of effects but got NoneType'),
+        (["coulomb", 3], 'expected the name of a model, such as "tustin", or a list of effects but got int'),
         ("atm1", 'expected an order from 1 to 20 after the colon, as in "atm1:2", but got "atm1"'),
         ("atm1:0", "expected an order from 1 to 20 after the colon"),
         ("atm2:x", "expected an order from 1 to 20 after the colon"),

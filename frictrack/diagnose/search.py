@@ -116,6 +116,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
+    _check_fit(fit)
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     conclusion = _conclude(fit, (own, auxiliary), (rng, alpha / 2), notify, shapes_of_functions(functions))
@@ -127,6 +128,12 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_ROUNDS, MAX_ROUNDS, what))
     notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
     return diagnosis
+
+
+def _check_fit(given: object) -> None:
+    """Raise an error for anything but a fit."""
+    if not isinstance(given, Fit):
+        raise FrictrackError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}", usage=True)
 
 
 def _conclude(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
@@ -171,6 +171,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     check_route(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
+    _check_runs(runs)
     if uses_measured_friction(runs, domain):
         return _by_cell(law, runs, Route("force", search, rng), per, prior)
     domain = domain or "displacement"
@@ -202,6 +203,16 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     else:
         found = fit_by_search(unfitted_problem(law, pieces, names, _fps(fitted)), fitted, route, callback)
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
+
+
+def _check_runs(given: object) -> None:
+    """Raise an error for anything but a list of runs."""
+    if isinstance(given, Run):
+        raise FrictrackError("expected a list of runs but got one run; write [run]", usage=True)
+    runs = list(given) if isinstance(given, Iterable) else [given]
+    other = next((type(run).__name__ for run in runs if not isinstance(run, Run)), "none" if not runs else None)
+    if other is not None:
+        raise FrictrackError(f"expected a list of runs, such as ft.samples.runs(), but got {other}", usage=True)
 
 
 def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None, prior: Prior | None) -> Any:
