@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,10 @@ from frictrack.compare import compare
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.simulate import Conditions, Start, is_smooth_at_rest, simulate, simulate_displacement
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
+
+from published import hysteresis
 
 FS = 750.0
 M, C, K, ALPHA, GAMMA, RATIO = 2.0, 10.0, 5e4, 5e4, 800.0, -1.375  # Noel & Schoukens 2016: the published oscillator
@@ -61,6 +67,12 @@ def test_a_free_run_of_hysteresis_is_the_motion_that_scipy_integrates():
     late = Start(x[500], v[500], {"bouc_wen": np.array([[z[500] / ALPHA]])})
     made = simulate_displacement(LAW, BOUC_WEN, conditions, t[500:], late, 1e-8)
     assert np.max(np.abs(made - x[500:])) < 2e-8
+
+
+def test_the_motion_of_the_published_benchmark_is_the_same():
+    t = np.arange(150) / FS
+    made = hysteresis.published_motion(push, len(t))
+    np.testing.assert_allclose(made, oscillator(t)[0], rtol=0, atol=2e-7)  # 20 steps per sample, of 1.5 mm
 
 
 @pytest.mark.parametrize(
