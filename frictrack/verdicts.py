@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from frictrack.number_format import format_probability
@@ -83,7 +83,7 @@ def _rivals(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
 def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     """Select the first effect of a diagnosis that these runs cannot distinguish from others, and these; else the best.
 
-    Formulas that explain as much as all effects found are one of the others.
+    Formulas that explain as much as all effects found are one of the others, and so is a set in place of one effect.
 
     Parameters
     ----------
@@ -100,14 +100,37 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"rival": "a formula of place"}}
     >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
     ['patch', 'a formula of place']
+    >>> pair = {"effects": ["drag", "thermal"], "delta_bic": 2.0}
+    >>> found = {"missing": ["spring"], "candidates": [], "verdict": "ambiguous"}
+    >>> indistinguishable_effects(found | {"alternatives": [pair]})
+    ['spring', 'drag with thermal']
 
     """
-    rivals, formula = _rivals(diagnosis), _formula_rival(diagnosis)
+    rivals, whole = _rivals(diagnosis), [*_sets_in_place_of_one(diagnosis), *_formula_rival(diagnosis)]
     names = diagnosis["missing"] or [diagnosis["candidates"][0]["effect"]]
     first = next((name for name in names if rivals.get(name)), None)
     if first is None:
-        return [*names, *formula] if formula else names[:1]
-    return [first, *rivals[first], *formula]
+        return [*names, *whole] if whole else names[:1]
+    return [first, *rivals[first], *whole]
+
+
+def join_as_one(names: Sequence[str]) -> str:
+    """Return several effects as one explanation.
+
+    Examples
+    --------
+    >>> join_as_one(["drag", "thermal", "slope"])
+    'drag with thermal and slope'
+
+    """
+    first, *others = names
+    return f"{first} with {' and '.join(others)}" if others else first
+
+
+def _sets_in_place_of_one(diagnosis: Mapping[str, Any]) -> list[str]:
+    """The sets of several effects that explain as much as the one effect that is named."""
+    others = diagnosis.get("alternatives") or [] if len(diagnosis["missing"]) == 1 else []
+    return [join_as_one(one["effects"]) for one in others if len(one["effects"]) > 1]
 
 
 def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -117,7 +140,7 @@ def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:
 
 
 def describe_alternatives(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Describe the sets of effects that differ from those named in more than one effect and explain as much.
+    """Describe the sets of effects that differ from several named ones in more than one effect and explain as much.
 
     Parameters
     ----------
@@ -141,7 +164,7 @@ def describe_alternatives(diagnosis: Mapping[str, Any]) -> list[str]:
     for one in diagnosis.get("alternatives") or []:
         instead = [name for name in one["effects"] if name not in named]
         replaced = [name for name in named if name not in one["effects"]]
-        if instead and max(len(instead), len(replaced)) > 1:
+        if instead and len(named) > 1 and max(len(instead), len(replaced)) > 1:
             verb = "together explain" if len(instead) > 1 else "alone explains"
             out.append(f"{' and '.join(instead)} {verb} as much as {' and '.join(replaced)}")
     return out

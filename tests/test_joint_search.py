@@ -15,10 +15,11 @@ from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
-from frictrack.diagnose.joint_search import exchange_effects
+from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rounds import run_round
 from frictrack.effects import LIBRARY
+from frictrack.verdicts import indistinguishable_effects
 
 joint_search = importlib.import_module("frictrack.diagnose.joint_search")
 LAW = ["coulomb", "viscous"]
@@ -106,6 +107,23 @@ def test_one_effect_that_imitates_two_gives_way_to_them():
     found = [replace(spring, solution=ft.fit(["tustin", "spring"], runs).solution)]
     kept, others = exchange_effects(first, [first.tested], found)
     assert {"drag", "log_velocity"} in [{t.effect.name for t in kept}, *(set(one.effects) for one in others)]
+
+
+def test_a_set_in_place_of_one_effect_is_its_rival_as_a_whole():
+    runs = slides(0.4, 0.0)
+    fit = ft.fit(LAW, runs)
+    one, pair = (ft.fit([*LAW, *names], runs).solution for names in (["slope"], ["asymmetry", "spring"]))
+    first, last = (run_round(law, [], np.random.default_rng(0), lambda what: None) for law in (fit.solution, one))
+    found = [RefinedCandidate(LIBRARY["slope"], one, 100.0, 0.001)]
+    others = [AlternativeSet(("asymmetry", "spring"), 3.0, pair)]
+    assert with_rivals_of_sets(found, others)[0].indistinguishable_from == ()  # neither of them explains as much
+    generators = np.random.default_rng(0).spawn(2)
+    conclusion = Conclusion(fit, FinishedSearch(fit.solution, first, last, found, generators, None, others))
+    told = conclusion.completed(None, lambda what: None).summary()
+    assert (told["verdict"], told["missing"]) == ("ambiguous", ["slope"])
+    assert indistinguishable_effects(told) == ["slope", "asymmetry with spring"]
+    compared = {name for step in told["next_experiment"] for group in step["groups"] for name in group}
+    assert compared >= {"slope", "asymmetry with spring"}
 
 
 def test_the_true_pair_stays():

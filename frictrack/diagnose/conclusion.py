@@ -23,6 +23,7 @@ from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.joint_search import AlternativeSet
+from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.power import Undetermined, find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
@@ -190,10 +191,16 @@ class Conclusion:
         if last.leaves_misfit or not found or ratio >= MAX_ERROR_RATIO or any(t.objection for t in found):
             verdict = "unexplained"
         else:
-            verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
+            has_rivals = any(t.indistinguishable_from for t in found) or bool(self._sets_in_place_of_one)
+            verdict = "ambiguous" if has_rivals else "missing"
         decisive = ratio < MAX_ERROR_RATIO_DECISIVE or all(gap.uncertainty is None for gap in gaps)
         unclear = misfit < 1 if verdict == "unexplained" else not decisive
         return ("undetermined", gaps) if gaps and unclear else (verdict, [])
+
+    @property
+    def _sets_in_place_of_one(self) -> list[AlternativeSet]:
+        """Sets of several effects that explain as much as the one effect found."""
+        return [a for a in self.search.alternatives if len(self.search.found) == 1 and len(a.effects) > 1]
 
     def _error_ratio(self, listed: Sequence[Candidate]) -> float:
         """Held-out error with all effects found over that of the model without them; 0 if it was not computed.
@@ -275,6 +282,9 @@ class Conclusion:
         order = sorted(first.passing, key=lambda t: t.effect.name not in best)
         passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
+        before = information_criterion(first.solution)
+        sets = [(one.name, one.law, before - information_criterion(one.law)) for one in self._sets_in_place_of_one]
+        passing, rivals = [*passing, *sets], (*(name for name, *_ in sets), *rivals)
         compared = self._compared
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one

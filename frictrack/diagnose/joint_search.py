@@ -44,6 +44,7 @@ from frictrack.fit.stepwise import (
     try_together,
 )
 from frictrack.records import Array
+from frictrack.verdicts import join_as_one
 
 N_PAIRED = 4  # effects, in place of each found, that are paired with every other
 MIN_SHARE_PAIRED = 0.5  # of the evidence of one effect found, that each of two in its place has alone
@@ -57,10 +58,16 @@ Names = frozenset[str]
 
 @dataclass(frozen=True)
 class AlternativeSet:
-    """A set of effects that explains as much as those named, and its BIC over theirs, with the priors of sets."""
+    """A set of effects that explains as much as those named, its BIC over theirs (with priors of sets), and its fit."""
 
     effects: tuple[str, ...]
     delta_bic: float
+    law: Solution
+
+    @property
+    def name(self) -> str:
+        """The set in words."""
+        return join_as_one(self.effects)
 
     def summary(self) -> dict[str, Any]:
         """Return the entry of the JSON of `frictrack diagnose`."""
@@ -112,17 +119,21 @@ def exchange_effects(
     near = [one for one in near if not any(other < one for other in (best, *near))]  # others without what adds nothing
     near = [one for one in near if not _contains(search, one - best, best - one)]
     chosen = found if best == names else _with_set(search, found, laws[best])
-    alternatives = [AlternativeSet(tuple(sorted(one)), criteria[one] - criteria[best]) for one in near]
+    alternatives = [AlternativeSet(tuple(sorted(one)), criteria[one] - criteria[best], laws[one]) for one in near]
     return chosen, alternatives
 
 
 def with_rivals_of_sets(
     found: Sequence[RefinedCandidate], alternatives: Sequence[AlternativeSet]
 ) -> list[RefinedCandidate]:
-    """Return the effects found, with the effects that stand in their place in other sets as rivals."""
+    """Return the effects found, with the effects that stand in their place in other sets as rivals.
+
+    A set in place of one effect is its rival as a whole: none of its members would explain as much.
+    """
     names, out = {t.effect.name for t in found}, []
+    exchanged = [one for one in alternatives if len(found) > 1 or len(one.effects) == 1]
     for t in found:
-        others = [one.effects for one in alternatives if t.effect.name not in one.effects]
+        others = [one.effects for one in exchanged if t.effect.name not in one.effects]
         rivals = [name for one in others for name in one if name not in names]
         out.append(replace(t, indistinguishable_from=tuple(dict.fromkeys((*t.indistinguishable_from, *rivals)))))
     return out

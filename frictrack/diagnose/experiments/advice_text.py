@@ -37,9 +37,9 @@ def settled_by(effects: Sequence[Effect]) -> str:
     return ", and ".join(effect.settled_by for effect in effects if effect.settled_by)
 
 
-def describe_unseparated(effects: Sequence[Effect]) -> str:
-    """Say that no planned run separates some effects, and what other measurement would."""
-    sentence = UNSEPARATED.format(" and ".join(effect.name for effect in effects))
+def describe_unseparated(names: Sequence[str], effects: Sequence[Effect]) -> str:
+    """Say that no planned run separates two explanations, and what other measurement would tell of their effects."""
+    sentence = UNSEPARATED.format(" and ".join(names))
     measurement = settled_by(effects) or "; ".join(e.confirm.rstrip(".").replace("`", "") for e in effects if e.confirm)
     return f"{sentence}; {measurement}" if measurement else sentence
 

@@ -45,18 +45,20 @@ MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a siz
 
 @dataclass(frozen=True)
 class Explanation:
-    """A fitted model with one effect added, and its evidence on the present runs.
+    """A fitted model with one effect or a set of them added, and its evidence on the present runs.
 
     Parameters
     ----------
     effect
-        Name of the effect.
+        Name of the effect; the first of a set.
     solution
         The fit with it.
     gain
         Fall of BIC on the present runs.
     conservative
         The same fit with the effect small where the runs leave its size open; it predicts new runs.
+    set_name
+        Name of a set; empty for one effect.
 
     """
 
@@ -64,7 +66,13 @@ class Explanation:
     solution: Solution
     gain: float
     conservative: Solution
+    set_name: str = ""
     _simulated: dict[tuple[RunDesign, int], Piece] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the effect, or of the set."""
+        return self.set_name or self.effect
 
     @property
     def fitted_effect(self) -> Effect:
@@ -126,16 +134,16 @@ def evidence_interval(expected: float, relative_size_std: float) -> tuple[float,
     return expected - half, expected + half
 
 
-def make_explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
-    """Make an explanation from a fit with one effect added.
+def make_explanation(name: str, solution: Solution, bare: Solution) -> Explanation:
+    """Make an explanation from a fit with one effect, or a set of them, added.
 
     A size that the runs do not determine (a constant pull beside Coulomb friction) may be fitted absurdly large. It
     would promise absurd evidence for other runs, so it is held small for predictions.
 
     Parameters
     ----------
-    effect
-        Name of the effect.
+    name
+        Name of the effect, or of the set.
     solution
         The fit with it.
     bare
@@ -147,7 +155,10 @@ def make_explanation(effect: str, solution: Solution, bare: Solution) -> Explana
 
     """
     gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
-    return Explanation(effect, solution, gain, _conservative_solution(effect, solution, bare))
+    added = [e.name for e in solution.problem.model.effects if e.name not in bare.problem.model]
+    if name in added:
+        return Explanation(name, solution, gain, _conservative_solution(name, solution, bare))
+    return Explanation(added[0], solution, gain, solution, name)
 
 
 def _conservative_solution(effect: str, solution: Solution, bare: Solution) -> Solution:

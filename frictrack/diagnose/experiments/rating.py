@@ -69,17 +69,17 @@ class RatedExperiment:
         """95 % interval of the smallest evidence over the pairs that it separates."""
         both_ways = [pair for a, b in self.separated_pairs() for pair in ((a, b), (b, a))]
         true, _ = min(both_ways, key=lambda pair: self.evidence[pair])
-        size_std = next(e.relative_size_std for e in explanations if e.effect == true)
+        size_std = next(e.relative_size_std for e in explanations if e.name == true)
         return evidence_interval(self.min_evidence(), size_std)
 
     def summary(self, explanations: Sequence[Explanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
-        effects = [e.fitted_effect for e in explanations]
         pairs = self.separated_pairs()
-        members = {name for pair in pairs for name in pair}
-        separated = [effect.name for effect in effects if effect.name in members]
+        told = [e for e in explanations if any(e.name in pair for pair in pairs)]
+        separated = [e.name for e in told]
         each = {n: min(self.evidence[n, b] for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
-        why = explain_separation([e for e in effects if e.name in members]) if self.kind == "film" else ""
+        single = [e.fitted_effect for e in told if not e.set_name]  # a set has no one invariant
+        why = explain_separation(single) if self.kind == "film" else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": separated,
@@ -132,7 +132,7 @@ def propose_experiments(
     explanations = list(explanations)[:MAX_EXPLANATIONS]
     if len(explanations) < 2 or any(is_measured_friction(e.solution.problem) for e in explanations):
         return []
-    names = [e.effect for e in explanations]
+    names = [e.name for e in explanations]
     rated = [
         experiment
         for experiment in (
@@ -255,7 +255,7 @@ def rate_runs(
     RatedExperiment
 
     """
-    discriminations = {(a.effect, b.effect): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
+    discriminations = {(a.name, b.name): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
     solution = explanations[0].solution
     last = last_settings(solution)
     for entry in (e for e in candidate_experiments(solution, costs.speeds) if not keys or e.key in keys):
@@ -293,8 +293,8 @@ def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAU
                 check.key,
                 RatedExperiment(check.key, check.instruction, "measurement", {}, costs.of_check(check.key)),
             )
-            experiment.evidence[one.effect, other.effect] = if_one
-            experiment.evidence[other.effect, one.effect] = if_other
+            experiment.evidence[one.name, other.name] = if_one
+            experiment.evidence[other.name, one.name] = if_other
     yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 
@@ -305,9 +305,9 @@ def _are_coasting(explanations: Sequence[Explanation]) -> bool:
 
 def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation]) -> dict[str, Any]:
     """JSON entry of a pair that no run separates."""
-    inseparable = [e.fitted_effect for e in explanations if e.effect in pair]
+    inseparable = [e for e in explanations if e.name in pair]
     return {
-        "what": describe_unseparated(inseparable),
+        "what": describe_unseparated([e.name for e in inseparable], [e.fitted_effect for e in inseparable]),
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_interval": None,
