@@ -1,8 +1,8 @@
-"""Test every effect found again beside all others: remove it, exchange it, or split it into two simpler ones."""
+"""Test every effect found again beside all others: remove it, or exchange it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from frictrack.diagnose.hypothesis_tests import list_candidates
@@ -19,7 +19,6 @@ from frictrack.fit.stepwise import (
     remove_effect,
     rename_effects,
     scan_effect,
-    simulate_trial,
     try_effect,
     try_known_effect,
 )
@@ -29,8 +28,6 @@ from frictrack.records import Array
 MAX_CHI2_PER_FRAME_TRUSTED = 1.2  # above it a model's effects are not trusted
 MAX_CHI2_PER_FRAME_EXCHANGED = 10.0  # above it too much is wrong to exchange effects
 MAX_UNKNOWNS_SIMPLE = 3  # of an effect that cannot be a mixture of others
-MAX_CANDIDATES_SPLIT = 6  # with which a second simple effect is tried
-MIN_SPLIT_SHARE = 0.25  # of the evidence of a flexible effect that the stronger of two simple ones has alone
 MIN_SCAN_SHARE = 0.25  # of the evidence to exceed; the nearest grid point of an effect gains most of what it can
 
 
@@ -39,9 +36,9 @@ def review_found(
 ) -> list[RefinedCandidate]:
     """Test every effect found again beside all others.
 
-    An unnecessary effect is removed. An effect that was a mixture of several gives way to what explains more, also to
-    two simpler ones, and its rivals are named. Several effects of one kind are searched again as one, because the
-    first was placed while another was missing. While the misfit is large, effects are only removed.
+    An unnecessary effect is removed. An effect that was a mixture of several gives way to what explains more, and its
+    rivals are named. Several effects of one kind are searched again as one, because the first was placed while another
+    was missing. While the misfit is large, effects are only removed.
 
     Parameters
     ----------
@@ -154,11 +151,9 @@ def _exchange_effect(
             return kept
         best = replace(old, solution=full, delta_bic=evidence)
     best = replace(best, indistinguishable_from=find_rivals(best, tried_again))
-    pair = _split_in_two(best, tried_again, own)
-    new = pair or [best]
     at = next(i for i, k in enumerate(kept) if k.effect.name == same_kind[0])
     later = [k for k in kept[at:] if k.effect.name not in same_kind]
-    return _with_law([*kept[:at], *new, *later], new[-1].law)
+    return _with_law([*kept[:at], best, *later], best.law)
 
 
 def _is_better(best: RefinedCandidate, old: RefinedCandidate, evidence: float) -> bool:
@@ -174,48 +169,6 @@ def _is_better(best: RefinedCandidate, old: RefinedCandidate, evidence: float) -
 def _count_unknowns(law: Solution, name: str) -> int:
     """Number of parameters that an effect adds to a model."""
     return sum(s.effect == name for s in law.problem.layout.slots)
-
-
-def _split_in_two(
-    best: RefinedCandidate, others: Sequence[RefinedCandidate], own: Sequence[Effect]
-) -> list[RefinedCandidate]:
-    """Two simple effects that explain decisively more than one flexible one; empty if there are none.
-
-    An effect that is free in every run, such as a wave with phases per run, may imitate the sum of two simple ones.
-    """
-    found: list[RefinedCandidate] = []
-    if _count_unknowns(best.law, best.effect.name) <= MAX_UNKNOWNS_SIMPLE:
-        return found
-    top = information_criterion(best.law) - MIN_CHI2_SEPARATED
-    runs = len(best.law.problem.layout.run_names)
-    least = max(MIN_CHI2_SEPARATED, MIN_SPLIT_SHARE * best.delta_bic)
-    for one in [t for t in others if t.delta_bic > least and _is_simple(t.effect, runs)][:MAX_CANDIDATES_SPLIT]:
-        try:
-            law = _simulated_law(one)
-            pairs = _alternatives(
-                law, own, one, which=lambda e: _is_simple(e, runs), min_evidence=information_criterion(law) - top
-            )
-        except FrictrackError:
-            continue
-        two = next((t for t in pairs if t.solution is not None), None)
-        if two is not None and information_criterion(two.law) < top:
-            top = information_criterion(two.law)
-            found = [replace(one, solution=law), two]
-    return found
-
-
-def _is_simple(effect: Effect, runs: int) -> bool:
-    """Whether an effect has few parameters and no memory."""
-    return (
-        not effect.memory and sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= MAX_UNKNOWNS_SIMPLE
-    )
-
-
-def _simulated_law(tried: RefinedCandidate) -> Solution:
-    """The simulated fit with a candidate."""
-    if tried.solution is None and tried.linear_trial is not None:
-        return simulate_trial(*tried.linear_trial)
-    return tried.law
 
 
 def _with_law(found: list[RefinedCandidate], law: Solution) -> list[RefinedCandidate]:
@@ -237,7 +190,6 @@ def _alternatives(
     own: Sequence[Effect],
     old: RefinedCandidate,
     *,
-    which: Callable[[Effect], bool] = lambda effect: True,
     min_evidence: float,
     known: Solution | None = None,
 ) -> list[RefinedCandidate]:
@@ -246,7 +198,7 @@ def _alternatives(
     series = measured_series(law)
     data: Array = series.coordinates[:, 0]
     trials = []
-    for effect in filter(which, list_candidates(rest, own)[0]):
+    for effect in list_candidates(rest, own)[0]:
         if rest.problem.budget.stops():
             break
         e = old.effect if effect.kind == old.effect.kind else effect
