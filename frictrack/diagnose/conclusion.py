@@ -199,8 +199,8 @@ class Conclusion:
 
     @property
     def _sets_in_place_of_one(self) -> list[AlternativeSet]:
-        """Sets of several effects that explain as much as the one effect found."""
-        return [a for a in self.search.alternatives if len(self.search.found) == 1 and len(a.effects) > 1]
+        """Sets of effects that explain as much as the one effect found."""
+        return list(self.search.alternatives) if len(self.search.found) == 1 else []
 
     def _error_ratio(self, listed: Sequence[Candidate]) -> float:
         """Held-out error with all effects found over that of the model without them; 0 if it was not computed.
@@ -280,11 +280,10 @@ class Conclusion:
             return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.name for t in effects[:1]]
         order = sorted(first.passing, key=lambda t: t.effect.name not in best)
-        passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
-        rivals = effects[0].indistinguishable_from if best else ()
-        before = information_criterion(first.solution)
-        sets = [(one.name, one.law, before - information_criterion(one.law)) for one in self._sets_in_place_of_one]
-        passing, rivals = [*passing, *sets], (*(name for name, *_ in sets), *rivals)
+        bare = information_criterion(first.solution)
+        sets = [(one.name, one.law, bare - information_criterion(one.law)) for one in self._sets_in_place_of_one]
+        passing = [*((t.effect.name, t.law, t.delta_bic) for t in order), *sets]
+        rivals = (*(name for name, *_ in sets), *(effects[0].indistinguishable_from if best else ()))
         compared = self._compared
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one

@@ -118,6 +118,8 @@ def exchange_effects(
     near = [one for one in near if criteria[one] < criteria[best] + MIN_CHI2_SEPARATED]
     near = [one for one in near if not any(other < one for other in (best, *near))]  # others without what adds nothing
     near = [one for one in near if not _contains(search, one - best, best - one)]
+    if best == names and len(found) == 1:  # another one effect is judged by `find_rivals`
+        near = [one for one in near if len(one) > 1]
     chosen = found if best == names else _with_set(search, found, laws[best])
     alternatives = [AlternativeSet(tuple(sorted(one)), criteria[one] - criteria[best], laws[one]) for one in near]
     return chosen, alternatives
@@ -131,9 +133,10 @@ def with_rivals_of_sets(
     A set in place of one effect is its rival as a whole: none of its members would explain as much.
     """
     names, out = {t.effect.name for t in found}, []
-    exchanged = [one for one in alternatives if len(found) > 1 or len(one.effects) == 1]
+    if len(found) == 1:
+        return list(found)
     for t in found:
-        others = [one.effects for one in exchanged if t.effect.name not in one.effects]
+        others = [one.effects for one in alternatives if t.effect.name not in one.effects]
         rivals = [name for one in others for name in one if name not in names]
         out.append(replace(t, indistinguishable_from=tuple(dict.fromkeys((*t.indistinguishable_from, *rivals)))))
     return out
