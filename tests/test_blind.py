@@ -415,7 +415,7 @@ def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pyte
     with pytest.raises(KeyboardInterrupt):
         score(studies, workers=1)
     assert len(list((studies / "outcomes").iterdir())) == 1
-    result = score(studies, workers=1)
+    result = score(str(studies), workers=1)
     assert sorted(done[2:]) == ["study_2", "study_3"]  # the first is kept
     assert result["studies"] == 3
     assert result["failed"] == []

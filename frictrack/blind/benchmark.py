@@ -32,7 +32,7 @@ OUTCOMES_FOLDER = "outcomes"
 
 
 def make(  # noqa: PLR0913 - named settings
-    folder: Path,
+    folder: Path | str,
     n: int | None = None,
     *,
     seed: int = 0,
@@ -75,7 +75,7 @@ def make(  # noqa: PLR0913 - named settings
         raise FrictrackError(f'expected one of the kinds {", ".join(KINDS)} but got "{kind}"', usage=True)
     mixture = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
     of = mixture if kind is None else {kind: STUDIES_OF_ONE_KIND}
-    n = sum(of.values()) if n is None else n
+    n, folder = sum(of.values()) if n is None else n, Path(folder)
     if n < 1:
         raise FrictrackError(f"expected at least one study but got --n {n}", usage=True)
     if folder.exists() and any(folder.iterdir()):
@@ -118,7 +118,7 @@ def _make_study(folder: Path, seed: int, kind: str, turn: int, *, film: bool) ->
 
 
 def score(
-    folder: Path, *, seed: int = 0, workers: int | None = None, progress: Progress = no_progress
+    folder: Path | str, *, seed: int = 0, workers: int | None = None, progress: Progress = no_progress
 ) -> dict[str, Any]:
     """Open the sealed truth, diagnose each study, add the named effects, and count what was right.
 
@@ -144,6 +144,7 @@ def score(
         If there is no sealed truth, or if files changed since it was sealed.
 
     """
+    folder = Path(folder)
     truths = open_seal(folder)
     key = sha256((folder / SEAL_FILE).read_bytes()).hexdigest()[:16] + f" seed {seed}"
     kept = folder / OUTCOMES_FOLDER
