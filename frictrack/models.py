@@ -547,23 +547,25 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
 
     """
     extra = list(extra)
-    _check_names(text)
-    words = [part.strip() for part in text.split(",") if part.strip()] if isinstance(text, str) else list(text)
+    words = _words_of(text)
     _check_words(words, extra)
     whole = isinstance(text, str) and len(words) == 1
     return Model(tuple(effect for word in words for effect in _effects_of(word, extra, whole=whole)))
 
 
-def _check_names(given: object) -> None:
-    """Raise an error for anything but a text, or names and effects in a list."""
+def _words_of(given: object) -> list[str | Effect]:
+    """Names and effects of a text with commas, or of a list; raise an error for anything else."""
     if isinstance(given, str):
-        return
-    words = list(given) if isinstance(given, Iterable) else [given]
-    other = next((type(word).__name__ for word in words if not isinstance(word, str | Effect)), None)
-    if other is not None:
-        raise FrictrackError(
-            f'expected the name of a model, such as "tustin", or a list of effects but got {other}', usage=True
-        )
+        return [part.strip() for part in given.split(",") if part.strip()]
+    words: list[str | Effect] = []
+    for word in given if isinstance(given, Iterable) else [given]:
+        if not isinstance(word, str | Effect):
+            got = type(word).__name__
+            raise FrictrackError(
+                f'expected the name of a model, such as "tustin", or a list of effects but got {got}', usage=True
+            )
+        words.append(word)
+    return words
 
 
 def _check_words(words: Sequence[str | Effect], extra: Sequence[Effect]) -> None:

@@ -128,9 +128,9 @@ def join_as_one(names: Sequence[str]) -> str:
 
 
 def _sets_in_place_of_one(diagnosis: Mapping[str, Any]) -> list[str]:
-    """The sets of several effects that explain as much as the one effect that is named."""
+    """The sets of effects that explain as much as the one effect that is named."""
     others = diagnosis.get("alternatives") or [] if len(diagnosis["missing"]) == 1 else []
-    return [join_as_one(one["effects"]) for one in others if len(one["effects"]) > 1]
+    return [join_as_one(one["effects"]) for one in others]
 
 
 def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:

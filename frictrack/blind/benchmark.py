@@ -75,7 +75,8 @@ def make(  # noqa: PLR0913 - named settings
         raise FrictrackError(f'expected one of the kinds {", ".join(KINDS)} but got "{kind}"', usage=True)
     mixture = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
     of = mixture if kind is None else {kind: STUDIES_OF_ONE_KIND}
-    n, folder = sum(of.values()) if n is None else n, Path(folder)
+    n = sum(of.values()) if n is None else n
+    folder = Path(folder)
     if n < 1:
         raise FrictrackError(f"expected at least one study but got --n {n}", usage=True)
     if folder.exists() and any(folder.iterdir()):

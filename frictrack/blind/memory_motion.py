@@ -88,17 +88,17 @@ class _WaySoFar:
 
     def __init__(self, conditions: Conditions, start: tuple[float, float], s: float) -> None:
         self._conditions, self._start_x, self._s = conditions, start[0], s
-        self._rows: list[tuple[float, float, float]] = []
+        self._before: Array | None = None  # (3, k)
 
     def add(self, t: float, x: float, v: float) -> None:
         """Append a step."""
-        self._rows.append((t, x, v))
+        step = np.array([[t], [x], [v]])
+        self._before = step if self._before is None else np.hstack([self._before, step])
 
     def path(self, x: float, v: float, t: float) -> Path:
         """The path that consists of the present moment, with the way before it."""
         path = self._conditions.path(np.array([x]), np.array([v]), np.array([t]), self._s)
-        before = np.transpose(self._rows) if self._rows else None
-        return replace(path, begins=self._start_x, before=before)
+        return replace(path, begins=self._start_x, before=self._before)
 
 
 def _followed(motion: Callable[[float, Array], Array], begin: float, state: Array, t: Array, way: _WaySoFar) -> Array:

@@ -132,9 +132,9 @@ def with_rivals_of_sets(
 
     A set in place of one effect is its rival as a whole: none of its members would explain as much.
     """
-    names, out = {t.effect.name for t in found}, []
     if len(found) == 1:
         return list(found)
+    names, out = {t.effect.name for t in found}, []
     for t in found:
         others = [one.effects for one in alternatives if t.effect.name not in one.effects]
         rivals = [name for one in others for name in one if name not in names]
@@ -261,7 +261,7 @@ def _members(
     allowed = [s.effect.name for s in first.tests.scanned if is_allowed(s.effect)]
     if len(found) > 1:
         return allowed
-    least = MIN_SHARE_PAIRED * max((t.delta_bic for t in found), default=0.0)
+    least = MIN_SHARE_PAIRED * found[0].delta_bic
     strong = {t.effect.name for t in tested[0].tried if t.delta_bic > least}
     return [name for name in allowed if name in strong]
 

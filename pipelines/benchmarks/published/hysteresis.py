@@ -3,8 +3,9 @@
 The oscillator has a mass of 2 kg; its equations and the mass are published with the benchmark. Only the training record
 is fitted; the test record begins as a run whose first state is found from its first part, which is scored too.
 
-The published sweep is made here from the published equations, because its record is not part of the data: 40 N from 20
-to 50 Hz at 10 Hz/min, from rest. The same integration gives the multisine record to 0.24 um.
+A sweep is made from the published equations in place of the published one, whose record is not part of the data: 40 N
+from 20 to 50 Hz at 10 Hz/min, from rest. The same integration gives the multisine record to 0.24 um. No published
+figure belongs to this record.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ C, K = 10.0, 5e4  # N s/m and N/m; these and the next as published
 ALPHA, BETA, GAMMA, DELTA = 5e4, 1e3, 0.8, -1.1
 SWEEP_N, SWEEP_HZ, SWEEP_S = 40.0, (20.0, 1.0 / 6.0), 180.0  # amplitude; first frequency and Hz per s; duration
 SWEEP_TOLERANCE_M, STEPS_PER_SAMPLE = 1e-8, 20
-PUBLISHED_SWEEP_UM = 26.0  # NARX model that is stored with the data
 TRAIN, PREDICTED = "train_data.csv", "NARX_multisine.csv"
 TEST_INPUT, TEST_OUTPUT = "uval_multisine.mat", "yval_multisine.mat"
 
@@ -61,7 +61,7 @@ def score(folder: Path) -> dict[str, Any]:
 
 
 def sweep_score(found: ft.Fit, duration: float = SWEEP_S) -> dict[str, Any]:
-    """Rms of a free run from rest over the sweep."""
+    """Rms of a free run from rest over the sweep; its CPU time includes that of the record."""
     begin, t = time.process_time(), np.arange(round(duration * RATE)) / RATE
     values, _ = found.solution.problem.layout.values(found.solution.p, 0)
     ours = simulate_displacement(
@@ -69,7 +69,7 @@ def sweep_score(found: ft.Fit, duration: float = SWEEP_S) -> dict[str, Any]:
     )
     return {
         "what": f"{LAW}: free run over {len(t)} samples of a sweep made from the published equations",
-        "published": PUBLISHED_SWEEP_UM,
+        "published": None,
         "ours": 1e6 * float(np.sqrt(np.mean((ours - published_motion(sweep, len(t))) ** 2))),
         "unit": "um",
         "cpu_s": time.process_time() - begin,
