@@ -67,6 +67,8 @@ class Costs:
         Slowest and fastest start speed, m/s.
     masses
         Masses at hand, kg; empty for any.
+    frames
+        Most frames of one film, which the memory of the camera holds.
 
     Examples
     --------
@@ -88,6 +90,7 @@ class Costs:
     check: float = 1.0
     speeds: tuple[float, float] = (0.3, 8.0)
     masses: tuple[float, ...] = ()
+    frames: float = math.inf
 
     def of_run(self, new: RunSettings, last: RunSettings | None) -> float:
         """Return the cost of a run after the last one filmed; infinite where the set-up cannot do it.

@@ -16,7 +16,7 @@ from frictrack import effects, study
 from frictrack.cli import plan_output
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import combined_experiments
+from frictrack.diagnose.experiments import EvidenceForecast, combined_experiments
 from frictrack.diagnose.experiments.rating import RatedExperiment, _rank
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
@@ -83,7 +83,7 @@ def test_the_table_is_read(tmp_path):
 
 
 def rated(key, evidence, cost):
-    both = {("drag", "drift"): evidence, ("drift", "drag"): evidence}
+    both = dict.fromkeys([("drag", "drift"), ("drift", "drag")], EvidenceForecast(evidence))
     return RatedExperiment(key, key, "film", both, cost)
 
 

@@ -20,10 +20,10 @@ from frictrack.cli import plan_output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import (
+    EvidenceForecast,
     Explanation,
     ModelDiscrimination,
     candidate_experiments,
-    evidence_interval,
     make_explanation,
     plan_for_candidates,
     plan_for_unexplained,
@@ -118,11 +118,9 @@ def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pai
     offers = sorted((o for o in rate_runs(among) if o.separated_pairs()), key=lambda o: -o.min_evidence())
     best = offers[0]
     design = next(e.design for e in candidate_experiments(among[0].solution) if e.key == best.key)
-    _, expected_delta_bic_after = explained([*runs, take(design, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
-    observed = information_criterion(expected_delta_bic_after[rival]) - information_criterion(
-        expected_delta_bic_after[truth]
-    )
-    expected = best.evidence[truth, rival]
+    _, after = explained([*runs, take(design, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
+    observed = information_criterion(after[rival]) - information_criterion(after[truth])
+    expected = best.evidence[truth, rival].expected
     assert observed > 10
     spread = 4 * np.sqrt(expected)  # of a chi-squared of that non-centrality, two standard deviations
     assert expected / 2 - spread < observed < 2 * expected + spread
@@ -136,13 +134,13 @@ def test_the_interval_is_that_of_two_gaussian_models_of_uncertain_size():
         size = 1 + std * rng.normal(size=(20_000, 1))
         noise = rng.normal(size=(20_000, 1)) * np.linalg.norm(shape)  # of the data along the trace
         observed = (size**2 * mean + 2 * size * noise)[:, 0]  # chi-squared of the rival minus that of the truth
-        low, high = evidence_interval(mean, std)
+        low, high = EvidenceForecast.of_size(mean, std).interval()
         assert np.mean((observed > low) & (observed < high)) == pytest.approx(0.95, abs=0.012)
 
 
 def test_an_unknown_size_leaves_the_interval_open():
-    low, high = evidence_interval(50.0, np.inf)
-    assert low == pytest.approx(50 - 1.96 * 2 * np.sqrt(50))
+    low, high = EvidenceForecast.of_size(50.0, np.inf).interval()
+    assert low == pytest.approx(50 - 1.96 * 2 * np.sqrt(50), rel=1e-4)
     assert high is None
 
 
@@ -159,8 +157,7 @@ def test_the_interval_holds_the_evidence_of_the_run_that_is_filmed(case):
         new = take(design, law_with(truth, values), SCATTER if len(runs) > 3 else 0.0, seed=100 + seed)
         _, found = explained([*runs, new], truth, rival)
         observed = information_criterion(found[rival]) - information_criterion(found[truth])
-        expected = best.evidence[truth, rival]
-        low, high = evidence_interval(expected, among[0].relative_size_std)
+        low, high = best.evidence[truth, rival].interval()
         inside.append(observed > low and (high is None or observed < high))
     assert sum(inside) >= 9
 
@@ -172,11 +169,11 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
     for discrimination in (ModelDiscrimination(shake, vibration), ModelDiscrimination(vibration, shake)):
         repeat = next(e.design for e in candidate_experiments(shake.solution) if e.key == "repeat")
         assert abs(discrimination.expected_delta_bic_now) < 1
-        assert abs(discrimination.expected_delta_bic_after(repeat)) < 1  # both have a phase of its own for it
+        assert abs(discrimination.forecast_after(repeat).expected) < 1  # both have a phase of its own for it
         heavy = next(e.design for e in candidate_experiments(shake.solution) if e.key == "double mass")
         # a tie of the amplitudes is all that tells them apart: a rival with one per run pays for four more
         frames = sum(len(p.t) for p in shake.solution.problem.pieces)
-        assert 10 < discrimination.expected_delta_bic_after(heavy) < 4 * np.log(2 * frames)
+        assert 10 < discrimination.forecast_after(heavy).expected < 4 * np.log(2 * frames)
 
 
 def test_a_rival_far_from_its_fit_leaves_what_the_simulated_one_leaves():
@@ -189,7 +186,7 @@ def test_a_rival_far_from_its_fit_leaves_what_the_simulated_one_leaves():
     half = next(e.design for e in candidate_experiments(bare) if e.key == "half mass")
     expected = simulated_objective(pair, half)
     assert expected > 1e4  # the friction levels of the present runs change by tens of per cent
-    assert pair.expected_delta_bic_after(half) == pytest.approx(expected, rel=0.01)
+    assert pair.forecast_after(half).expected == pytest.approx(expected, rel=0.01)
 
 
 def simulated_objective(pair, design):

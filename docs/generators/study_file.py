@@ -38,6 +38,7 @@ TYPES = {
     "Mass": ('number, text with unit, or "fit"', "kg", '"350 +/- 1 g"'),
     "FrameRate": ("number or text with unit, above 0", "Hz", "4000"),
     "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
+    "FrameLimit": ("whole number of at least 30; inf: any", "", "1000"),
     "Cost": ("number of at least 0; inf: not possible", "", "5"),
     "Speeds": ("[slowest, fastest]", "m/s", "[2, 8]"),
     "Masses": ("list of numbers or texts with unit", "kg", '["0.35 kg", "0.70 kg"]'),

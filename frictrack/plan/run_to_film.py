@@ -24,10 +24,10 @@ from frictrack import effects, models
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
 from frictrack.diagnose.experiments import (
+    EvidenceForecast,
     ModelDiscrimination,
     RunDesign,
     combined_experiments,
-    evidence_interval,
     last_settings,
     settings_of,
 )
@@ -59,7 +59,6 @@ class Question:
     """One question: whether `true` differs from `rival` (None: from nothing), with its weight and threshold.
 
     Evidence adds up: `now` is what the runs say already (without a rival: what they are expected to say).
-    `relative_size_std` is the relative standard deviation of the size of the true effect.
     """
 
     true: str
@@ -67,7 +66,6 @@ class Question:
     weight: float
     decisive: float
     now: float
-    relative_size_std: float = 0.0
     discrimination: ModelDiscrimination | None = None
 
     def progress(self, after: float) -> float:
@@ -81,19 +79,28 @@ class Question:
     def _share(self, evidence: float) -> float:
         return float(np.clip(evidence / self.decisive, 0.0, 1.0))
 
-    def refitted(self, option: Option, after: float) -> float:
-        """Evidence after a run, with the rival fitted to it by simulation."""
-        if self.discrimination is None or option.design is None:
-            return after
-        return self.now + _added_evidence(self.discrimination, option.design, refit=True)
+    @property
+    def measured(self) -> float:
+        """What the runs say already; without a rival, they are only expected to say it."""
+        return self.now if self.rival else 0.0
 
-    def prediction(self, after: float) -> dict[str, Any]:
+    def forecast(self, option: Option, after: float) -> EvidenceForecast:
+        """What a run adds to what is measured, with the rival fitted to it by simulation."""
+        if self.discrimination is None or option.design is None:
+            return EvidenceForecast(after - self.measured)
+        return _added_evidence(self.discrimination, option.design, refit=True)
+
+    def prediction(self, added: EvidenceForecast) -> dict[str, Any]:
         """Entry of the JSON `predictions`."""
-        measured = self.now if self.rival else 0.0
-        low, high = evidence_interval(after - measured, self.relative_size_std)
-        interval = [low + measured, None if high is None else high + measured]
-        names = {"true": self.true, "rival": self.rival}
-        return {**names, "now": self.now, "expected": after, "interval": interval, "decisive": self.decisive}
+        low, high = added.interval()
+        return {
+            "true": self.true,
+            "rival": self.rival,
+            "now": self.now,
+            "expected": added.expected + self.measured,
+            "interval": [low + self.measured, None if high is None else high + self.measured],
+            "decisive": self.decisive,
+        }
 
 
 @dataclass(frozen=True)
@@ -153,18 +160,21 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     if sum(q.gain(e) for q, e in open_now) < MIN_GAIN * sum(q.weight for q in questions):
         return None
     likeliest = max(q.weight for q, _ in open_now)
-    refitted = [(q, q.refitted(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
-    refitted = [(q, e) for q, e in refitted if e >= MIN_CHI2_SEPARATED] or refitted  # what the run separates
-    weakest, expected = min(refitted, key=lambda p: (p[0].weight != max(q.weight for q, _ in refitted), p[1]))
+    told = [(q, q.forecast(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
+    predictions = [q.prediction(added) for q, added in told]
+    separated = [(q, p) for (q, _), p in zip(told, predictions, strict=True) if p["expected"] >= MIN_CHI2_SEPARATED]
+    separated = separated or [(q, p) for (q, _), p in zip(told, predictions, strict=True)]
+    weightiest = max(q.weight for q, _ in separated)
+    weakest = min((p for q, p in separated if q.weight == weightiest), key=lambda p: p["expected"])
     return {
         "what": best.words,
         "key": best.key,
         "settings": best.settings.summary(),
         "cost": best.cost,
-        "separates": list(dict.fromkeys(name for q, _ in refitted for name in (q.true, q.rival) if name)),
-        "expected_delta_bic": expected,
-        "expected_interval": weakest.prediction(expected)["interval"],
-        "predictions": [q.prediction(e) for q, e in refitted],
+        "separates": list(dict.fromkeys(name for q, _ in separated for name in (q.true, q.rival) if name)),
+        "expected_delta_bic": weakest["expected"],
+        "expected_interval": weakest["interval"],
+        "predictions": [p for _, p in separated],
     }
 
 
@@ -205,28 +215,28 @@ def _rival_questions(found: Sequence[Weighted], costs: Costs, *, further: bool) 
     ]
     questions = []
     for d, weight in pairs:
-        now, std = d.truth.gain - d.rival.gain, d.truth.relative_size_std
+        now = d.truth.gain - d.rival.gain
         decisive = DECISIVE_DELTA_BIC + (now if further and now >= DECISIVE_DELTA_BIC else 0.0)
-        questions.append(Question(d.truth.effect, d.rival.effect, weight, decisive, now, std, d))
+        questions.append(Question(d.truth.effect, d.rival.effect, weight, decisive, now, d))
     solution = found[0].explanation.solution
     last, options = last_settings(solution), []
     for entry in combined_experiments(solution, costs):
         settings = settings_of(solution, entry.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
-            added = [_added_evidence(d, entry.design) for d, _ in pairs]
+            added = [_added_evidence(d, entry.design).expected for d, _ in pairs]
             after = tuple(q.now + one for q, one in zip(questions, added, strict=True))
             options.append(Option(entry.key, entry.words, settings, cost, after, entry.design))
     return questions, options
 
 
-def _added_evidence(discrimination: ModelDiscrimination, design: RunDesign, *, refit: bool = False) -> float:
+def _added_evidence(discrimination: ModelDiscrimination, design: RunDesign, *, refit: bool = False) -> EvidenceForecast:
     """Evidence that a run is expected to add; 0 if a motion cannot be integrated."""
     try:
-        after = discrimination.expected_delta_bic_after(design, refit=refit)
-        return float(after - discrimination.expected_delta_bic_now)
+        after = discrimination.forecast_after(design, refit=refit)
+        return after.shifted(-discrimination.expected_delta_bic_now)
     except FrictrackError:
-        return 0.0
+        return EvidenceForecast(0.0)
 
 
 # --- what the runs could show

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments import RunDesign
+from frictrack.diagnose.experiments import MAX_FRAMES, RunDesign, most_frames
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
@@ -53,13 +53,19 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
     span = layout.span
     law = models.of(base_effects)
     scatter = 100 * (DEFAULT_SCATTER if scatter_is_assumed else solution.tau)
-    assumed = (
+    assumed: tuple[str, ...] = (
         f"friction law fitted to {len(fit.runs)} runs: {law.equation(fit.parameters)}",
         f"position noise per frame: {1e6 * noise:.3g} µm, as measured",
         f"course length: {span.x_max - span.x_min:.2g} m, as far as these runs went",
         f"scatter of dry friction from run to run: {scatter:.2g} %, "
         + ("assumed because there are too few runs to estimate it" if scatter_is_assumed else "as fitted"),
     )
+    frames = most_frames(solution)
+    if frames < MAX_FRAMES:
+        assumed += (
+            f"most frames of one film: {frames:.0f}, as many as the longest so far, which ended while the mass still "
+            "moved; give frames in [costs] if the camera can film more",
+        )
     setup = ExperimentSetup(
         mass=fit.reference.mass,
         fps=span.fps,
@@ -71,6 +77,7 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
         course=span.x_max - span.x_min,
         start=span.x_min,
         assumed=assumed,
+        frames=frames,
     )
     return replace(setup, completed=tuple(_completed_run(fit, setup, i) for i in range(len(fit.runs))))
 
@@ -83,5 +90,6 @@ def _completed_run(fit: Fit, setup: ExperimentSetup, index: int) -> Experiment:
     ends = setup.start, setup.start + setup.course
     place = float(np.clip(start[0], *ends))
     mass = (run.mass or setup.mass) / setup.mass
-    design = RunDesign((place, float(start[1])), ends, mass=mass, tilt=run.incline)
+    frames = sum(len(p.t) for p in fit.solution.problem.pieces if p.run == index)
+    design = RunDesign((place, float(start[1])), ends, mass=mass, tilt=run.incline, frames=frames)
     return Experiment(f"run {run.name}", f"{run.name}, at {start[1]:.2g} m/s", design)

@@ -229,6 +229,14 @@ def _masses(raw: Any) -> tuple[float, ...]:
     return tuple(to_si(part, "kg", "masses", above=0.0)[0] for part in raw)
 
 
+def _frame_limit(raw: Any) -> float:
+    """Read the most frames of one film; `inf` for any number."""
+    is_whole = type(raw) is int or raw == math.inf
+    if not (is_whole and raw >= MIN_FRAMES_OF_FILM):
+        raise ValueError(f"expected frames as a whole number of at least {MIN_FRAMES_OF_FILM}, or inf, but got {raw!r}")
+    return float(raw)
+
+
 def _exists(path: Path) -> bool:
     """Return whether a path is a file or a folder; pipes and devices may have no end."""
     try:
@@ -421,6 +429,7 @@ NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
 MAX_CONDITION_LENGTH = 60  # characters
 FREE_OF_CHARGE = ("mass", "direction", "incline", "camera")  # changes that may cost nothing
+MIN_FRAMES_OF_FILM = 30  # fewer show no friction
 MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
@@ -453,6 +462,7 @@ Pause = Annotated[float, _number("s", above=0.0)]
 Cost = Annotated[float, BeforeValidator(_cost)]
 Speeds = Annotated[Pair, BeforeValidator(_speeds)]
 Masses = Annotated[tuple[float, ...], BeforeValidator(_masses)]
+FrameLimit = Annotated[float, BeforeValidator(_frame_limit)]
 
 
 class Keys(BaseModel):
@@ -549,6 +559,9 @@ class CostsTable(Keys):
         Slowest and fastest start speed of the set-up, m/s; default [0.3, 8].
     masses
         Masses at hand; default any.
+    frames
+        Most frames of one film, which the memory of the camera holds. Default as many as the longest film has, if that
+        ended while the mass still moved in view; else without a limit.
 
     """
 
@@ -561,6 +574,7 @@ class CostsTable(Keys):
     check: Cost = DEFAULT_COSTS.check
     speeds: Speeds = DEFAULT_COSTS.speeds
     masses: Masses = DEFAULT_COSTS.masses
+    frames: FrameLimit = DEFAULT_COSTS.frames
 
 
 class RunTable(Keys):

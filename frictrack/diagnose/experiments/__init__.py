@@ -1,12 +1,8 @@
 """Propose the next experiment: the run, or the direct check, that separates what the present runs cannot."""
 
 from frictrack.diagnose.experiments.advice_text import settled_by
-from frictrack.diagnose.experiments.expected_separation import (
-    Explanation,
-    ModelDiscrimination,
-    evidence_interval,
-    make_explanation,
-)
+from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
+from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments, combined_experiments
 from frictrack.diagnose.experiments.rating import (
     plan_for_candidates,
@@ -19,17 +15,21 @@ from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.diagnose.experiments.virtual_runs import (
     DEFAULT_SCATTER,
     GOLDEN_ANGLE_RAD,
+    MAX_FRAMES,
     PLANNED_RUN_NAME,
     RunConditions,
     RunDesign,
     blank_piece,
     integrate_motion,
+    most_frames,
 )
 
 __all__ = [
     "DEFAULT_SCATTER",
     "GOLDEN_ANGLE_RAD",
+    "MAX_FRAMES",
     "PLANNED_RUN_NAME",
+    "EvidenceForecast",
     "Experiment",
     "Explanation",
     "ModelDiscrimination",
@@ -38,11 +38,11 @@ __all__ = [
     "blank_piece",
     "candidate_experiments",
     "combined_experiments",
-    "evidence_interval",
     "explain_by_axes",
     "integrate_motion",
     "last_settings",
     "make_explanation",
+    "most_frames",
     "plan_for_candidates",
     "plan_for_unexplained",
     "propose_experiments",

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast, forecast_directions
 from frictrack.diagnose.experiments.rival_runs import (
     MIN_CHI2_FALL,
     RivalOfAllRuns,
@@ -34,12 +35,11 @@ from frictrack.fit.least_squares import PieceResponse, Solution, refine, white_n
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
+from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained, remove_effect
 from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
 SMALL_FORCE_RATIO = 0.05  # of friction: size of an effect that the runs do not determine
-SIGMAS_95 = 1.96  # half the width of a 95 % interval
 MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size
 
 
@@ -67,7 +67,7 @@ class Explanation:
     gain: float
     conservative: Solution
     set_name: str = ""
-    _simulated: dict[tuple[RunDesign, int], Piece] = field(default_factory=dict, repr=False, compare=False)
+    _simulated: dict[tuple[RunDesign, int], _PredictedRun] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -93,45 +93,64 @@ class Explanation:
         ]
         return float(min(own, default=0.0))
 
-    def simulated_run(self, design: RunDesign, fine: int) -> Piece:
-        """Simulate a planned run without noise, with at least `fine` panels per frame; the result is cached."""
+    def predicted_run(self, design: RunDesign, fine: int) -> _PredictedRun:
+        """Predict a planned run without noise, with at least `fine` panels per frame; the result is cached."""
         key = design, max([fine, *(e.fine for e in self.conservative.problem.model.effects)])
         if key not in self._simulated:
-            self._simulated[key] = simulate_run(self.conservative, design, fine)
+            self._simulated[key] = _PredictedRun(self.conservative, design, fine)
         return self._simulated[key]
 
 
-def evidence_interval(expected: float, relative_size_std: float) -> tuple[float, float | None]:
-    """Compute the 95 % interval of evidence that is expected of an experiment.
+class _PredictedRun:
+    """A planned run as an explanation predicts it, and how uncertain that is.
 
-    The difference of chi-squared between the true explanation and its rival is Gaussian with a variance of four times
-    its mean. It grows with the square of the size of the effect, which is known only so well.
-
-    Parameters
+    Attributes
     ----------
-    expected
-        Expected difference of BIC.
-    relative_size_std
-        Relative standard deviation of the size of the true effect; infinite if it is unknown.
-
-    Returns
-    -------
-    low : float
-    high : float or None
-        None if the size of the effect is unknown: `expected` is then computed for a small one.
-
-    Examples
-    --------
-    >>> low, high = evidence_interval(100.0, 0.1)
-    >>> round(low), round(high)
-    (45, 155)
+    piece : Piece
+        The run without noise.
+    span : Span
+        Duration, course and speeds of the run.
+    layout : ParameterLayout
+        The unknowns of the explanation with those of the run.
+    p : array of shape (P,)
+        Their values.
+    tau : float
+        Scatter of the friction levels with that run.
 
     """
-    mean = max(expected, 0.0)
-    if not np.isfinite(relative_size_std):
-        return float(expected - SIGMAS_95 * 2 * np.sqrt(mean)), None
-    half = SIGMAS_95 * float(np.hypot(2 * np.sqrt(mean), 2 * mean * relative_size_std))
-    return expected - half, expected + half
+
+    def __init__(self, truth: Solution, design: RunDesign, fine: int) -> None:
+        self._truth, self._design = truth, design
+        self.piece = simulate_run(truth, design, fine)
+        fps = truth.problem.layout.spans[0].fps * design.rate
+        self.span = spans_of([replace(self.piece, run=0)], 1, fps)[0]
+        self.tau = expected_scatter(truth, self.piece.run + 1)
+        self.layout, self.p = extend_layout(truth, self.span, design.phase)
+
+    @property
+    def constraint(self) -> Array:
+        """Residuals of the penalties of the truth."""
+        return penalty_residual(self.layout, self.p, self.tau)
+
+    @cached_property
+    def uncertain_directions(self) -> Array:
+        """Whitened change (n, k) of the run, one standard deviation of each independent direction of the unknowns."""
+        start = np.array(self._design.start)
+        response = RivalOfPlannedRun(self.layout, self.piece, start).respond(self.p, start)
+        variances, axes = np.linalg.eigh(self._covariance[np.ix_(response.active, response.active)])
+        return np.asarray(response.jac @ (axes * np.sqrt(np.maximum(variances, 0.0))))
+
+    @property
+    def _covariance(self) -> Array:
+        """Covariance (P, P) of the unknowns: of the fit, and of the friction level of the run."""
+        old = {name: i for i, name in enumerate(self._truth.problem.layout.names)}
+        shared = [i for i, name in enumerate(self.layout.names) if name in old]
+        before = [old[self.layout.names[i]] for i in shared]
+        out = np.zeros((len(self.p), len(self.p)))
+        out[np.ix_(shared, shared)] = white_noise_covariance(self._truth)[0][np.ix_(before, before)]
+        for i in set(self.layout.levels) - set(shared):
+            out[i, i] = self.tau**2
+        return out
 
 
 def make_explanation(name: str, solution: Solution, bare: Solution) -> Explanation:
@@ -228,8 +247,8 @@ class ModelDiscrimination:
         constraint = penalty_residual(truth.problem.layout, truth.p, truth.tau_of_other_runs)
         return self._bic(self.fitted_rival, constraint, count_unknowns(truth.problem.layout))
 
-    def expected_delta_bic_after(self, design: RunDesign, *, refit: bool = False) -> float:
-        """Expected difference of BIC once a planned run is filmed too, positive for the truth.
+    def forecast_after(self, design: RunDesign, *, refit: bool = False) -> EvidenceForecast:
+        """Forecast the difference of BIC once a planned run is filmed too, positive for the truth.
 
         Parameters
         ----------
@@ -240,7 +259,7 @@ class ModelDiscrimination:
 
         Returns
         -------
-        float
+        EvidenceForecast
 
         Raises
         ------
@@ -248,31 +267,42 @@ class ModelDiscrimination:
             If the run is too short, or if its motion cannot be integrated under the rival.
 
         """
-        truth, rival = self.truth.conservative, self.rival.solution
-        piece = self.truth.simulated_run(design, max(e.fine for e in rival.problem.model.effects))
-        span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * design.rate)[0]
-        tau = expected_scatter(truth, piece.run + 1)
-        layout, p = extend_layout(self.fitted_rival, span, design.phase, free=True)
-        planned = RivalOfPlannedRun(layout, piece, np.array(design.start))
-        p, start = start_rival(planned, p, tau)
+        rival = self.rival.solution
+        run = self.truth.predicted_run(design, max(e.fine for e in rival.problem.model.effects))
+        layout, p = extend_layout(self.fitted_rival, run.span, design.phase, free=True)
+        planned = RivalOfPlannedRun(layout, run.piece, np.array(design.start))
+        p, start = start_rival(planned, p, run.tau)
         starts = [*self.fitted_rival.starts, start]
-        found = refine_rival(RivalOfAllRuns(self._present, layout, planned), p, starts, tau)
-        truth_layout, q = extend_layout(truth, span, design.phase)
-        constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
-        untied = self._with_amplitude_per_run(found, planned, tau)
-        simulated = list(self._simulated_fits(layout, piece, (found, untied), tau)) if refit else []
-        return min(self._bic(s, constraint, count) for s in simulated or [found, untied])
+        found = refine_rival(RivalOfAllRuns(self._present, layout, planned), p, starts, run.tau)
+        untied = self._with_amplitude_per_run(found, planned, run.tau)
+        simulated = list(self._simulated_fits(layout, run.piece, (found, untied), run.tau)) if refit else []
+        count = count_unknowns(run.layout)
+        best = min(simulated or [found, untied], key=lambda s: self._bic(s, run.constraint, count))
+        slopes, curvatures = forecast_directions(best, run.uncertain_directions)
+        open_above = self.truth.conservative is not self.truth.solution
+        return EvidenceForecast(self._bic(best, run.constraint, count), slopes, curvatures, open_above)
 
     def _simulated_fits(
         self, layout: ParameterLayout, piece: Piece, starts: Sequence[Solution], tau: float
     ) -> Iterator[Solution]:
-        """The rival fitted to all runs by simulation, from where the linearised fits ended and from the present fit."""
+        """The rival fitted to all runs by simulation.
+
+        From where the linearised fits ended, from the present fit, and added anew to the model without it: a planned
+        run may want the rival somewhere else.
+        """
         pieces = [*self.fitted_rival.problem.pieces, piece]
-        again = replace(starts[0], p=extend_layout(self.fitted_rival, layout.spans[-1], 0.0, free=True)[1])
-        for start in (*starts, again):
-            problem = self.rival.solution.problem.rebuild(start.problem.layout, pieces)
+        present = replace(starts[0], p=extend_layout(self.fitted_rival, layout.spans[-1], 0.0, free=True)[1])
+        for start in (*starts, present, None):
             with suppress(FrictrackError):  # a motion that cannot be integrated from there
-                yield refine(problem, start.p, start.starts, tau=tau, min_fall=MIN_CHI2_FALL)
+                known = self._added_anew(layout, pieces, starts[0]) if start is None else start
+                problem = self.rival.solution.problem.rebuild(known.problem.layout, pieces)
+                yield refine(problem, known.p, known.starts, tau=tau, min_fall=MIN_CHI2_FALL)
+
+    def _added_anew(self, layout: ParameterLayout, pieces: Sequence[Piece], near: Solution) -> Solution:
+        """The rival added where it explains most of what the model without it leaves."""
+        problem = self.rival.solution.problem.rebuild(layout, pieces)
+        solution = refine(problem, near.p, near.starts, tau=near.tau, max_steps=1)
+        return add_effect(remove_effect(solution, self.rival.effect), self.rival.fitted_effect)
 
     def _bic(self, rival: Solution, constraint: Array, count: int) -> float:
         """Difference of BIC between a rival and a truth that explains everything, with the penalty of its levels."""

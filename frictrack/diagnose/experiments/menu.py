@@ -8,12 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from frictrack.costs import SAME_RATIO, Costs
-from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece
+from frictrack.costs import DEFAULT_COSTS, SAME_RATIO, Costs
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece, most_frames
 from frictrack.fit.least_squares import Solution
 
-MAX_SPEED = 8.0  # m/s, reached by setups of this field
-MIN_SPEED = 0.3  # m/s
 SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run so far
 TILT_RAD = np.deg2rad(5.0)
 MIN_SPEED_DIFFERENCE = 0.15  # relative; smaller ones count as the same speed
@@ -35,15 +33,15 @@ class Experiment:
     design: RunDesign
 
 
-def candidate_experiments(solution: Solution, speeds: tuple[float, float] = (MIN_SPEED, MAX_SPEED)) -> list[Experiment]:
+def candidate_experiments(solution: Solution, costs: Costs = DEFAULT_COSTS) -> list[Experiment]:
     """List runs that could be filmed next.
 
     Parameters
     ----------
     solution
         A fit of the present runs.
-    speeds
-        Slowest and fastest speed of the set-up, m/s.
+    costs
+        Slowest and fastest speed of the set-up, and most frames of one film.
 
     Returns
     -------
@@ -51,8 +49,8 @@ def candidate_experiments(solution: Solution, speeds: tuple[float, float] = (MIN
         Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length.
 
     """
-    setup = _setup(solution)
-    return [*_speeds(setup, *speeds), *_changes(setup)]
+    setup = _setup(solution, costs)
+    return [*_speeds(setup, *costs.speeds), *_changes(setup)]
 
 
 def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
@@ -71,8 +69,8 @@ def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
         Those of `candidate_experiments` first.
 
     """
-    entries = candidate_experiments(solution, costs.speeds)
-    setup, mass = _setup(solution), longest_piece(solution.problem.pieces).mass
+    entries = candidate_experiments(solution, costs)
+    setup, mass = _setup(solution, costs), longest_piece(solution.problem.pieces).mass
     ratios = [one / mass for one in costs.masses] or [1.0, 2.0]
     speeds = {abs(e.design.start[1]) for e in entries if e.key in SPEED_KEYS}
     known = {e.design for e in entries}
@@ -88,7 +86,7 @@ def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
 
 @dataclass(frozen=True)
 class _ObservedSetup:
-    """Properties of the setup: speeds m/s, main direction, course m, start positions m, typical deceleration m/s^2."""
+    """The set-up: speeds m/s, main direction, course m, starts m, typical deceleration m/s^2, most frames of a film."""
 
     speeds: tuple[float, ...]
     direction: float
@@ -97,17 +95,21 @@ class _ObservedSetup:
     starts: dict[float, float]
     braking: float
     driven: bool
+    frames: float
 
     def design(self, speed: float, direction: float | None = None) -> RunDesign:
         """A plain run at a speed."""
         direction = direction or self.direction
         typical = float(np.median(self.speeds))
         return RunDesign(
-            (self.starts[direction], direction * speed), self.course, drive=direction * self.direction * speed / typical
+            (self.starts[direction], direction * speed),
+            self.course,
+            drive=direction * self.direction * speed / typical,
+            frames=self.frames,
         )
 
 
-def _setup(solution: Solution) -> _ObservedSetup:
+def _setup(solution: Solution, costs: Costs) -> _ObservedSetup:
     first: dict[int, tuple[float, float]] = {}
     for piece, start in zip(solution.problem.pieces, solution.starts, strict=True):
         first.setdefault(piece.run, (float(start[0]), float(start[1])))
@@ -124,6 +126,7 @@ def _setup(solution: Solution) -> _ObservedSetup:
         starts=starts,
         braking=max(-float(np.median(a)), 0.1),
         driven=any(p.path.drive is not None for p in solution.problem.pieces),
+        frames=costs.frames if np.isfinite(costs.frames) else most_frames(solution),
     )
 
 

@@ -7,6 +7,7 @@ The misfit that they leave is the expected evidence (T-optimality: Atkinson & Fe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations, permutations
 from math import isfinite
@@ -15,12 +16,8 @@ from typing import Any
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
-from frictrack.diagnose.experiments.expected_separation import (
-    Explanation,
-    ModelDiscrimination,
-    evidence_interval,
-    make_explanation,
-)
+from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
+from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.settings import last_settings, settings_of
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
@@ -40,12 +37,12 @@ Pair = tuple[str, str]  # true explanation, the other one
 
 @dataclass(frozen=True)
 class RatedExperiment:
-    """One experiment with its expected evidence (difference of BIC) for every (true, other) pair of explanations."""
+    """One experiment with the evidence forecast (difference of BIC) for every (true, other) pair of explanations."""
 
     key: str
     words: str
     kind: str  # "film" or "measurement"
-    evidence: dict[Pair, float]
+    evidence: dict[Pair, EvidenceForecast]
     cost: float = 1.0
     settings: RunSettings | None = None  # of a film
 
@@ -54,37 +51,42 @@ class RatedExperiment:
         return [
             (a, b)
             for a, b in self.evidence
-            if a < b and min(self.evidence[a, b], self.evidence.get((b, a), 0.0)) >= MIN_BIC_SEPARATED
+            if a < b and min(self._expected(a, b), self._expected(b, a)) >= MIN_BIC_SEPARATED
         ]
 
     def min_evidence(self) -> float:
         """Smallest evidence over the pairs that it separates."""
-        return min((min(self.evidence[a, b], self.evidence[b, a]) for a, b in self.separated_pairs()), default=0.0)
+        return min((e.expected for e in self._separating()), default=0.0)
+
+    def _expected(self, true: str, other: str) -> float:
+        """Expected evidence of one explanation over another; 0 if there is none."""
+        return self.evidence[true, other].expected if (true, other) in self.evidence else 0.0
+
+    def _separating(self) -> list[EvidenceForecast]:
+        """Forecasts of the pairs that it separates, whichever is true."""
+        return [self.evidence[pair] for a, b in self.separated_pairs() for pair in ((a, b), (b, a))]
 
     def evidence_per_cost(self) -> float:
         """Evidence over the cost that the user declared."""
         return self.min_evidence() / self.cost
 
-    def least_interval(self, explanations: Sequence[Explanation]) -> tuple[float, float | None]:
+    def least_interval(self) -> tuple[float, float | None]:
         """95 % interval of the smallest evidence over the pairs that it separates."""
-        both_ways = [pair for a, b in self.separated_pairs() for pair in ((a, b), (b, a))]
-        true, _ = min(both_ways, key=lambda pair: self.evidence[pair])
-        size_std = next(e.relative_size_std for e in explanations if e.name == true)
-        return evidence_interval(self.min_evidence(), size_std)
+        return min(self._separating(), key=lambda e: e.expected).interval()
 
     def summary(self, explanations: Sequence[Explanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
         pairs = self.separated_pairs()
         told = [e for e in explanations if any(e.name in pair for pair in pairs)]
         separated = [e.name for e in told]
-        each = {n: min(self.evidence[n, b] for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
+        each = {n: min(self._expected(n, b) for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
         single = [e.fitted_effect for e in told if not e.set_name]  # a set has no one invariant
         why = explain_separation(single) if self.kind == "film" else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": separated,
             "expected_delta_bic": self.min_evidence(),
-            "expected_interval": list(self.least_interval(explanations)),
+            "expected_interval": list(self.least_interval()),
             "expected_if_true": each,
             "groups": _group_names(separated, pairs),
             "tells": describe_separation(_group_names(separated, pairs)),
@@ -258,7 +260,7 @@ def rate_runs(
     discriminations = {(a.name, b.name): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
     solution = explanations[0].solution
     last = last_settings(solution)
-    for entry in (e for e in candidate_experiments(solution, costs.speeds) if not keys or e.key in keys):
+    for entry in (e for e in candidate_experiments(solution, costs) if not keys or e.key in keys):
         settings = settings_of(solution, entry.design)
         cost = costs.of_run(settings, last)
         if isfinite(cost):
@@ -267,21 +269,17 @@ def rate_runs(
             yield RatedExperiment(entry.key, entry.words, "film", evidence, cost, settings)
 
 
-def _evidence_both_ways(discriminations: dict[Pair, ModelDiscrimination], entry: Experiment) -> dict[Pair, float]:
+def _evidence_both_ways(
+    discriminations: dict[Pair, ModelDiscrimination], entry: Experiment
+) -> dict[Pair, EvidenceForecast]:
     """Expected evidence of a run for every pair; the reverse is skipped once one direction is too weak."""
-    out: dict[Pair, float] = {}
+    out: dict[Pair, EvidenceForecast] = {}
     for (true, other), discrimination in discriminations.items():
-        separated_pairs = out.get((other, true), MIN_BIC_SEPARATED) >= MIN_BIC_SEPARATED
-        out[true, other] = _expected_evidence(discrimination, entry) if separated_pairs else 0.0
+        reverse = out.get((other, true))
+        if reverse is None or reverse.expected >= MIN_BIC_SEPARATED:
+            with suppress(FrictrackError):  # a run that cannot be simulated
+                out[true, other] = discrimination.forecast_after(entry.design)
     return out
-
-
-def _expected_evidence(discrimination: ModelDiscrimination, entry: Experiment) -> float:
-    """Expected evidence of a run; 0 if it cannot be simulated."""
-    try:
-        return discrimination.expected_delta_bic_after(entry.design)
-    except FrictrackError:
-        return 0.0
 
 
 def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAULT_COSTS) -> Iterator[RatedExperiment]:
@@ -293,8 +291,9 @@ def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAU
                 check.key,
                 RatedExperiment(check.key, check.instruction, "measurement", {}, costs.of_check(check.key)),
             )
-            experiment.evidence[one.name, other.name] = if_one
-            experiment.evidence[other.name, one.name] = if_other
+            for true, rival, expected in ((one, other, if_one), (other, one, if_other)):
+                forecast = EvidenceForecast.of_size(expected, true.relative_size_std)
+                experiment.evidence[true.name, rival.name] = forecast
     yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 

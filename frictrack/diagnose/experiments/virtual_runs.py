@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,8 @@ STOP_TIME_MARGIN = 1.5  # times the stopping time at the typical deceleration
 MAX_FRAMES = 3000  # of a planned run
 MIN_RUN_FRAMES = 3 * MIN_FRAMES  # of a run that is worth filming
 DEFAULT_SCATTER = 0.03  # relative, of the friction level, if there are too few runs to estimate it
+MIN_SPEED_LEFT = 0.1  # of the start speed, at the end of a film that ended before the motion did
+MIN_COURSE_LEFT = 0.05  # of the course, in front of the mass at the end of such a film
 GOLDEN_ANGLE_RAD = 2.39996  # rad; phases of successive runs spread evenly
 
 
@@ -40,6 +43,8 @@ class RunDesign:
         Angle added to the incline, rad.
     phase
         Phase of periodic effects with a phase per run, rad.
+    frames
+        Most frames of the film.
 
     """
 
@@ -51,11 +56,40 @@ class RunDesign:
     pitch: float = 1.0
     drive: float = 1.0
     phase: float = GOLDEN_ANGLE_RAD
+    frames: float = MAX_FRAMES
 
 
 def longest_piece(pieces: Sequence[Piece]) -> Piece:
     """The longest piece; planned runs are modelled on it."""
     return max(pieces, key=lambda p: p.t[-1] - p.t[0])
+
+
+def most_frames(solution: Solution) -> float:
+    """Most frames that a film of this set-up can have, as far as its runs show.
+
+    The longest run shows it if its film ended while the mass still moved, and well within the course of the runs.
+
+    Parameters
+    ----------
+    solution
+        A fit of the filmed runs.
+
+    Returns
+    -------
+    float
+        `MAX_FRAMES` where the longest run ended by itself.
+
+    """
+    pieces, course = solution.problem.pieces, solution.problem.layout.span
+    counts = Counter[int]()
+    for piece in pieces:
+        counts[piece.run] += len(piece.t)
+    run, frames = counts.most_common(1)[0]
+    own = [piece for piece in pieces if piece.run == run]
+    x, v, first = float(own[-1].x_hat[-1]), float(own[-1].v_hat[-1]), float(own[0].v_hat[0])
+    left = course.x_max - x if v > 0 else x - course.x_min
+    moves = abs(v) > MIN_SPEED_LEFT * abs(first) and left > MIN_COURSE_LEFT * (course.x_max - course.x_min)
+    return float(frames) if moves else MAX_FRAMES
 
 
 def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[ParameterLayout, Array]:
@@ -238,7 +272,7 @@ def blank_piece(conditions: RunConditions, design: RunDesign, run: int, fine: in
 
     """
     fps, s = conditions.fps * design.rate, float(np.sign(design.start[1]))
-    n = int(np.clip(fps * _seconds(conditions, design, s), MIN_RUN_FRAMES, MAX_FRAMES)) + 1
+    n = int(np.clip(fps * _seconds(conditions, design, s), MIN_RUN_FRAMES, min(design.frames, MAX_FRAMES) - 1)) + 1
     panels = Panels(np.arange((n - 1) * fine + 1) / (fps * fine))
     path, known, mass = _conditions_at_nodes(conditions, design, panels.t, s)
     t = np.arange(n) / fps

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import frictrack as ft
-from campaigns.studies import SPEEDS, Campaign, Settings
+from campaigns.studies import FPS, MAX_DURATION_S, SPEEDS, Campaign, Settings
 from frictrack import effects
 from frictrack.blind.ideal_detector import degrees_of_freedom, detection_threshold
 from frictrack.costs import Costs
@@ -188,10 +188,10 @@ def _criterion(fit: Fit, name: str) -> float:
 
 
 def costs_of(campaign: Campaign) -> Costs:
-    """What the set-up of the campaigns can do: 2 to 8 m/s, both directions, two masses, an incline, one camera."""
+    """What the set-up can do: 2 to 8 m/s, both directions, two masses, an incline, one camera of limited memory."""
     return Costs(
         film=1.0, camera=float("inf"),
-        speeds=SPEEDS, masses=(campaign.mass, 2 * campaign.mass),
+        speeds=SPEEDS, masses=(campaign.mass, 2 * campaign.mass), frames=FPS * MAX_DURATION_S,
     )  # fmt: skip
 
 

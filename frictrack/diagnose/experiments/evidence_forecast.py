@@ -1,0 +1,126 @@
+"""Forecast the evidence of an experiment that has not been made: its expected value and its 95 % interval.
+
+The evidence is the chi-squared that the rival leaves, r'r. What the truth predicts is itself uncertain: its parameters
+have the covariance C of the present fit, and the friction level of a run scatters. A change of the parameters by u
+moves the planned run by J u. What the rival cannot follow of it, with all of its own parameters, is added to r.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.stats import pearson3
+
+from frictrack.fit.least_squares import Solution
+from frictrack.records import Array
+
+QUANTILES_95 = (0.025, 0.975)
+MIN_SKEWNESS = 1e-6  # below which the distribution is normal
+MIN_SINGULAR_VALUE = 1e-10  # relative, of a direction in which a rival can follow
+
+
+@dataclass(frozen=True)
+class EvidenceForecast:
+    """The evidence that an experiment is expected to give if one explanation is true.
+
+    With z standard normal, the evidence is ``expected + 2 slopes'z + curvatures'z^2``, and the noise of the new data
+    adds a normal deviation of variance four times that.
+
+    Parameters
+    ----------
+    expected
+        Difference of BIC if the fitted values are true.
+    slopes
+        Half of its derivative with respect to each independent direction of what is uncertain, (k,).
+    curvatures
+        Half of its second derivative, (k,).
+    open_above
+        Whether the size of the effect is unknown: `expected` is computed for a small one.
+
+    Examples
+    --------
+    >>> low, high = EvidenceForecast(100.0).interval()
+    >>> round(low), round(high)
+    (61, 139)
+    >>> low, high = EvidenceForecast.of_size(100.0, 0.1).interval()
+    >>> round(low), round(high)
+    (54, 163)
+
+    """
+
+    expected: float
+    slopes: Array = field(default_factory=lambda: np.zeros(0))
+    curvatures: Array = field(default_factory=lambda: np.zeros(0))
+    open_above: bool = False
+
+    @classmethod
+    def of_size(cls, expected: float, relative_std: float) -> EvidenceForecast:
+        """Forecast of evidence that grows with the square of a size, known to `relative_std` (infinite: unknown)."""
+        if not np.isfinite(relative_std):
+            return cls(expected, open_above=True)
+        mean = max(expected, 0.0)
+        return cls(expected, np.array([mean * relative_std]), np.array([mean * relative_std**2]))
+
+    def shifted(self, by: float) -> EvidenceForecast:
+        """The forecast with more evidence, which is known already."""
+        return replace(self, expected=self.expected + by)
+
+    def interval(self) -> tuple[float, float | None]:
+        """95 % interval: the quantiles of a shifted gamma distribution with the first three moments (Imhof 1961).
+
+        Returns
+        -------
+        low : float
+        high : float or None
+            None if the size of the effect is unknown.
+
+        References
+        ----------
+        Imhof, J. P. (1961). Biometrika 48, 419-426.
+
+        """
+        b, c = self.slopes, self.curvatures
+        mean = self.expected + float(np.sum(c))
+        uncertain = float(np.sum(4 * b**2 + 2 * c**2))
+        noise = 4 * max(mean, 0.0)  # given z, the variance is four times the evidence
+        std = np.sqrt(uncertain + noise)
+        if std == 0:
+            return mean, None if self.open_above else mean
+        third = float(np.sum(24 * c * b**2 + 8 * c**3)) + 12 * uncertain
+        skewness = third / std**3
+        skewness = skewness if skewness > MIN_SKEWNESS else 0.0
+        low, high = (float(pearson3.ppf(q, skewness, loc=mean, scale=std)) for q in QUANTILES_95)
+        return low, None if self.open_above else high
+
+
+def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
+    """Slopes and curvatures of the evidence along what is uncertain of a planned run.
+
+    Parameters
+    ----------
+    rival
+        The rival, fitted to all runs; the planned run is its last response.
+    planned
+        Whitened change (n, k) of the planned run, one standard deviation of each independent direction.
+
+    Returns
+    -------
+    slopes, curvatures : ndarray, shape (k,)
+
+    """
+    last, count = rival.responses[-1], len(rival.p)
+    rows, right = replace(rival, responses=rival.responses[:-1]).penalised_rows_and_residual
+    jac = np.vstack([np.zeros((len(last.jac), count)), rows])
+    jac[: len(last.jac), last.active] = last.jac
+    left = np.zeros((len(jac), planned.shape[1] + 1))
+    left[: len(planned), :-1] = planned - last.q @ (last.q.T @ planned)  # its start is free
+    left[:, -1] = np.concatenate([last.r, right])
+    norm = np.linalg.norm(jac, axis=0)
+    u, s, _ = np.linalg.svd(jac / np.where(norm > 0, norm, 1.0), full_matrices=False)
+    u = u[:, s > MIN_SINGULAR_VALUE * s[0]]
+    for _ in range(2):  # once more, since what is left is far smaller than what was there
+        left -= u @ (u.T @ left)
+    moved, residual = left[:, :-1], left[:, -1]
+    curvatures, axes = np.linalg.eigh(moved.T @ moved)
+    return axes.T @ (moved.T @ residual), np.maximum(curvatures, 0.0)
