@@ -63,6 +63,8 @@ def test_defaults_rate_every_film_alike_and_a_sensor_like_ten():
         ("film = true", "expected film as a cost above 0 but got True"),
         ("speeds = [8, 2]", "expected the slowest speed first but got [8, 2]"),
         ("masses = []", "expected masses as a list"),
+        ("frames = 12", "expected frames as a whole number of at least 30, or inf, but got 12"),
+        ("frames = 99.5", "expected frames as a whole number of at least 30, or inf, but got 99.5"),
         ("fil = 1", 'unknown key "fil"; did you mean "film"?'),
     ],
 )
@@ -77,9 +79,9 @@ def test_faults_of_the_table_are_said_at_load(tmp_path, line, sentence):
 
 def test_the_table_is_read(tmp_path):
     path = tmp_path / "study.toml"
-    path.write_text('[costs]\nfilm = 5\ncamera = inf\nmasses = ["350 g", 0.7]\n')
+    path.write_text('[costs]\nfilm = 5\ncamera = inf\nmasses = ["350 g", 0.7]\nframes = 1000\n')
     costs = study.load(path, allow_no_runs=True).costs
-    assert costs == Costs(film=5.0, camera=math.inf, masses=(0.35, 0.7))
+    assert costs == Costs(film=5.0, camera=math.inf, masses=(0.35, 0.7), frames=1000.0)
 
 
 def rated(key, evidence, cost):

@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import pearson3
 
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
 QUANTILES_95 = (0.025, 0.975)
-MIN_SKEWNESS = 1e-6  # below which the distribution is normal
+N_DEVIATES = 10_000  # of every quantity that is uncertain
 MIN_SINGULAR_VALUE = 1e-10  # relative, of a direction in which a rival can follow
 
 
@@ -45,7 +44,7 @@ class EvidenceForecast:
     (61, 139)
     >>> low, high = EvidenceForecast.of_size(100.0, 0.1).interval()
     >>> round(low), round(high)
-    (54, 163)
+    (49, 159)
 
     """
 
@@ -67,7 +66,7 @@ class EvidenceForecast:
         return replace(self, expected=self.expected + by)
 
     def interval(self) -> tuple[float, float | None]:
-        """95 % interval: the quantiles of a shifted gamma distribution with the first three moments (Imhof 1961).
+        """95 % interval, from a fixed sample of z and of the noise.
 
         Returns
         -------
@@ -75,23 +74,13 @@ class EvidenceForecast:
         high : float or None
             None if the size of the effect is unknown.
 
-        References
-        ----------
-        Imhof, J. P. (1961). Biometrika 48, 419-426.
-
         """
-        b, c = self.slopes, self.curvatures
-        mean = self.expected + float(np.sum(c))
-        uncertain = float(np.sum(4 * b**2 + 2 * c**2))
-        noise = 4 * max(mean, 0.0)  # given z, the variance is four times the evidence
-        std = np.sqrt(uncertain + noise)
-        if std == 0:
-            return mean, None if self.open_above else mean
-        third = float(np.sum(24 * c * b**2 + 8 * c**3)) + 12 * uncertain
-        skewness = third / std**3
-        skewness = skewness if skewness > MIN_SKEWNESS else 0.0
-        low, high = (float(pearson3.ppf(q, skewness, loc=mean, scale=std)) for q in QUANTILES_95)
-        return low, None if self.open_above else high
+        deviates = np.random.default_rng(0).standard_normal((N_DEVIATES, len(self.slopes) + 1))
+        noise, z = deviates[:, 0], deviates[:, 1:]
+        without_noise = self.expected + 2 * z @ self.slopes + z**2 @ self.curvatures
+        evidence = without_noise + 2 * np.sqrt(np.maximum(without_noise, 0.0)) * noise
+        low, high = np.quantile(evidence, QUANTILES_95)
+        return float(low), None if self.open_above else float(high)
 
 
 def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
@@ -113,6 +102,7 @@ def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
     rows, right = replace(rival, responses=rival.responses[:-1]).penalised_rows_and_residual
     jac = np.vstack([np.zeros((len(last.jac), count)), rows])
     jac[: len(last.jac), last.active] = last.jac
+    jac = jac[:, ~rival.held]
     left = np.zeros((len(jac), planned.shape[1] + 1))
     left[: len(planned), :-1] = planned - last.q @ (last.q.T @ planned)  # its start is free
     left[:, -1] = np.concatenate([last.r, right])
