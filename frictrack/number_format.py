@@ -61,11 +61,11 @@ def format_plain(value: float | None, digits: int = 4) -> str:
 
     Examples
     --------
-    >>> format_plain(0.0000123456), format_plain(-3.0), format_plain(None)
-    ('1.235e-05', '-3', '-')
+    >>> format_plain(0.0000123456), format_plain(-3.0), format_plain(None), format_plain(448.0, 2)
+    ('1.235e-05', '-3', '-', '450')
 
     """
-    return "-" if value is None else f"{value:.{digits}g}"
+    return "-" if value is None else f"{float(f'{value:.{digits}g}'):.{max(digits, 6)}g}"
 
 
 def format_share(share: float) -> str:
