@@ -23,7 +23,7 @@ MAX_FRAMES = 3000  # of a planned run
 MIN_RUN_FRAMES = 3 * MIN_FRAMES  # of a run that is worth filming
 DEFAULT_SCATTER = 0.03  # relative, of the friction level, if there are too few runs to estimate it
 MIN_SPEED_LEFT = 0.1  # of the start speed, at the end of a film that ended before the motion did
-MIN_COURSE_LEFT = 0.05  # of the course, in front of the mass at the end of such a film
+MIN_COURSE_LEFT = 0.2  # of the course, in front of the mass at the end of such a film
 GOLDEN_ANGLE_RAD = 2.39996  # rad; phases of successive runs spread evenly
 
 
