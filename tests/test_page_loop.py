@@ -146,7 +146,7 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     card = page.page.locator('[data-candidate="patch"]')
     card.wait_for()
     card.hover()
-    card.locator(".ui-errors b").first.wait_for()
+    card.locator(".ui-errors").filter(has_text=re.compile(r"with it\s*[\d.]+")).wait_for()  # after "fitting ..."
     numbers = card.locator(".ui-errors").inner_text()
     assert re.search(r"now\s*[\d.]+", numbers)
     assert re.search(r"with it\s*[\d.]+", numbers)
