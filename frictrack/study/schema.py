@@ -561,7 +561,7 @@ class CostsTable(Keys):
         Masses at hand; default any.
     frames
         Most frames of one film, which the memory of the camera holds. Default as many as the longest film has, if that
-        ended while the mass still moved in view; else without a limit.
+        ended while the mass still moved, well within the course; else without a limit.
 
     """
 

@@ -68,6 +68,8 @@ class EvidenceForecast:
     def interval(self) -> tuple[float, float | None]:
         """95 % interval, from a fixed sample of z and of the noise.
 
+        It holds that of the fitted values too: a parameter may be too uncertain for a linear model of its change.
+
         Returns
         -------
         low : float
@@ -77,10 +79,14 @@ class EvidenceForecast:
         """
         deviates = np.random.default_rng(0).standard_normal((N_DEVIATES, len(self.slopes) + 1))
         noise, z = deviates[:, 0], deviates[:, 1:]
-        without_noise = self.expected + 2 * z @ self.slopes + z**2 @ self.curvatures
+        without_noise = np.array([np.full(N_DEVIATES, self.expected), self.expected + self._change(z)])
         evidence = without_noise + 2 * np.sqrt(np.maximum(without_noise, 0.0)) * noise
-        low, high = np.quantile(evidence, QUANTILES_95)
-        return float(low), None if self.open_above else float(high)
+        low, high = np.quantile(evidence, QUANTILES_95, axis=1)
+        return float(low.min()), None if self.open_above else float(high.max())
+
+    def _change(self, z: Array) -> Array:
+        """Change of the evidence where what is uncertain is z (n, k) standard deviations off."""
+        return np.asarray(2 * z @ self.slopes + z**2 @ self.curvatures)
 
 
 def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
