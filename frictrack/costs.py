@@ -68,7 +68,8 @@ class Costs:
     masses
         Masses at hand, kg; empty for any.
     frames
-        Most frames of one film, which the memory of the camera holds.
+        Largest number of frames in one film, which the memory of the camera limits; infinite for any number. None:
+        not known.
 
     Examples
     --------
@@ -90,7 +91,7 @@ class Costs:
     check: float = 1.0
     speeds: tuple[float, float] = (0.3, 8.0)
     masses: tuple[float, ...] = ()
-    frames: float = math.inf
+    frames: float | None = None
 
     def of_run(self, new: RunSettings, last: RunSettings | None) -> float:
         """Return the cost of a run after the last one filmed; infinite where the set-up cannot do it.

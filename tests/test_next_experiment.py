@@ -39,7 +39,7 @@ from frictrack.diagnose.experiments.virtual_runs import (
     RunDesign,
     expected_scatter,
     extend_layout,
-    most_frames,
+    max_frames_of_film,
     simulate_run,
 )
 from frictrack.diagnose.model_selection import information_criterion
@@ -47,6 +47,8 @@ from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import fit
 from frictrack.fit.least_squares import LeastSquaresProblem, refine, white_noise_covariance
 from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.plan import fitted_setup
+from frictrack.plan.experiment_setup import plain_run
 from frictrack.records import GRAVITY
 from frictrack.report import tables
 from frictrack.results import to_builtins
@@ -464,11 +466,16 @@ def test_a_film_has_no_more_frames_than_the_camera_holds():
     values = {"c": 0.02}
     still_moving = runs_with("drag", values, (4.0, 7.0), duration=0.06)  # the first ends in the middle of the course
     solution = fit(LAW, still_moving).solution
-    assert most_frames(solution) == len(still_moving[0].displacement.t)
+    assert max_frames_of_film(solution) == len(still_moving[0].displacement.t)
     repeat = next(e.design for e in candidate_experiments(solution) if e.key == "repeat")
     slow = replace(repeat, start=(repeat.course[0], 4.0))
-    assert len(simulate_run(solution, slow).t) == most_frames(solution)
-    assert len(simulate_run(solution, replace(slow, frames=np.inf)).t) > most_frames(solution)
+    assert len(simulate_run(solution, slow).t) == max_frames_of_film(solution)
+    assert len(simulate_run(solution, replace(slow, frames=np.inf)).t) > max_frames_of_film(solution)
     assert {e.design.frames for e in candidate_experiments(solution, Costs(frames=150))} == {150}
+    assert max_frames_of_film(solution, Costs(frames=np.inf)) == np.inf  # declared, whatever the runs show
+    assert any("give frames in [costs]" in line for line in fitted_setup(fit(LAW, still_moving)).assumed)
+    declared = fitted_setup(fit(LAW, still_moving), Costs(frames=150))
+    assert not any("give frames" in line for line in declared.assumed)
+    assert plain_run(declared, 4.0).frames == 150
     alone = fit(LAW, still_moving[:1]).solution
-    assert most_frames(alone) > most_frames(solution)  # nothing shows that it did not leave the picture
+    assert max_frames_of_film(alone) > max_frames_of_film(solution)  # nothing shows that it did not leave the picture

@@ -45,8 +45,7 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
         session.bring_up_to("friction")
         setup, named = _setup_of_fit(session), session.name_next_run()
     else:
-        setup = _setup_without_runs(study)
-    setup = replace(setup, costs=study.costs)
+        setup = replace(_setup_without_runs(study), costs=study.costs)
     run_plan = choose_runs(setup, progress)
     summary = to_builtins({**summarise_plan(run_plan), **named, "name": study.name})
     page = write_plan(summary, study.output / "plan.html")
@@ -85,4 +84,4 @@ def _setup_of_fit(session: Session) -> ExperimentSetup:
     fitted = session.models.fit(session.models.current()[0])
     if not isinstance(fitted, Fit):
         raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")
-    return fitted_setup(fitted)
+    return fitted_setup(fitted, session.study.costs)

@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack import models
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
-from frictrack.diagnose.experiments import DEFAULT_SCATTER, MAX_FRAMES, Experiment, RunConditions, RunDesign
+from frictrack.diagnose.experiments import DEFAULT_SCATTER, Experiment, RunConditions, RunDesign
 from frictrack.effects import Path
 from frictrack.models import Model
 from frictrack.records import GRAVITY
@@ -57,8 +57,6 @@ class ExperimentSetup:
         Assumptions as sentences.
     costs
         Costs of the runs, and what the set-up can do.
-    frames
-        Most frames of one film, where the costs do not say it.
 
     """
 
@@ -74,7 +72,6 @@ class ExperimentSetup:
     completed: tuple[Experiment, ...] = ()
     assumed: tuple[str, ...] = ()
     costs: Costs = DEFAULT_COSTS
-    frames: float = MAX_FRAMES
 
     def settings(self, design: RunDesign) -> RunSettings:
         """Settings of a planned run."""
@@ -159,7 +156,7 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
 def plain_run(setup: ExperimentSetup, speed: float) -> RunDesign:
     """Design of a plain run at a speed, m/s; negative speeds go the other way."""
     far = setup.start + setup.course
-    frames = setup.costs.frames if np.isfinite(setup.costs.frames) else setup.frames
+    frames = np.inf if setup.costs.frames is None else setup.costs.frames
     return RunDesign((setup.start if speed > 0 else far, speed), (setup.start, far), frames=frames)
 
 

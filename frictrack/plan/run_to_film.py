@@ -81,11 +81,11 @@ class Question:
 
     @property
     def measured(self) -> float:
-        """What the runs say already; without a rival, they are only expected to say it."""
+        """Evidence of the present runs; 0 without a rival, where `now` is only expected."""
         return self.now if self.rival else 0.0
 
     def forecast(self, option: Option, after: float) -> EvidenceForecast:
-        """What a run adds to what is measured, with the rival fitted to it by simulation."""
+        """Forecast the evidence that a run adds to the measured one; the rival is fitted to it by simulation."""
         if self.discrimination is None or option.design is None:
             return EvidenceForecast(after - self.measured)
         return _added_evidence(self.discrimination, option.design, refit=True)
@@ -160,10 +160,9 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     if sum(q.gain(e) for q, e in open_now) < MIN_GAIN * sum(q.weight for q in questions):
         return None
     likeliest = max(q.weight for q, _ in open_now)
-    told = [(q, q.forecast(best, e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
-    predictions = [q.prediction(added) for q, added in told]
-    separated = [(q, p) for (q, _), p in zip(told, predictions, strict=True) if p["expected"] >= MIN_CHI2_SEPARATED]
-    separated = separated or [(q, p) for (q, _), p in zip(told, predictions, strict=True)]
+    likely = [(q, e) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
+    predicted = [(q, q.prediction(q.forecast(best, e))) for q, e in likely]
+    separated = [(q, p) for q, p in predicted if p["expected"] >= MIN_CHI2_SEPARATED] or predicted
     weightiest = max(q.weight for q, _ in separated)
     weakest = min((p for q, p in separated if q.weight == weightiest), key=lambda p: p["expected"])
     return {
@@ -274,7 +273,7 @@ def _power_questions(
     if not names:
         return [], []
     try:
-        setup = replace(fitted_setup(fit), costs=costs)
+        setup = fitted_setup(fit, costs)
         if suspected:
             beside = refine_to_end(add_effect(fit.solution, effects.get(next(iter(suspected)))))
             setup = replace(setup, scatter=beside.tau_of_other_runs)

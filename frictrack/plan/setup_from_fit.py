@@ -7,20 +7,23 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments import MAX_FRAMES, RunDesign, most_frames
+from frictrack.costs import DEFAULT_COSTS, Costs
+from frictrack.diagnose.experiments import RunDesign, max_frames_of_film
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.plan.experiment_setup import DEFAULT_NOISE_PX, DEFAULT_SCATTER, Experiment, ExperimentSetup
 
 
-def fitted_setup(fit: Fit) -> ExperimentSetup:
+def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
     """Derive the setup from a fit; its runs count as completed.
 
     Parameters
     ----------
     fit
         A fit of coasting runs to their displacement.
+    costs
+        Costs of the runs, and what the set-up can do.
 
     Returns
     -------
@@ -60,11 +63,11 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
         f"scatter of dry friction from run to run: {scatter:.2g} %, "
         + ("assumed because there are too few runs to estimate it" if scatter_is_assumed else "as fitted"),
     )
-    frames = most_frames(solution)
-    if frames < MAX_FRAMES:
+    frames = max_frames_of_film(solution, costs)
+    if costs.frames is None and np.isfinite(frames):
         assumed += (
-            f"most frames of one film: {frames:.0f}, as many as the longest so far, which ended while the mass still "
-            "moved; give frames in [costs] if the camera can film more",
+            f"largest number of frames in one film: {frames:.0f}, as in the longest film so far, which ended while the "
+            "mass still moved; give frames in [costs] if the camera can film more",
         )
     setup = ExperimentSetup(
         mass=fit.reference.mass,
@@ -77,7 +80,7 @@ def fitted_setup(fit: Fit) -> ExperimentSetup:
         course=span.x_max - span.x_min,
         start=span.x_min,
         assumed=assumed,
-        frames=frames,
+        costs=replace(costs, frames=frames),
     )
     return replace(setup, completed=tuple(_completed_run(fit, setup, i) for i in range(len(fit.runs))))
 

@@ -230,7 +230,7 @@ def _masses(raw: Any) -> tuple[float, ...]:
 
 
 def _frame_limit(raw: Any) -> float:
-    """Read the most frames of one film; `inf` for any number."""
+    """Read the largest number of frames in one film; `inf` for any number."""
     is_whole = type(raw) is int or raw == math.inf
     if not (is_whole and raw >= MIN_FRAMES_OF_FILM):
         raise ValueError(f"expected frames as a whole number of at least {MIN_FRAMES_OF_FILM}, or inf, but got {raw!r}")
@@ -560,8 +560,8 @@ class CostsTable(Keys):
     masses
         Masses at hand; default any.
     frames
-        Most frames of one film, which the memory of the camera holds. Default as many as the longest film has, if that
-        ended while the mass still moved, well within the course; else without a limit.
+        Largest number of frames in one film, which the memory of the camera limits; `inf` for any number. Default: as
+        many as the longest film has, if that ended while the mass still moved, well within the course; else any number.
 
     """
 
@@ -574,7 +574,7 @@ class CostsTable(Keys):
     check: Cost = DEFAULT_COSTS.check
     speeds: Speeds = DEFAULT_COSTS.speeds
     masses: Masses = DEFAULT_COSTS.masses
-    frames: FrameLimit = DEFAULT_COSTS.frames
+    frames: FrameLimit | None = DEFAULT_COSTS.frames
 
 
 class RunTable(Keys):

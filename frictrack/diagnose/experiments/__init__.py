@@ -15,19 +15,17 @@ from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.diagnose.experiments.virtual_runs import (
     DEFAULT_SCATTER,
     GOLDEN_ANGLE_RAD,
-    MAX_FRAMES,
     PLANNED_RUN_NAME,
     RunConditions,
     RunDesign,
     blank_piece,
     integrate_motion,
-    most_frames,
+    max_frames_of_film,
 )
 
 __all__ = [
     "DEFAULT_SCATTER",
     "GOLDEN_ANGLE_RAD",
-    "MAX_FRAMES",
     "PLANNED_RUN_NAME",
     "EvidenceForecast",
     "Experiment",
@@ -42,7 +40,7 @@ __all__ = [
     "integrate_motion",
     "last_settings",
     "make_explanation",
-    "most_frames",
+    "max_frames_of_film",
     "plan_for_candidates",
     "plan_for_unexplained",
     "propose_experiments",

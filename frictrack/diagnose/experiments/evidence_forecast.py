@@ -1,8 +1,8 @@
 """Forecast the evidence of an experiment that has not been made: its expected value and its 95 % interval.
 
-The evidence is the chi-squared that the rival leaves, r'r. What the truth predicts is itself uncertain: its parameters
-have the covariance C of the present fit, and the friction level of a run scatters. A change of the parameters by u
-moves the planned run by J u. What the rival cannot follow of it, with all of its own parameters, is added to r.
+The evidence is the chi-squared r'r of the residual r that the rival leaves. The prediction of the true explanation is
+uncertain: its parameters have the covariance of the present fit, and the friction level scatters from run to run. A
+change u of the parameters changes the planned run by J u. The rival can fit a part of J u; the rest is added to r.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ MIN_SINGULAR_VALUE = 1e-10  # relative, of a direction in which a rival can foll
 class EvidenceForecast:
     """The evidence that an experiment is expected to give if one explanation is true.
 
-    With z standard normal, the evidence is ``expected + 2 slopes'z + curvatures'z^2``, and the noise of the new data
-    adds a normal deviation of variance four times that.
+    With z standard normal, the evidence is ``expected + 2 slopes'z + curvatures'z^2``. The noise of the new data adds
+    a normal deviation, whose variance is four times the evidence.
 
     Parameters
     ----------
     expected
         Difference of BIC if the fitted values are true.
     slopes
-        Half of its derivative with respect to each independent direction of what is uncertain, (k,).
+        Half of its derivative with respect to each component of z, (k,).
     curvatures
         Half of its second derivative, (k,).
     open_above
@@ -62,13 +62,14 @@ class EvidenceForecast:
         return cls(expected, np.array([mean * relative_std]), np.array([mean * relative_std**2]))
 
     def shifted(self, by: float) -> EvidenceForecast:
-        """The forecast with more evidence, which is known already."""
+        """Return the forecast with a known amount of evidence added."""
         return replace(self, expected=self.expected + by)
 
     def interval(self) -> tuple[float, float | None]:
         """95 % interval, from a fixed sample of z and of the noise.
 
-        It holds that of the fitted values too: a parameter may be too uncertain for a linear model of its change.
+        It includes the interval that the noise alone gives at the fitted values, because a parameter may be too
+        uncertain for a linear model of its effect.
 
         Returns
         -------
@@ -85,19 +86,19 @@ class EvidenceForecast:
         return float(low.min()), None if self.open_above else float(high.max())
 
     def _change(self, z: Array) -> Array:
-        """Change of the evidence where what is uncertain is z (n, k) standard deviations off."""
+        """Change of the evidence if the uncertain quantities deviate by z (n, k) standard deviations."""
         return np.asarray(2 * z @ self.slopes + z**2 @ self.curvatures)
 
 
 def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
-    """Slopes and curvatures of the evidence along what is uncertain of a planned run.
+    """Compute how the evidence of a planned run changes with the uncertain quantities of its prediction.
 
     Parameters
     ----------
     rival
         The rival, fitted to all runs; the planned run is its last response.
     planned
-        Whitened change (n, k) of the planned run, one standard deviation of each independent direction.
+        Whitened change (n, k) of the planned run for one standard deviation of each uncertain quantity.
 
     Returns
     -------

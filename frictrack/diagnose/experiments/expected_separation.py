@@ -134,7 +134,7 @@ class _PredictedRun:
 
     @cached_property
     def uncertain_directions(self) -> Array:
-        """Whitened change (n, k) of the run, one standard deviation of each independent direction of the unknowns."""
+        """Whitened change (n, k) of the run for one standard deviation along each principal axis of the unknowns."""
         start = np.array(self._design.start)
         response = RivalOfPlannedRun(self.layout, self.piece, start).respond(self.p, start)
         variances, axes = np.linalg.eigh(self._covariance[np.ix_(response.active, response.active)])
@@ -285,21 +285,23 @@ class ModelDiscrimination:
     def _simulated_fits(
         self, layout: ParameterLayout, piece: Piece, starts: Sequence[Solution], tau: float
     ) -> Iterator[Solution]:
-        """The rival fitted to all runs by simulation.
+        """The rival fitted to all runs by simulation, from several starts.
 
-        From where the linearised fits ended, from the present fit, and added anew to the model without it: a planned
-        run may want the rival somewhere else.
+        They are the linearised fits, the present fit, and a new scan: with the planned run, the parameters that fit
+        best may be far from the present ones.
         """
         pieces = [*self.fitted_rival.problem.pieces, piece]
         present = replace(starts[0], p=extend_layout(self.fitted_rival, layout.spans[-1], 0.0, free=True)[1])
-        for start in (*starts, present, None):
+        all_starts = [*starts, present]
+        with suppress(FrictrackError):
+            all_starts.append(self._scanned_fit(layout, pieces, starts[0]))
+        for start in all_starts:
             with suppress(FrictrackError):  # a motion that cannot be integrated from there
-                known = self._added_anew(layout, pieces, starts[0]) if start is None else start
-                problem = self.rival.solution.problem.rebuild(known.problem.layout, pieces)
-                yield refine(problem, known.p, known.starts, tau=tau, min_fall=MIN_CHI2_FALL)
+                problem = self.rival.solution.problem.rebuild(start.problem.layout, pieces)
+                yield refine(problem, start.p, start.starts, tau=tau, min_fall=MIN_CHI2_FALL)
 
-    def _added_anew(self, layout: ParameterLayout, pieces: Sequence[Piece], near: Solution) -> Solution:
-        """The rival added where it explains most of what the model without it leaves."""
+    def _scanned_fit(self, layout: ParameterLayout, pieces: Sequence[Piece], near: Solution) -> Solution:
+        """The rival with its effect removed and added again, where the scan finds that it explains most."""
         problem = self.rival.solution.problem.rebuild(layout, pieces)
         solution = refine(problem, near.p, near.starts, tau=near.tau, max_steps=1)
         return add_effect(remove_effect(solution, self.rival.effect), self.rival.fitted_effect)

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from frictrack.costs import DEFAULT_COSTS, SAME_RATIO, Costs
-from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece, most_frames
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, longest_piece, max_frames_of_film
 from frictrack.fit.least_squares import Solution
 
 SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run so far
@@ -41,7 +41,7 @@ def candidate_experiments(solution: Solution, costs: Costs = DEFAULT_COSTS) -> l
     solution
         A fit of the present runs.
     costs
-        Slowest and fastest speed of the set-up, and most frames of one film.
+        Slowest and fastest speed of the set-up, and largest number of frames in one film.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def combined_experiments(solution: Solution, costs: Costs) -> list[Experiment]:
 
 @dataclass(frozen=True)
 class _ObservedSetup:
-    """The set-up: speeds m/s, main direction, course m, starts m, typical deceleration m/s^2, most frames of a film."""
+    """The set-up: speeds m/s, main direction, course m, starts m, typical deceleration m/s^2, frames per film."""
 
     speeds: tuple[float, ...]
     direction: float
@@ -126,7 +126,7 @@ def _setup(solution: Solution, costs: Costs) -> _ObservedSetup:
         starts=starts,
         braking=max(-float(np.median(a)), 0.1),
         driven=any(p.path.drive is not None for p in solution.problem.pieces),
-        frames=costs.frames if np.isfinite(costs.frames) else most_frames(solution),
+        frames=max_frames_of_film(solution, costs),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
@@ -44,7 +45,7 @@ class RunDesign:
     phase
         Phase of periodic effects with a phase per run, rad.
     frames
-        Most frames of the film.
+        Largest number of frames in the film.
 
     """
 
@@ -56,7 +57,7 @@ class RunDesign:
     pitch: float = 1.0
     drive: float = 1.0
     phase: float = GOLDEN_ANGLE_RAD
-    frames: float = MAX_FRAMES
+    frames: float = np.inf
 
 
 def longest_piece(pieces: Sequence[Piece]) -> Piece:
@@ -64,8 +65,8 @@ def longest_piece(pieces: Sequence[Piece]) -> Piece:
     return max(pieces, key=lambda p: p.t[-1] - p.t[0])
 
 
-def most_frames(solution: Solution) -> float:
-    """Most frames that a film of this set-up can have, as far as its runs show.
+def max_frames_of_film(solution: Solution, costs: Costs = DEFAULT_COSTS) -> float:
+    """Largest number of frames in a film of this set-up: as declared, or else as far as its runs show.
 
     The longest run shows it if its film ended while the mass still moved, and well within the course of the runs.
 
@@ -73,13 +74,17 @@ def most_frames(solution: Solution) -> float:
     ----------
     solution
         A fit of the filmed runs.
+    costs
+        What is declared of the set-up.
 
     Returns
     -------
     float
-        `MAX_FRAMES` where the longest run ended by itself.
+        Infinite where neither tells.
 
     """
+    if costs.frames is not None:
+        return costs.frames
     pieces, course = solution.problem.pieces, solution.problem.layout.span
     counts = Counter[int]()
     for piece in pieces:
@@ -89,7 +94,7 @@ def most_frames(solution: Solution) -> float:
     x, v, first = float(own[-1].x_hat[-1]), float(own[-1].v_hat[-1]), float(own[0].v_hat[0])
     left = course.x_max - x if v > 0 else x - course.x_min
     moves = abs(v) > MIN_SPEED_LEFT * abs(first) and left > MIN_COURSE_LEFT * (course.x_max - course.x_min)
-    return float(frames) if moves else MAX_FRAMES
+    return float(frames) if moves else np.inf
 
 
 def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[ParameterLayout, Array]:
