@@ -19,6 +19,7 @@ from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import LinearisedPiece
 from frictrack.fit.uncertainty import Estimate, linear_estimates
+from frictrack.number_format import format_plain
 from frictrack.records import Array
 
 MIN_DETECTABLE_SHARE = 0.10  # of the mean friction, rms
@@ -189,6 +190,6 @@ def _undetectable(name: str, limit: float, confirm: str) -> Undetermined:
     if not np.isfinite(limit):
         return Undetermined(name, "the fitted model absorbs it whatever its size", confirm)
     times = limit / MIN_DETECTABLE_SHARE
-    why = f"it would have been detected only above {100 * limit:.2g} % of the mean friction"
+    why = f"it would have been detected only above {format_plain(100 * limit, 2)} % of the mean friction"
     advice = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
     return Undetermined(name, why, advice if times < MAX_NOISE_FACTOR else confirm, limit)

@@ -12,6 +12,7 @@ from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.experiments import DEFAULT_SCATTER, Experiment, RunConditions, RunDesign
 from frictrack.effects import Path
 from frictrack.models import Model
+from frictrack.number_format import format_plain
 from frictrack.records import GRAVITY
 
 PICTURE_WIDTH_PX = 800  # width of a picture, px
@@ -123,7 +124,7 @@ def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
         f"friction law: Coulomb friction decelerates the mass by {COULOMB_DECELERATION:g} m/s² ({level:.3g} N); static "
         f"friction is {100 * STATIC_RISE_RATIO:g} % higher (Stribeck velocity {STRIBECK_VELOCITY:g} m/s); viscous "
         f"friction adds {100 * VISCOUS_RATIO:g} % per m/s",
-        f"position noise per frame: {DEFAULT_NOISE_PX:g} px ({1e6 * DEFAULT_NOISE_PX * pitch:.3g} µm), white",
+        f"position noise per frame: {DEFAULT_NOISE_PX:g} px ({format_plain(1e6 * DEFAULT_NOISE_PX * pitch, 3)} µm), white",
         f"course length: {course:.2g} m, a picture {PICTURE_WIDTH_PX} px wide",
         f"scatter of dry friction from run to run: {100 * DEFAULT_SCATTER:g} %",
     )

@@ -12,6 +12,7 @@ from frictrack.diagnose.experiments import RunDesign, max_frames_of_film
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.number_format import format_plain
 from frictrack.plan.experiment_setup import DEFAULT_NOISE_PX, DEFAULT_SCATTER, Experiment, ExperimentSetup
 
 
@@ -58,7 +59,7 @@ def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
     scatter = 100 * (DEFAULT_SCATTER if scatter_is_assumed else solution.tau)
     assumed: tuple[str, ...] = (
         f"friction law fitted to {len(fit.runs)} runs: {law.equation(fit.parameters)}",
-        f"position noise per frame: {1e6 * noise:.3g} µm, as measured",
+        f"position noise per frame: {format_plain(1e6 * noise, 3)} µm, as measured",
         f"course length: {span.x_max - span.x_min:.2g} m, as far as these runs went",
         f"scatter of dry friction from run to run: {scatter:.2g} %, "
         + ("assumed because there are too few runs to estimate it" if scatter_is_assumed else "as fitted"),
