@@ -113,7 +113,7 @@ def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
     {'F_c': 1.75}
 
     """
-    level = mass * COULOMB_DECELERATION
+    level, noise = mass * COULOMB_DECELERATION, DEFAULT_NOISE_PX * pitch
     values = {
         "coulomb": {"F_c": level},
         "stribeck": {"F_s": STATIC_RISE_RATIO * level, "v_s": STRIBECK_VELOCITY, "delta": 1.0},
@@ -124,12 +124,12 @@ def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
         f"friction law: Coulomb friction decelerates the mass by {COULOMB_DECELERATION:g} m/s² ({level:.3g} N); static "
         f"friction is {100 * STATIC_RISE_RATIO:g} % higher (Stribeck velocity {STRIBECK_VELOCITY:g} m/s); viscous "
         f"friction adds {100 * VISCOUS_RATIO:g} % per m/s",
-        f"position noise per frame: {DEFAULT_NOISE_PX:g} px ({format_plain(1e6 * DEFAULT_NOISE_PX * pitch, 3)} µm), white",
+        f"position noise per frame: {DEFAULT_NOISE_PX:g} px ({format_plain(1e6 * noise, 3)} µm), white",
         f"course length: {course:.2g} m, a picture {PICTURE_WIDTH_PX} px wide",
         f"scatter of dry friction from run to run: {100 * DEFAULT_SCATTER:g} %",
     )
     law = models.of(list(values))
-    return ExperimentSetup(mass, fps, pitch, DEFAULT_NOISE_PX * pitch, law, values, course=course, assumed=assumed)
+    return ExperimentSetup(mass, fps, pitch, noise, law, values, course=course, assumed=assumed)
 
 
 def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
