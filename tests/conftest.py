@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Open, Serve, Server, Tab, browser
+from filelock import FileLock
 from page_client import Client
 
 from frictrack.fit import global_search
@@ -35,28 +39,34 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
     return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
 
 
-# Files that take longest.
-LONG = (
-    *(
-        "blind",
-        "reality",
-        "faults",
-        "plausibility",
-        "reproduce",
-        "cli",
-        "motion",
-        "uncertainty",
-        "fit",
-        "workbench",
-        "crate",
-    ),
-    *("unexplained", "lab", "flow", "diagnose", "measurement", "new_effect", "series", "turning", "notebooks"),
-)
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--tenth", metavar="COMMIT", help="only the tenth of the tests that this hash of a commit chooses")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, so that no core waits for another one at the end."""
-    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in LONG)
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the further cases of `few` tests as slow, and keep only a tenth of all tests if asked.
+
+    Every test is in the tenth of one last digit of a hash.
+    """
+    families: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if item.get_closest_marker("few") and not item.get_closest_marker("slow"):
+            families[item.nodeid.partition("[")[0]].append(item)
+    for cases in families.values():
+        n = cases[0].get_closest_marker("few").args[0]
+        kept = {
+            round(i * (len(cases) - 1) / max(n - 1, 1)) for i in range(n)
+        }  # spread evenly, first and last among them
+        for i, case in enumerate(cases):
+            if i not in kept:
+                case.add_marker("slow")
+    commit = config.getoption("--tenth")
+    if commit:
+        turn = int(commit, 16) % 10
+        others = {item for item in items if zlib.crc32(item.nodeid.encode()) % 10 != turn}
+        config.hook.pytest_deselected(items=list(others))
+        items[:] = [item for item in items if item not in others]
 
 
 def write_tables(folder: Path) -> Path:
@@ -96,9 +106,14 @@ def study_file(measured_tables: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def finished_sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the sample study with its verdict and its report, computed once for all tests: copy it."""
-    folder = tmp_path_factory.mktemp("sample")
-    Session(open_study(copy_films(folder))).run()
+    """The folder of the sample study with its verdict and its report, computed once for all processes: copy it."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder = shared / "finished_sample"
+    with FileLock(shared / "finished_sample.lock"):
+        if not (folder / "study_results" / "report.html").exists():
+            folder.mkdir()
+            Session(open_study(copy_films(folder))).run()
     return folder
 
 
@@ -134,9 +149,9 @@ def tables(study_file: Path, serve: Serve) -> Server:
     return serve(study_file)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def sample(finished_sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The sample study after `run`, for the tests of one file; they undo what they change."""
+    """The sample study after `run`, for all tests of a process; they undo what they change."""
     folder = tmp_path_factory.mktemp("page") / "study"
     shutil.copytree(finished_sample, folder)
     server = Server(folder / "study.toml").start()

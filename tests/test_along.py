@@ -182,6 +182,7 @@ def drawn(rng, order=2):
 
 
 class TestTied:
+    @pytest.mark.slow
     def test_atm2_as_printed_comes_to_the_least_squares_optimum_from_nothing(self):
         rng = np.random.default_rng(11)
         made = along("atm2:2", np.zeros(N))
@@ -194,6 +195,7 @@ class TestTied:
             values, _ = made.layout.values(made.law(state.nonlinear_values, state.coefficients), 0)
             assert state.misfit == pytest.approx(np.sum((data - made.layout.model.force(PATH, values)) ** 2), rel=1e-6)
 
+    @pytest.mark.few(1)
     @pytest.mark.parametrize(
         "truth",
         [

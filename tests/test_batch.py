@@ -314,6 +314,7 @@ def _fail() -> None:
     raise FrictrackError("expected light but got none")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_process_that_dies_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
     with workers.local_workers(2) as ours:

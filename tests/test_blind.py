@@ -103,6 +103,7 @@ CAUSES = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("scatter", [0.0, 0.03])
 @pytest.mark.parametrize("name", CAUSES)
 def test_the_ideal_rise_is_that_of_a_brute_force_likelihood_ratio(name: str, scatter: float):
@@ -265,6 +266,7 @@ def test_a_draw_hides_nothing_that_its_camera_cannot_show():
         assert truth.fps == 1000.0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "key"), [("drive_error", "push"), ("measured_load", "lift"), ("beam_vibration", "clamp")]
 )
@@ -312,6 +314,7 @@ def test_the_same_seed_draws_the_same_study():
 WAVE = {"amplitude": 0.6, "frequency": 61.0, "phase": 0.3}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "own"), [("vibration", WAVE), ("texture", CAUSES["texture"] | {"amplitude": 0.3})])
 def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own: dict[str, float], tmp_path: Path):
     truth = holding(replace(TRUTH, hidden=(name,)), **{name: own})
@@ -327,6 +330,7 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
     assert not {"texture", "vibration"} - {name} & set(found)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_runs")
 @pytest.mark.parametrize(("kind", "number", "rel"), [("two", 2, 0.1), ("three", 3, 0.5)])  # two others move further
 def test_several_causes_are_as_large_as_each_is_seen_beside_the_others(
@@ -343,6 +347,7 @@ def test_several_causes_are_as_large_as_each_is_seen_beside_the_others(
         assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=rel)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends
 def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp_path: Path):
     law = {"coulomb": {"F_c": 1.09}, "stribeck": {"F_s": 0.31, "v_s": 0.24, "delta": 1.0}, "viscous": {"F_v": 0.137}}
@@ -371,6 +376,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_names_and_files_say_nothing_of_the_truth(studies: Path):
     assert sorted(p.name for p in studies.iterdir()) == [SEAL_FILE, "study_1", "study_2", "study_3"]
     truths = open_seal(studies)

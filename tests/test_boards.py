@@ -206,6 +206,7 @@ def test_a_known_lens_and_one_picture_give_the_plane(tmp_path):
         plane_map(scale, lens=lens)
 
 
+@pytest.mark.slow
 def test_several_pictures_or_a_folder_of_them(tmp_path):
     """The first shows the plane of the course, or the one that is named."""
     names = [drawn(tmp_path, checkers((9, 6)), f"{i}.png", view) for i, view in enumerate(tilts())]
@@ -264,6 +265,7 @@ def test_pictures_without_the_board(tmp_path):
         plane_map(scale | {"board": [str(blank), board]})
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -87,6 +87,7 @@ def test_gaps_in_the_record_are_no_obstacle():
     assert np.hypot(found.row("pixel noise").mean_N, found.row("filter").mean_N) == pytest.approx(smooth, rel=1e-6)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cutoff", [120.0, None])
 def test_pixel_noise_is_what_the_smoother_lets_through(cutoff):
     """Brute force: the same smoother on nothing but noise."""

@@ -196,6 +196,7 @@ def test_a_write_that_takes_only_a_part_goes_on() -> None:
     assert file.content == b".0123456."
 
 
+@pytest.mark.slow
 def test_tracking_a_small_target_fetches_a_small_part(tmp_path: Path, server: RangeServer) -> None:
     n, shape = 150, (512, 1024)
     x = 300.0 + 2.0 * np.arange(n) - 0.004 * np.arange(n) ** 2

@@ -287,6 +287,7 @@ def test_help_loads_no_science() -> None:
     assert done.stdout == "[]\n"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("to", ["csv", "xlsx"])
 def test_export_writes_plain_tables(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, to: str

@@ -40,6 +40,7 @@ def recorded(factors: dict[int, float], *, sigma: float = 1e-6, specs=SIX, push=
     return runs
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("factor", TRUE_OVER_RECORDED)
 def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
     runs = recorded({2: factor})
@@ -72,6 +73,7 @@ def test_a_run_that_is_foretold_has_a_right_clock():
     assert not any(name.startswith("clock_rate") for name in told.problem.layout.names)
 
 
+@pytest.mark.slow
 def test_a_wrong_clock_is_named_and_the_error_falls():
     runs = recorded({1: 1.02}, sigma=1e-5)
     said = diagnose(fit("coulomb,viscous", runs), quick=True)

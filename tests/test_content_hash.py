@@ -58,6 +58,7 @@ def test_the_hash_is_what_sha256sum_prints(tmp_path: Path) -> None:
     assert hash_files([b, a]) != hash_files([a, b])
 
 
+@pytest.mark.slow
 def test_a_flip_of_any_of_a_thousand_bytes_changes_the_hash(film_study: Path) -> None:
     film = film_study.parent / "block.tif"
     before, size = open_recording(film, fps=1000).hash, film.stat().st_size
@@ -84,6 +85,7 @@ def test_a_flip_in_the_pixels_is_found_by_run_and_verify(film_study: Path) -> No
     assert verify([film_study])["sound"]
 
 
+@pytest.mark.slow
 def test_results_of_a_partly_hashed_film_remain_valid(film_study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as before:
         before.setattr(Recording, "read_hash", lambda self, *, reread=False: self.sampled_hash)

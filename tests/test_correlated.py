@@ -61,6 +61,7 @@ def spectral_level(noise):
 # ---------------------------------------------------------------- found in the spectrum
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("rho", "white"), [(0.3, 0.0), (0.6, 0.0), (0.8, 0.5), (0.9, 0.0)])
 def test_correlated_noise_is_found_with_its_size_and_its_level_at_low_frequencies(slides, rng, rho, white):
     levels, sizes = [], []
@@ -157,6 +158,7 @@ def runs_with(rho, rng, n=420):
     return made
 
 
+@pytest.mark.slow
 def test_chi_squared_is_one_and_nothing_is_named_where_only_the_noise_is_correlated(rng):
     fitted = fit("coulomb, viscous", runs_with(0.8, rng))
     assert fitted.reduced_chi2 == pytest.approx(1.0, abs=0.12)

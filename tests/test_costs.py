@@ -96,6 +96,7 @@ def test_experiments_are_ranked_by_evidence_over_cost():
     assert [o.key for o in _rank([plain, dear])] == ["repeat", "double mass"]
 
 
+@pytest.mark.slow
 def test_a_plan_leaves_out_what_is_not_possible_and_prefers_what_is_cheap():
     setup = default_setup(MASS, FPS, PITCH)
     free = choose_runs(setup).steps
@@ -117,6 +118,7 @@ def ambiguous():
     return truth, rival, law_with(truth, values), runs, made, diagnose(made, quick=True).summary()
 
 
+@pytest.mark.slow
 def test_the_named_run_gives_the_evidence_that_is_predicted(ambiguous):
     truth, _, law, runs, made, found = ambiguous
     assert found["verdict"] == "ambiguous"
@@ -194,6 +196,7 @@ def test_a_prediction_is_answered_only_by_one_more_run_of_the_same_model():
     assert (answer["true"], answer["delta_bic"]) == ("drift", 50.0)  # drift turned out to be true
 
 
+@pytest.mark.slow
 def test_the_text_names_the_run_its_cost_and_its_evidence(ambiguous):
     *_, made, found = ambiguous
     named = next_run(made, found, Costs(film=5, camera=math.inf))

@@ -31,6 +31,7 @@ def campaign(rng, tau, at, mean):
     return laws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [0.0, 0.02, 0.1])
 def test_intervals_hold_the_truth_as_often_as_they_say(tau):
     rng, at = np.random.default_rng(7), np.linspace(20, 90, N_STUDIES)
@@ -51,6 +52,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(tau):
     assert shares["new study"] >= 0.92  # above 0.98 where tau is far below the noise, which cannot be known
 
 
+@pytest.mark.slow
 def test_categories_are_compared_and_the_p_value_is_fair():
     rng, at = np.random.default_rng(3), ["steel", "brass"] * 4
     true = {"steel": np.array([1.0, 0.5]), "brass": np.array([1.2, 0.5])}
@@ -142,6 +144,7 @@ def test_wrong_conditions_are_told(tmp_path, value, said):
         load(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_campaign_over_temperatures_end_to_end(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     t, rng = np.arange(240) / 1000.0, np.random.default_rng(5)

@@ -82,6 +82,7 @@ def metadata(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_the_reader_of_the_ro_crate_project_finds_everything(crate: Path) -> None:
     from rocrate.rocrate import ROCrate  # noqa: PLC0415 - only this test needs it
 
@@ -223,6 +224,7 @@ def refused(*arguments: Any, **keywords: Any) -> str:
     return str(raised.value)
 
 
+@pytest.mark.slow
 def test_large_films_are_described_by_their_hash(
     tmp_path: Path, sample_study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,6 +431,7 @@ def test_every_unit_has_codes() -> None:
     assert used <= set(UNIT_CODES)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("unit", [unit for unit, code in UNIT_CODES.items() if code.ucum])
 def test_ucum_codes_mean_the_same_unit(unit: str) -> None:
     """Pint reads UCUM after small changes: a point multiplies, a number behind a unit is its power."""

@@ -103,6 +103,7 @@ def test_the_oracle_on_a_collision(signals):
     assert run.row(wiener(truth, 1e-5), truth, 1e-5, 20)["a"] == pytest.approx(3.18, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_bounds_land_where_the_anchor_has_them(signals):
     assert run.bounds(signals["vib"], 1e-5)["Cramer-Rao"]["a"] == pytest.approx(0.098, rel=0.02)
     rows = run.bounds(signals["coll"], 1e-5)

@@ -141,6 +141,7 @@ def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(noth
     assert small.verdict == "complete"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("hidden", ["vibration", "camera_shake"])
 def test_one_run_names_a_group_where_it_cannot_single_out(hidden):
     found = diagnose(fit(LAW, runs_with(hidden, specs=FOUR[:1])))
@@ -159,6 +160,7 @@ def test_one_run_in_one_direction_cannot_miss_a_slope():
     assert limit["reason"] == "the fitted model absorbs it whatever its size"
 
 
+@pytest.mark.slow
 def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():
     shaken = runs_with("camera_shake", {"amplitude": 2e-5, "frequency": 160.0, "phase": 0.4})
     told = [replace(r, displacement=replace(r.displacement, shake=(160.0, 2e-5 / np.sqrt(2)))) for r in shaken]
@@ -221,6 +223,7 @@ def test_progress_is_told():
     assert all(what for *_, what in heard)
 
 
+@pytest.mark.slow
 def test_structure_that_no_effect_explains_is_shown_and_not_named():
     t = np.arange(240) / FPS
     rng = np.random.default_rng(0)

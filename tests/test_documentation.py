@@ -141,6 +141,7 @@ def test_a_wave_of_less_than_a_period_and_a_half_is_no_lookalike():
     assert found.explained["vibration"] < 0.9  # without the rule a slow one explains 99 %
 
 
+@pytest.mark.slow
 def test_a_pair_that_one_run_cannot_distinguish_is_separated_by_the_planned_one():
     found = gallery_separation.separating_run("vibration", "camera_shake")
     assert found is not None
@@ -151,7 +152,7 @@ def test_a_pair_that_one_run_cannot_distinguish_is_separated_by_the_planned_one(
 
 
 def test_the_page_of_an_effect_holds_what_the_definition_says(texture):
-    page = gallery.effect_page(texture)
+    page = gallery.effect_page("texture", texture)
     effect = effects.get("texture")
     assert effect.equation in page
     for p in effect.parameters:
@@ -211,6 +212,7 @@ def test_the_links_inside_the_documentation_lead_somewhere(built):
     assert broken == []
 
 
+@pytest.mark.slow
 def test_a_broad_missing_force_is_centred_as_the_gallery_shows_it():
     """Beside many local forces the model may move far away; the curve then had ten times the size of the force."""
     made = gallery_runs.simulate_example("measured_load", gallery_runs.EXAMPLES["measured_load"])

@@ -49,6 +49,7 @@ def alignment_of(seed: int, rate: float = 1e3, n: int = 2000) -> Alignment:
     return align_drive(seen, differentiate(low_pass(seen)), SensorRecord(ts, felt, "drive.csv"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("rate", [1e3, 1e4])
 def test_the_offset_of_a_drive_and_the_mass_are_found(rate: float) -> None:
     found = alignment_of(1, rate)

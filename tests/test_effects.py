@@ -309,6 +309,7 @@ def sliding(name, speed, frames=400):
     return values, known, slide, Slider(push=known.get("drive", lambda tau: 0.0))
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("speed", [4.0, -4.0, 2.2])
 @pytest.mark.parametrize("name", [n for n in TOLD if n not in MOVED])
 def test_the_simulator_agrees_with_runge_kutta(name, speed):
@@ -317,6 +318,7 @@ def test_the_simulator_agrees_with_runge_kutta(name, speed):
     assert np.max(np.abs(slide.x - truth)) < 1e-11
 
 
+@pytest.mark.few(24)
 @pytest.mark.parametrize("speed", [4.0, -4.0])
 @pytest.mark.parametrize("name", PLAIN)
 def test_columns_agree_with_the_simulator(name, speed):
@@ -349,6 +351,7 @@ def turned(slide, values):
 # ---------------------------------------------------------------- fitted and stored
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", [n for n in PLAIN if n not in BASE and n not in HIDDEN])
 def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
     """Those of the rest of the library do in test_fit; the fit is read back from HDF5 without a search."""
@@ -409,6 +412,7 @@ def test_a_known_length_of_the_beam_is_not_sought():
     assert length.scan(replace(SPAN, clamp_x=-0.1))[0] == pytest.approx(0.7)  # from the clamp to the farthest place
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("effect", [e for e in ALL if e.nonlinear], ids=lambda e: e.name)
 def test_individuals_end_to_end_each_begin_anew(effect):
     """A population's own non-linear values (n,), a depth's (n, 1), one individual after the other."""

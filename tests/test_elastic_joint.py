@@ -37,6 +37,7 @@ def acceleration_of_part(t, omega, damping, begin):
     return -(omega**2) * z - 2 * damping * omega * (u - speed(t))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "tolerance"), [(400, 2e-4), (1600, 1e-6), (6400, 1e-8)])
 @pytest.mark.parametrize(("frequency", "damping"), [(83.0, 0.03), (200.0, 0.01), (20.0, 0.9), (600.0, 0.05)])
 def test_the_part_swings_as_scipy_integrates_it(n, tolerance, frequency, damping):
@@ -102,6 +103,7 @@ def test_a_simulated_mass_swings_with_its_part_as_two_masses_do():
     np.testing.assert_allclose(found.x, truth.x, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "joint",
     [
@@ -123,6 +125,7 @@ def test_a_joint_is_named_and_its_values_are_found(joint):
         assert estimate.std < 0.1 * value
 
 
+@pytest.mark.few(1)
 def test_a_vibration_with_a_phase_of_its_own_in_every_run_is_no_joint():
     law = {"coulomb": {"F_c": F_C}, "viscous": {"F_v": F_V}}
     law["decaying_vibration"] = {"amplitude": 1.0, "frequency": 90.0, "tau": 0.06, "phase": 0.0}
@@ -131,6 +134,7 @@ def test_a_vibration_with_a_phase_of_its_own_in_every_run_is_no_joint():
     assert (found.verdict, found.missing) == ("missing", ["decaying_vibration"])
 
 
+@pytest.mark.slow
 def test_a_joint_that_a_drive_shakes_is_found():
     def drive(t):
         return 3.0 + 6.0 * np.sin(2 * np.pi * 60.0 * t) * (1 - np.exp(-np.asarray(t) / 0.02))
@@ -142,6 +146,7 @@ def test_a_joint_that_a_drive_shakes_is_found():
     assert fitted.parameters["elastic_joint.frequency"].value == pytest.approx(90.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_no_part_swings():
     runs = [two_masses(v, i, ratio, part=0.0) for i, (v, ratio) in enumerate(SPEEDS)]
     assert diagnose(fit(list(LAW), runs), quick=True).verdict == "complete"

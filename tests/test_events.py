@@ -111,6 +111,7 @@ def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences
         assert found.at(f)[0] == pytest.approx(np.std(a), rel=0.15)
 
 
+@pytest.mark.slow
 def test_what_may_hide_is_what_is_not_found():
     """A vibration half as large as the limit is not seen, one twice as large always is."""
     t, x = pieces((0.17, -20.0), v=5.0)

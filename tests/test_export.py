@@ -115,6 +115,7 @@ def files(results: Results, to: str) -> dict[str, Path]:
 # --- the table of formats
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("to", FORMATS)
 def test_every_format_writes_into_the_results_and_says_what_it_loses(results: Results, to: str) -> None:
     found = exported(results, to)
@@ -414,6 +415,7 @@ def test_tables_alone_have_no_project(results: Results, tmp_path: Path) -> None:
 # --- figures
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("form", ["svg", "pdf"])
 def test_figures_are_the_same_bytes_again_and_have_their_data(results: Results, form: str) -> None:
     first = {name: path.read_bytes() for name, path in files(results, form).items()}

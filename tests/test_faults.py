@@ -232,6 +232,7 @@ def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"a.txt", live.name, fresh.name}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "people"), few_or_many((fitting, 2), (run, 3)))
 def test_several_at_once_come_to_what_one_does(
     tmp_path: Path, words: Callable[[Path], tuple[str | Path, ...]], people: int

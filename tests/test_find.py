@@ -23,6 +23,7 @@ def error(result, x):
     return off - np.nanmean(off)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "x",
     [
@@ -137,6 +138,7 @@ def with_post(i, scene, paste):
     return picture
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("draw", "x", "y", "size"),
     [

@@ -57,6 +57,7 @@ def parabola(seed, *, level=1.0, speed=4.0, name="run", sigma=10e-6, duration=0.
 # ---------------------------------------------------------------- parameters come back
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", ["", *HIDDEN])
 def test_the_parameters_of_every_effect_come_back(name):
     model, values = with_hidden(name) if name else (models.tustin(), BASE)

@@ -89,6 +89,7 @@ def test_what_leaps_at_rest_is_told_from_what_does_not(values, smooth):
     assert is_smooth_at_rest(models.of(list(values)), values, Conditions(MASS)) is smooth
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "more",
     [{}, {"presliding": {"stiffness": 1e-4, "exponent": 1.0}}, {"friction_lag": {"tau": 3e-3}}],
@@ -104,12 +105,14 @@ def test_a_long_motion_sticks_and_reverses_as_the_exact_one_does(more):
     assert np.max(np.abs(made - exact.x)) < 1e-8 + 1e-5 * np.max(np.abs(exact.x))
 
 
+@pytest.mark.slow
 def test_the_free_run_of_a_record_that_swings_already_finds_its_first_state():
     found = fit(LAW, [swinging(1500, lead=400)])
     assert found.errors["free_run"] == "fit"
     assert found.errors["free_run_rms_um"] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_a_law_lacks_shows_in_the_free_run_more_than_in_its_segments():
     runs = [swinging(700), swinging(700, seed=1, name="other", role="validation", sigma=1e-8)]
     bare, full = fit("viscous,spring", runs), fit(LAW, runs)

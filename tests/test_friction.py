@@ -136,6 +136,7 @@ def test_vibration_and_texture_do_not_pass_for_a_push():
     assert release_time(run) == 0.0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_stop_and_rest_end_the_section(seed):
     t, x, stop = coasting(1.5, 0.115)
@@ -175,6 +176,7 @@ def test_impact_at_an_end_stop_ends_the_section():
 FURTHER = [pytest.param(*row, marks=pytest.mark.slow) for row in ((-3.0, 1), (-2.0, 2))]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("degrees", "seed"), [(-3.0, 0), (-5.0, 3), *FURTHER])
 def test_places_rounded_to_1_cm_show_the_first_bounce_on_a_buffer(degrees, seed):
     pull = -MASS * GRAVITY * np.sin(np.radians(degrees))
@@ -218,6 +220,7 @@ def test_incline_starts_where_motion_starts_whatever_the_later_maximum():
     assert "the beginning of motion" in reason
 
 
+@pytest.mark.slow
 def test_incline_keeps_the_way_up_and_the_way_down():
     t = np.arange(3200) / FPS
     turn = 2.0 / 7.0

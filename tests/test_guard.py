@@ -61,6 +61,7 @@ def test_nothing_is_served_without_the_token(path: str, bench: Server) -> None:
     assert body == "Expected the address with its token; copy it from the terminal where frictrack app was started."
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("name", ["evil.com", "evil.com:5006", "127.0.0.1.evil.com", "localhost.evil.com", "[", ""])
 def test_a_foreign_host_is_refused_with_the_token_and_the_cookie(
@@ -74,6 +75,7 @@ def test_a_foreign_host_is_refused_with_the_token_and_the_cookie(
         assert body.startswith('Expected the name of this machine as the host but got "evil.com"')
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("origin", ["http://evil.com", "null", "http://127.0.0.1:1", "file://"])
 @pytest.mark.parametrize("method", ["GET", "POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
 def test_a_request_of_another_page_is_refused(method: str, origin: str, bench: Server, cookie: str) -> None:

@@ -23,6 +23,7 @@ def slide(speed, late, seed):
     return ft.Run(displacement, ft.differentiate(ft.low_pass(displacement)), mass=MASS, name=f"run{seed}")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", [0, 24, 27])
 def test_a_dropped_frame_can_be_held_out_wherever_it_falls(seed):
     """The time of a dropped frame shows in one frame at most, an even or an odd one; both predict at the noise."""

@@ -63,6 +63,7 @@ def test_the_slide_is_the_one_of_the_anchors():
     assert limits == pytest.approx({"fc": 3.2e-3, "fs": 63e-3, "fv": 0.92e-3, "vs": 2.7e-3}, rel=0.02)
 
 
+@pytest.mark.slow
 def test_five_runs_scatter_and_are_no_worse_than_their_level():
     limits = bound(SCENES["five"], 1e-5)
     assert limits["fc"] == pytest.approx(8.0 * 0.03 / np.sqrt(5), rel=0.01)
@@ -98,6 +99,7 @@ def test_other_ways_are_far_from_it(told):
     assert all(value > 15 for value in papers.values()), papers
 
 
+@pytest.mark.slow
 def test_a_line_below_the_noise_has_no_row():
     scene = SCENES["atm1:2"]
     assert accuracy._is_faint(scene, bound(scene, 5e-5)).startswith("F1 stands only 1.8")

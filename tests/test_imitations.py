@@ -75,6 +75,7 @@ def wide_stribeck():
     return made, diagnose(made, quick=True).summary()
 
 
+@pytest.mark.slow
 def test_a_shape_of_the_law_that_imitates_an_effect_does_not_hide_it(wide_stribeck):
     made, found = wide_stribeck
     imitated = dict(zip(made.solution.problem.layout.names, made.solution.p, strict=True))
@@ -109,6 +110,7 @@ def test_a_next_run_is_named_where_nothing_explains_the_misfit(wide_stribeck):
     assert all(p["now"] < 100 for p in named["predictions"])  # both explain these runs
 
 
+@pytest.mark.slow
 def test_a_next_run_separates_an_effect_from_a_formula(wide_stribeck):
     made, found = wide_stribeck
     assert found["unexplained"]["rival"]
@@ -228,6 +230,7 @@ def test_a_formula_that_an_effect_can_be_is_no_other_cause(four_runs, effect, fo
     assert is_special_case(written, known) is is_same
 
 
+@pytest.mark.slow
 def test_a_slope_that_levels_hide_is_sought_by_runs_back_and_more_of_them():
     """Three runs forth and one back: their levels differ, yet three degrees of freedom are too few to be sure."""
     law = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.1}}
@@ -249,6 +252,7 @@ def test_a_slope_that_levels_hide_is_sought_by_runs_back_and_more_of_them():
     assert slope["delta_bic"] / 3 < told["now"] < told["expected"] < told["decisive"]
 
 
+@pytest.mark.slow
 def test_misfit_that_is_not_explained_yet_wants_another_run_though_its_axis_is_known(four_runs):
     """Evidence that was decisive must be found once more in a further run."""
     explained = list_explanations(four_runs.solution, {"verdict": "unexplained"})

@@ -31,6 +31,7 @@ def notes(film, target, **known):
     return [note for note in ft.track(film, target, **known).notes if "interlaced" in note]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("step", [1.5, -3.0, 6.0])
 def test_odd_lines_half_a_frame_late_are_found(step):
     progressive, interlaced, target = films(step)

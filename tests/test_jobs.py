@@ -168,6 +168,7 @@ def test_work_that_becomes_useless(
     assert jobs.is_superseded(as_job(tmp_path / "1", old, phase=phase), new, revision) is superseded
 
 
+@pytest.mark.slow
 def test_a_superseded_job_is_cancelled_and_the_new_one_starts(study: Study) -> None:
     first = at_work(slow(study))
     second = start(study, "fit")
@@ -175,6 +176,7 @@ def test_a_superseded_job_is_cancelled_and_the_new_one_starts(study: Study) -> N
     assert ended(second) == jobs.DONE
 
 
+@pytest.mark.slow
 def test_an_effect_is_added_and_diagnosed_in_one_job(study: Study) -> None:
     Session(study).fit()
     job = start(study, "add_and_diagnose", 1, effect="drag")
@@ -189,6 +191,7 @@ def test_an_effect_is_added_and_diagnosed_in_one_job(study: Study) -> None:
     assert results.diagnosis is not None
 
 
+@pytest.mark.slow
 def test_the_process_that_waits_runs_a_job_and_ends_with_its_input(study: Study) -> None:
     launcher = WarmLauncher()
     assert launcher.is_needed
@@ -215,6 +218,7 @@ def test_a_job_starts_although_the_process_that_waits_was_killed(study: Study) -
     assert ended(jobs.start(study.path, study.output, JobSpec("fit"), launcher.launch)) == jobs.DONE
 
 
+@pytest.mark.slow
 def test_only_the_newest_jobs_are_kept(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "MAX_JOBS_KEPT", 2)
     for _ in range(4):

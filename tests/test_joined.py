@@ -33,6 +33,7 @@ def columns_of(effect, path):
     return effect.columns(path, values, *inner)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", POINTWISE)
 def test_an_effect_varies_with_the_quantities_that_it_declares_at_each_sample_alone(name):
     effect, path = effects.get(name), path_of()
@@ -45,6 +46,7 @@ def test_an_effect_varies_with_the_quantities_that_it_declares_at_each_sample_al
     np.testing.assert_allclose(columns_of(effect, half), columns[20:], rtol=1e-13)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "added", [(), ("texture", "vibration"), ("load_modulation", "slope"), ("beam_vibration",), ("heating",)]
 )
@@ -86,6 +88,7 @@ def test_two_motions_end_to_end_follow_their_closed_forms():
     np.testing.assert_allclose(moved[101:], (1 - np.exp(-6 * t)) / 12, atol=1e-13)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("law", ["bouc_wen", "presliding", "friction_lag", "lugre", "rate_state_slip"])
 def test_a_law_with_memory_that_is_continued_is_the_same_as_along_the_whole_motion(law):
     run = swinging(0, (-1.2, 0.0), seconds=0.6)

@@ -54,12 +54,14 @@ def diagnosed_as(wrong: list[str], runs: list[ft.Run]) -> tuple[list[str], list[
     return [t.effect.name for t in kept], [frozenset(one.effects) for one in others]
 
 
+@pytest.mark.slow
 def test_a_pair_that_explains_less_gives_way_to_the_pair_that_is_true():
     named, others = diagnosed_as(["asymmetry", "spring"], slides(0.4, 0.06))
     assert {"slope", "drag"} in [set(named), *map(set, others)]
     assert set(named) != {"asymmetry", "spring"}
 
 
+@pytest.mark.slow
 def test_two_effects_that_each_explain_nothing_in_place_of_one_are_tried_together(monkeypatch):
     """Flash weakening imitates a late clock with air drag; drag in its place is of no use without the clock."""
     monkeypatch.setattr(joint_search, "N_EXCHANGED", 2)  # pairs of what explains most alone: without drag
@@ -83,6 +85,7 @@ def test_two_effects_that_each_explain_nothing_in_place_of_one_are_tried_togethe
     assert {"drag", "timebase", "texture"} in [{t.effect.name for t in kept}, *(set(one.effects) for one in others)]
 
 
+@pytest.mark.slow
 def test_one_effect_that_imitates_two_gives_way_to_them():
     """A spring imitates air drag with friction that grows with the logarithm of the speed."""
     runs = []
@@ -131,6 +134,7 @@ def test_the_true_pair_stays():
     assert set(named) == {"slope", "drag"}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("together", "verdict"), [(0.5, "missing"), (2.0, "unexplained")])
 def test_effects_are_named_if_the_model_with_all_of_them_predicts_better(together: float, verdict: str):
     """The first effect alone may predict worse, while the others are still missing."""

@@ -106,6 +106,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
     process.wait(20)
 
 
+@pytest.mark.slow
 @in_chromium
 def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study: Path) -> None:
     import nbformat  # noqa: PLC0415 - three seconds that only the process of this file spends
@@ -129,6 +130,7 @@ def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study:
     page.picture("lab")
 
 
+@pytest.mark.slow
 @in_chromium
 @pytest.mark.parametrize("name", sorted(path.name for path in NOTEBOOKS.glob("*.ipynb")))
 def test_no_notebook_asks_anybody_outside(lab: tuple[str, Path], tab: Open, name: str) -> None:

@@ -29,6 +29,7 @@ def remarks(**wrong: float) -> list[str]:
     ]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("wrong", "ratio"), [({"rate": 2.0}, 4.0), ({"rate": 0.5}, 0.25), ({"scale": 1.5}, 1.5)])
 def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float], ratio: float) -> None:
     (line,) = remarks(**wrong)
@@ -37,6 +38,7 @@ def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float],
     assert float(found[1]) == pytest.approx(ratio, rel=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("friction", [0.9, 1.0, 1.1])
 def test_friction_that_scatters_as_surfaces_do_is_no_remark(friction: float) -> None:
     assert remarks(friction=friction) == []

@@ -35,6 +35,7 @@ def off(result: Track) -> Array:
     return np.asarray(error - np.nanmean(error))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_target_that_passes_under_a_lamp_is_found_all_the_way(seed: int) -> None:
     result = track(lit_by_a_lamp(seed), [30, 20, *SIZE[::-1]])
@@ -52,6 +53,7 @@ def test_nothing_is_said_of_a_look_that_stays() -> None:
     assert result.systematic < 2e-3
 
 
+@pytest.mark.slow
 def test_a_target_that_is_gone_is_not_followed_as_turning(monkeypatch: pytest.MonkeyPatch) -> None:
     """It falls off its course and lies turned for three frames, then it is gone: a few of the lost frames tell."""
 

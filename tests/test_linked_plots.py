@@ -431,6 +431,7 @@ def test_plots_fit_their_page(chromium: Any, address: str, width: int, ratio: in
     page.close()
 
 
+@pytest.mark.slow
 def test_destroy_leaves_no_listener_and_no_element(opened: PlotsPage) -> None:
     session = opened.page.context.new_cdp_session(opened.page)
 

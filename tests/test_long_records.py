@@ -50,6 +50,7 @@ def judged(n):
     return filtered, float(np.sqrt(np.mean(away**2))), float(np.sqrt(np.mean((away / motion.sigma_a[~near]) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_long_record_is_parted_as_a_short_one_is():
     n = 10_000
     filtered, error, ratio = judged(n)

@@ -134,6 +134,7 @@ def test_missing_and_doubled_frames_are_told_by_the_motion(tmp_path):
     assert len(worked(tmp_path, 'reference = "none"').get("motion")) == 117
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("pattern", ["three in a row", "16 scattered", "all"])
 def test_pictures_shown_more_than_once(tmp_path, pattern):
     x = filmed(tmp_path)

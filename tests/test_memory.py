@@ -46,6 +46,7 @@ def drive(t):
     return 5 * np.sin(2 * np.pi * 20 * t) * (1 - np.exp(-t / 0.02))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("exponent", [1.0, 0.5, 1.5])
 def test_dahls_state_is_the_one_that_scipy_integrates_through_many_reversals(exponent):
     path = to_and_fro()
@@ -64,6 +65,7 @@ def test_without_an_exponent_a_contact_is_elastic_up_to_slip():
     np.testing.assert_allclose(w, np.array(truth)[::50], atol=2e-3)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("gamma", "ratio"),
     [(800.0, -1.375), (8e3, 0.0), (3e4, 0.5), (3e4, -0.9), (5e3, -2.0), (1e4, 1.0)],
@@ -231,6 +233,7 @@ def _lugre_rate(t, z):
     return [v, (drive(t) - stiffness * z[2] - 20 * bend - v) / MASS, bend]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("values", "rate"),
     [(DAHL, _dahl_rate), ({"lugre": LUGRE, "viscous": {"F_v": 1.0}}, _lugre_rate)],
@@ -257,6 +260,7 @@ def test_a_slide_with_a_lag_is_followed():
     assert np.max(np.abs(run.x - truth.y[0])) < 0.1 * NM
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sigma", [1e-6, 1e-5])
 def test_the_stiffness_is_found_from_a_run_that_reverses_under_a_drive(sigma):
     t = np.arange(600) / 4000

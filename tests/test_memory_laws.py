@@ -58,6 +58,7 @@ def made(name, path, q):
     return effect.columns(path, q, *inner)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("share", [0.0, 0.6, 0.95])
 def test_the_elasto_plastic_state_is_the_one_that_scipy_integrates(share):
     path = to_and_fro()
@@ -82,6 +83,7 @@ def test_an_elasto_plastic_contact_does_not_drift_below_its_share():
     np.testing.assert_allclose(found[1:], x[1:] / LENGTH, atol=1e-9)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("spread", [1.0, 6.0, 100.0])
 def test_the_springs_of_maxwell_slip_stop_at_their_own_loads(spread):
     t = np.linspace(0, 0.5, 160_001)
@@ -246,6 +248,7 @@ def swung():
     return values, fit(list(values), runs).solution
 
 
+@pytest.mark.slow
 def test_the_sensitivities_through_reversals_are_the_differences_of_simulations(swung):
     _, solution = swung
     problem, p = solution.problem, solution.p

@@ -258,6 +258,7 @@ def test_five_runs_and_a_predicted_one():
     assert np.allclose(again.motion[0].sigma_a, result.motion[0].sigma_a, rtol=1e-3)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mass", [MASS, None])
 def test_a_driven_slider_that_turns_round(mass):
     """Stretches of either direction, the mass given or fitted."""

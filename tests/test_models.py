@@ -236,6 +236,7 @@ def test_every_named_model_survives_toml(name):
     assert models.from_toml(law.to_toml()) == law
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", list(effects.LIBRARY))
 def test_every_effect_survives_toml_fixed_and_per_run(name):
     base = effects.get(name)

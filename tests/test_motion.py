@@ -239,6 +239,7 @@ def test_y_has_a_cutoff_of_its_own_and_may_be_missing(rng):
 
 
 # Smoothed errors of a slide count as some ten of white noise: their rms over 4 slides deviates by 11 %, over 15 by 6 %.
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("repeats", "room"), few_or_many((4, 0.2), (15, 0.1)))
 @pytest.mark.parametrize(("vibration", "limit_a", "limit_v"), [(0.0, 0.3, 0.6e-3), (2.0, 0.45, 0.8e-3)])
 def test_error_and_deviation_on_a_slide(vibration, limit_a, limit_v, repeats, room):
@@ -384,6 +385,7 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
 # -- what a mean is worth --------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("repeats", few_or_many(8, 30))
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_covariance_covers_the_error_of_a_mean(method, repeats):
@@ -405,6 +407,7 @@ def test_covariance_covers_the_error_of_a_mean(method, repeats):
         assert np.sqrt(np.diag(known)) == pytest.approx(motion.sigma_a[rows], rel=0.6)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("n", range(97, 130))
 def test_deviations_of_any_length(n):
     """No length leaves a remainder that cannot be solved."""
@@ -440,6 +443,7 @@ def test_a_known_acceleration_is_taken_in(rng):
     assert rms((both.x - x)[heard]) < rms((differentiate(low_pass(seen)).x - x)[heard])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["structural", "savitzky-golay"])
 def test_what_is_left_of_a_shake_widens_the_deviations(method):
     """A wave of unknown phase within the pass band: its own derivatives, at their mean square."""
@@ -458,6 +462,7 @@ def test_what_is_left_of_a_shake_widens_the_deviations(method):
 # -- the other methods -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("method", "limit"), [("kalman", 1.0), ("savitzky-golay", 1.5), ("butterworth", 12.0), ("gaussian-process", 1.0)]
 )

@@ -65,12 +65,14 @@ def last(z, stop):
     return z[:, int(0.95 * stop) : stop - 3 * (stop < z.shape[1] - 2)]
 
 
+@pytest.mark.slow
 def test_the_last_frames_before_a_stop_are_as_well_known_as_they_are_said_to_be():
     z, stop = errors(SLIDES["stribeck to a stop"], 2e-5, 5)
     assert 0.5 < rms(last(z, stop)) < 2.0  # 2.5 with the best structure alone
     assert 0.6 < rms(z[:, stop // 10 : 9 * stop // 10]) < 1.15
 
 
+@pytest.mark.slow
 def test_a_collision_in_high_noise_is_as_well_known_as_it_is_said_to_be():
     z, _ = errors(STRUCK, 5e-5, 5, blow=BLOW)
     assert 0.5 < rms(z[:, 228:253]) < 2.4  # 4.7 with the best structure alone

@@ -96,6 +96,7 @@ def test_the_likelihood_of_noise_is_that_of_the_dense_covariance():
         assert ours(colour) - ours(None) == pytest.approx(dense(colour) - dense(None), abs=1e-5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("correlation", "share"), [(0.5, 1.0), (0.9, 1.0), (0.9, 0.8)])
 def test_deviations_hold_in_correlated_noise(correlation, share):
     t, x, v, a = slid()

@@ -143,6 +143,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_it_is_found_fitted_and_lowers_the_error(said):
     assert said["last"] == "magnet"
     assert said["missing"] == ["magnet"]

@@ -121,6 +121,7 @@ def pair(request):
     return truth, rival, law_with(truth, values), runs, explanations(runs, truth, rival)
 
 
+@pytest.mark.few(1)
 def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pair):
     truth, rival, law, runs, among = pair
     _, before = explained(runs, truth, rival)
@@ -440,6 +441,7 @@ def test_what_is_uncertain_of_a_planned_run_is_what_other_parameters_make_of_it(
     assert np.linalg.norm(told @ told.T - together) < 0.03 * np.linalg.norm(together)
 
 
+@pytest.mark.few(1)
 def test_a_forecast_knows_what_the_rival_cannot_follow(pair, monkeypatch):
     """Slopes and curvatures, against the rival fitted anew to a planned run that is moved in each direction."""
     rival_runs = importlib.import_module("frictrack.diagnose.experiments.rival_runs")

@@ -99,6 +99,7 @@ def finished(study_file: Path, tmp_path: Path, few_evaluations: None) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_notebook_draws_the_demo_from_its_files(finished: Path):
     before = {p: p.read_bytes() for p in finished.rglob("*.h5")}
     notebook = execute(finished)
@@ -146,6 +147,7 @@ def test_a_notebook_is_kept_with_its_outputs(name: str, figures: int, claim: str
     assert_tells(kept(NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
 
 
+@pytest.mark.slow
 def test_the_second_paper_runs_with_little_effort(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

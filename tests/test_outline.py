@@ -69,6 +69,7 @@ def frame(back, skin, at, size, look):
     return cv2.GaussianBlur(seen, (0, 0), 0.8 * FINE).reshape(h, FINE, w, FINE).mean(axis=(1, 3))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "look",
     [

@@ -36,6 +36,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(installed: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_samples_come_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     code = "import frictrack as ft; print(ft.samples.copy_films('study')); print(len(ft.samples.runs()))"
     command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(installed)!r}); {code}"]
@@ -44,6 +45,7 @@ def test_the_samples_come_from_the_wheel(installed: Path, tmp_path: Path) -> Non
     assert (tmp_path / "study" / "fast.avi").stat().st_size > 1e6
 
 
+@pytest.mark.slow
 def test_the_same_commit_gives_the_same_bytes(tmp_path: Path) -> None:
     """Copies in folders of other names, with other times and rights of their files, built at other times."""
     made: dict[str, list[str]] = {}

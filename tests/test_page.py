@@ -129,6 +129,7 @@ AT_ONCE = """(box, text) => {  // typed and entered before the page can draw
 }"""
 
 
+@pytest.mark.slow
 def test_a_right_text_entered_before_the_page_draws_is_written(untracked: Server, tab: Open) -> None:
     """The mark at the box still says what is wrong with the text before it."""
     page = tab().open(untracked)
@@ -140,6 +141,7 @@ def test_a_right_text_entered_before_the_page_draws_is_written(untracked: Server
     assert 'mass = "0.4 kg"' in untracked.study_text
 
 
+@pytest.mark.slow
 def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Open) -> None:
     before, page = untracked.study_text, tab().open(untracked)
     film_shown(page)
@@ -184,6 +186,7 @@ def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open, serve:
 # --- always true
 
 
+@pytest.mark.slow
 def test_a_dead_server_is_said_and_a_new_one_found(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)
@@ -196,6 +199,7 @@ def test_a_dead_server_is_said_and_a_new_one_found(untracked: Server, tab: Open)
     page.faults.clear()  # its server was taken from it
 
 
+@pytest.mark.slow
 def test_files_that_vanish_are_said_once(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)
@@ -212,6 +216,7 @@ def test_files_that_vanish_are_said_once(untracked: Server, tab: Open) -> None:
     page.faults.clear()
 
 
+@pytest.mark.slow
 def test_two_pages_see_the_same_and_do_not_undo_each_other_unseen(tables: Server, tab: Open) -> None:
     one, other = tab().open(tables).to("Model"), tab().open(tables).to("History")
     one.click("Fit")
@@ -225,6 +230,7 @@ def test_two_pages_see_the_same_and_do_not_undo_each_other_unseen(tables: Server
     assert "F_c" not in tables.study_text
 
 
+@pytest.mark.slow
 def test_a_change_made_elsewhere_is_not_overwritten_unseen(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)
@@ -244,6 +250,7 @@ def test_a_change_made_elsewhere_is_not_overwritten_unseen(untracked: Server, ta
     page.faults.clear()
 
 
+@pytest.mark.slow
 def test_an_outdated_report_is_not_downloaded_unseen(sample: Server, tab: Open) -> None:
     before, page = sample.study_text, tab().open(sample)
     page.fill("Mass", "0.36 kg").hears("Mass: 0.36 kg.")
@@ -307,6 +314,7 @@ def test_the_page_paints_before_its_data_arrive(untracked: Server, tab: Open) ->
     page.page.get_by_role("tab", name="Film").wait_for()
 
 
+@pytest.mark.slow
 def test_a_click_shows_at_once_that_it_is_under_way(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)
@@ -316,6 +324,7 @@ def test_a_click_shows_at_once_that_it_is_under_way(untracked: Server, tab: Open
     assert page.page.get_by_role("tab", name="Compare").get_attribute("aria-selected") == "true"
 
 
+@pytest.mark.slow
 def test_the_film_is_large(untracked: Server, tab: Open) -> None:
     page = tab().open(untracked)
     film_shown(page)

@@ -81,6 +81,7 @@ def serious(page: Tab) -> list[str]:
     return [f"{one['id']}: {one['nodes'][0]['target']}" for one in found if one["impact"] in ("serious", "critical")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_axe_finds_nothing_serious(theme: str, sample: Server, empty: Server, chromium: Any) -> None:
     page = themed(chromium, theme)
@@ -124,6 +125,7 @@ def test_tabs_are_tabs(sample: Server, tab: Open) -> None:
     assert tabs.nth(4).get_attribute("aria-selected") == "true"
 
 
+@pytest.mark.slow
 def test_every_stop_of_the_keyboard_has_a_visible_ring(sample: Server, tab: Open) -> None:
     page = tab().open(sample)
     ready(page, "Compare")
@@ -147,6 +149,7 @@ def test_shortcuts_reach_every_view_and_the_help(sample: Server, tab: Open) -> N
     page.page.get_by_role("dialog").wait_for(state="detached")
 
 
+@pytest.mark.slow
 def test_the_loop_with_the_keyboard_alone(tmp_path: Path, tab: Open, serve: Serve) -> None:
     shutil.copy(SAMPLES / "fast.avi", tmp_path)
     server = serve(tmp_path)
@@ -185,6 +188,7 @@ def _tab_to(page: Tab, name: str | re.Pattern[str]) -> None:
     raise AssertionError(f"the keyboard does not reach {name}")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("width", "height"), [(800, 900), (1024, 768), (1440, 900), (2560, 1300)])
 def test_nothing_overlaps_or_leaves_the_screen(width: int, height: int, sample: Server, chromium: Any) -> None:
     page = themed(chromium, "light", width, height)
@@ -199,6 +203,7 @@ def test_nothing_overlaps_or_leaves_the_screen(width: int, height: int, sample: 
     page.page.context.close()
 
 
+@pytest.mark.slow
 def test_motion_is_reduced_where_the_system_asks_for_it(sample: Server, chromium: Any) -> None:
     context = chromium.new_context(reduced_motion="reduce")
     page = Tab(context.new_page()).open(sample)

@@ -33,6 +33,7 @@ def final_track(study: Path) -> Track:
     return pipeline.final_track
 
 
+@pytest.mark.slow
 def test_hand_and_flash_are_mended_in_two_clicks_each(hand: Server, tab: Open) -> None:
     bytes_before = hand.study.read_bytes()
     page = tab().open(hand)

@@ -162,6 +162,7 @@ def test_files_are_downloaded_in_the_format_chosen(bench: Server, tab: Open) -> 
     assert Path(got.value.path()).read_bytes().startswith(b"PK")
 
 
+@pytest.mark.slow
 def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path, tab: Open, serve: Serve) -> None:
     Session(open_study(study_file)).fit()
     server = serve(study_file)

@@ -250,6 +250,7 @@ def test_the_verdict_is_told_as_in_the_report(diagnosed: Path) -> None:
     assert (found["outdated"], found["report"]) == ([], {"exists": True, "outdated": None})
 
 
+@pytest.mark.slow
 def test_a_report_of_another_model_is_outdated(diagnosed: Path) -> None:
     Session(open_study(diagnosed), author="cli").add("texture")
     report = state(diagnosed)["report"]
@@ -358,6 +359,7 @@ def test_the_verdict_is_stored_before_anything_else_is_done(study_file: Path) ->
     assert state(study_file)["diagnosis"]["title"] == "Coulomb + viscous is complete for these runs"
 
 
+@pytest.mark.slow
 def test_background_work_that_is_killed_loses_nothing(study_file: Path) -> None:
     """After the verdict the process may be killed at any moment: the files stay whole, and the work can go on."""
     script = (

@@ -22,6 +22,7 @@ def run(name: str, *words: str | Path) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_films_to_a_law_and_what_it_lacks() -> None:
     said = run("one_film.py")
     assert "missing: patch missing" in said
@@ -42,6 +43,7 @@ def test_searches_side_by_side(
     assert min(float(line.split()[4]) for line in said[1:]) == 0.0  # the best one is over the best by nothing
 
 
+@pytest.mark.slow
 def test_a_campaign_of_a_broken_study(tmp_path: Path) -> None:
     """The processes of a batch import the script that asked for them; it must not begin again in each."""
     (tmp_path / "broken").mkdir()

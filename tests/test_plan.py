@@ -63,6 +63,7 @@ def told(run_plan):
     return json.loads(json.dumps(to_builtins(summarise_plan(run_plan)), allow_nan=False))
 
 
+@pytest.mark.few(1)
 def test_the_usual_set_up_is_stated_and_is_what_is_simulated(run_plan, told):
     setup = run_plan.setup
     assert setup.noise == DEFAULT_NOISE_PX * PITCH
@@ -145,6 +146,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
     return made
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "rival"), [("vibration", "camera_shake"), ("spring", "drift"), ("texture", "vibration")]
 )

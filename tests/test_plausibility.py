@@ -208,6 +208,7 @@ def test_a_measured_force_in_another_unit_is_named(factor, unit):
 # --- one run: incline
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("angle", [3.0, 22.0, 40.0])
 @pytest.mark.parametrize("toward", [1.0, -1.0])
 def test_a_missing_incline_is_proposed(angle, toward):
@@ -487,6 +488,7 @@ def doubts(seed: int, kind: str, folder: Path) -> list[str]:
     return list(session.findings.messages)
 
 
+@pytest.mark.slow
 def test_no_rendered_study_is_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert doubts(1, "one", tmp_path) == []
     assert caplog.messages == []
@@ -534,6 +536,7 @@ def test_a_warning_reaches_stderr_and_the_json_of_a_command(
     assert "mass = 45 has no unit" in told["warnings"][0]["words"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_evaluations")
 def test_a_warning_heads_the_report(study_file: Path) -> None:
     edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")

@@ -446,6 +446,7 @@ def decoded(data: bytes) -> np.ndarray:
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
 
+@pytest.mark.slow
 def test_ticks_drawn_in_rows_look_as_matplotlib_draws_them():
     again = all_figures()
     for name, figure in all_figures().items():

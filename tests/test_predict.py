@@ -28,6 +28,7 @@ def rms_um(found, name):
     return row["errors"]["rms_displacement_um"]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("turn", np.arange(8) * np.pi / 4)
 def test_a_phase_of_its_own_is_found_all_the_way_round(turn):
     law, _ = with_hidden("vibration")

@@ -4,6 +4,8 @@ import re
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 sys.path.insert(0, str(ROOT / "docs" / "generators"))
@@ -24,6 +26,7 @@ def test_every_link_leads_to_a_file():
     assert [link for link in links if not link.startswith("https://") and not (ROOT / link).exists()] == []
 
 
+@pytest.mark.slow
 def test_the_example_on_arrays_runs(capsys):
     (example,) = (block for block in blocks(README) if block.language == "python")
     names = {}

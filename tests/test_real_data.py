@@ -29,6 +29,7 @@ def strokes():
     return Run(seen, motion, friction_N=table.friction, name="strokes", normal_load=5.0)
 
 
+@pytest.mark.slow
 def test_the_tribometer_names_memory_and_no_velocity_term(strokes):
     found = diagnose(fit("coulomb,viscous", [strokes]))
     assert found.missing[0] == "maxwell_slip"  # the knee is sharper than that of presliding

@@ -43,6 +43,7 @@ def ramp(force, *, noise=0.02, seconds=4.0, seed=0):
     return given(t, 0.2 * t**2 / seconds, v, force(t, v) + e, name="ramp")
 
 
+@pytest.mark.slow
 def test_a_slow_misfit_of_one_record_is_no_noise():
     fitted = fit(["coulomb"], [ramp(lambda t, v: tustin_force(v))])
     noise = friction_noise(fitted.solution)
@@ -132,6 +133,7 @@ def test_a_law_whose_runs_never_slow_is_undetermined():
     assert "film a run that slows to a stop" in gap.settled_by
 
 
+@pytest.mark.slow
 def test_a_bound_that_holds_a_parameter_hides_no_misfit():
     fast = [Spec(v, 1, 0.1) for v in (4.0, 5.0, 6.0, -5.0, 3.5)]
     law = {"coulomb": {"F_c": 8.0}, "viscous": {"F_v": 1.2}, "flash_weakening": {"dF": 4.0, "v_w": 8.0}}
@@ -226,6 +228,7 @@ def test_a_force_that_would_drive_the_mass_is_remarked_on():
     assert not any("is negative" in line for line in plain.summary()["remarks"])
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_plausible_as_it_is_found():
     for name in ("texture", "vibration", "patch"):
         runs = study(models.tustin() + name, BASE | {name: HIDDEN[name]}, SIX, sigma=1e-5)[0]
@@ -237,6 +240,7 @@ def test_a_hidden_effect_is_plausible_as_it_is_found():
 # --- deviations that hold when the law does not
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("hidden", ["texture", "drag", "spring", "vibration", "patch"])
 def test_deviations_hold_while_the_law_misses_an_effect(hidden):
     law = models.tustin() + hidden
@@ -301,6 +305,7 @@ def test_a_swinging_mass_is_followed_through_its_reversals():
         assert abs(found.value - true) < 4 * found.std
 
 
+@pytest.mark.slow
 def test_what_a_pendulum_lacks_is_found_without_dry_friction_in_the_law():
     gravity = effects.formula("gravity", "k*sin(x)", units={"k": "N"})
     runs = [swinging(s, (-1.2, 0.0), c=0.0, seconds=1.5) for s in range(2)]
@@ -308,6 +313,7 @@ def test_what_a_pendulum_lacks_is_found_without_dry_friction_in_the_law():
     assert found.missing == ["coulomb"]
 
 
+@pytest.mark.slow
 def test_a_swing_under_a_law_that_lets_it_rest_is_fitted_and_restored():
     """Without a spring the simulated mass runs out while the measured one swings on."""
     run = swinging(0, (-1.2, 0.0), seconds=3.0)
@@ -316,6 +322,7 @@ def test_a_swing_under_a_law_that_lets_it_rest_is_fitted_and_restored():
     assert again.solution.objective == pytest.approx(fitted.solution.objective, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_force_that_a_swing_lacks_most_is_found_as_a_formula_instead_of_effects_that_leave_most_of_it():
     run = swinging(1, (-1.2, 0.0), seconds=1.5)
     found = diagnose(fit(models.of(["coulomb", "viscous"]), [run]))
@@ -357,6 +364,7 @@ def test_a_mass_that_sets_out_from_rest_is_not_taken_for_one_that_stops():
     assert abs(found.parameters["coulomb.F_c"].value - friction) < 4 * found.parameters["coulomb.F_c"].std
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("rest_frames", [5, 12, 60])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_mass_that_comes_to_rest_at_the_end_of_the_record_does_not_swing(seed: int, rest_frames: int):

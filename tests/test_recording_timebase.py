@@ -131,6 +131,7 @@ def test_exposure_longer_than_the_interval():
     )
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("seed", range(60))
 def test_no_stamps_whatever_break_the_times(seed):
     rng = np.random.default_rng(seed)

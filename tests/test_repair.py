@@ -149,6 +149,7 @@ class TestTheStudyFile:
 
 
 class TestAFilmWithAHand:
+    @pytest.mark.slow
     def test_without_repair_the_copy_is_followed(self):
         track = tracked()[1]
         wrong = np.abs(errors(track)) > 1
@@ -184,6 +185,7 @@ class TestAFilmWithAHand:
         assert np.sqrt(np.mean(np.square(ratio))) < 1.5
         assert found.repaired.tolist() == [2 * (104 <= i <= 126 or i in FLASH) + (127 <= i <= 129) for i in range(N)]
 
+    @pytest.mark.slow
     def test_interpolated_positions_agree_with_their_standard_deviations(self):
         film, track = tracked()
         found = ft.repair(track, film, repairs())
@@ -194,6 +196,7 @@ class TestAFilmWithAHand:
         assert not found.found[104:127].any()
         assert not ft.calibrate(found, scale="0.5 mm/px").known[104:127].any()
 
+    @pytest.mark.slow
     def test_the_drawn_rectangle_only_tells_where_to_look(self):
         film, track = tracked()
         again = [{"from": 20, "to": 60, "how": "track", "frame": 40}]
@@ -233,6 +236,7 @@ def measured(path, stage="motion"):
 
 
 class TestAStudy:
+    @pytest.mark.slow
     def test_undo_restores_the_bytes_and_the_numbers_without_tracking_again(self, study, monkeypatch):
         before, first = study.read_bytes(), measured(study).runs[0]
         old = {name: first.get(name) for name in ("track", "displacement", "motion")}
@@ -317,6 +321,7 @@ def diagnosis(**repaired) -> ft.Diagnosis:
 
 
 class TestTheVerdict:
+    @pytest.mark.slow
     def test_a_wrong_repair_that_makes_an_effect_is_said(self):
         found = diagnosis(bump=20e-6)
         assert found.verdict in ("missing", "ambiguous", "unexplained")

@@ -309,6 +309,7 @@ def test_a_good_measurement_is_said_in_two_sentences():
     assert of_measurement.measurement(results().runs) == []
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

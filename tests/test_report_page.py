@@ -65,6 +65,7 @@ def height(page: Any) -> int:
     return int(page.evaluate("document.documentElement.scrollHeight"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", studies())
 def test_the_first_screen_holds_verdict_figure_parameters_and_next_step(page, name, tmp_path):
     opened(page, studies()[name], tmp_path)
@@ -88,6 +89,7 @@ def test_links_lead_into_folded_sections_and_all_open_at_once(page, tmp_path):
     assert not page.locator("#where").is_visible()
 
 
+@pytest.mark.slow
 def test_forty_runs_make_a_page_hardly_longer_than_four(page, tmp_path):
     heights = []
     for name in ("added", "forty"):
@@ -96,6 +98,7 @@ def test_forty_runs_make_a_page_hardly_longer_than_four(page, tmp_path):
     assert heights[1] < 1.5 * heights[0] + 40 * 100  # tables have a row per run
 
 
+@pytest.mark.slow
 def test_paper_shows_the_sections(page, tmp_path):
     opened(page, studies()["added"], tmp_path)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")

@@ -65,6 +65,7 @@ def test_before_an_unknown_pause_nothing_is_known():
         ft.with_earlier_runs(runs, [None, 5.0])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "dry", "truth"),
     [
@@ -96,6 +97,7 @@ def test_without_pauses_the_reason_is_said():
     assert any("run_in and heating need the pause of every run; give pause" in remark for remark in found.remarks)
 
 
+@pytest.mark.slow
 def test_a_study_file_gives_the_pauses(tmp_path):
     runs, _ = series(heating(1.0, 30.0))
     text = '[study]\nmass = 0.35\nmodel = ["coulomb", "viscous"]\n[camera]\nfps = 4000\n'

@@ -30,6 +30,7 @@ def test_the_samples_lead_from_a_failing_model_to_a_complete_one():
     assert ft.diagnose(better, quick=True).verdict == "complete"
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_samples_comes_from_rng():
     first, same, other = (ft.samples.runs(rng=seed)[0].displacement.x for seed in (3, 3, 4))
     assert (first == same).all()

@@ -79,6 +79,7 @@ REAL = {
 }
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4])
 @pytest.mark.parametrize("motion", REAL)
 def test_what_really_happens_is_no_outlier(motion, noise):
@@ -198,6 +199,7 @@ def recorded(kind, seed, n=176):
     return np.setdiff1d(k, 4 + 10 * np.arange(16) + rng.integers(0, 4, 16))[:n]  # 16 are lost
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("speed", [0.3, 1.0, 4.0])
 @pytest.mark.parametrize("kind", ["three in a row", "three in place of others", "16 scattered", "all", "16 lost"])
 def test_every_pattern_of_doubled_and_missing_frames(kind, speed):

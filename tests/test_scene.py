@@ -176,6 +176,7 @@ def test_a_wrong_parameter_or_missing_file_is_told(tmp_path):
         render_scene(tmp_path / "none.toml", tmp_path)
 
 
+@pytest.mark.slow
 def test_the_sample_films_are_those_of_their_scene(tmp_path):
     render_scene(samples.films_folder() / "scene.toml", tmp_path)
     truth, stored = (json.loads((folder / "truth.json").read_text()) for folder in (tmp_path, samples.films_folder()))

@@ -225,6 +225,7 @@ def test_finds_the_minimum_of_a_bowl(method: str) -> None:
     np.testing.assert_allclose(found.x, 0.3, atol=5e-3)
 
 
+@pytest.mark.few(3)
 def test_finds_the_lowest_of_a_hundred_minima(method: str) -> None:
     runs = [
         minimise(rastrigin, [[-5.12, 4.7]] * 2, method=method, rng=rng(seed), max_evaluations=10_000)
@@ -247,6 +248,7 @@ def test_same_seed_same_result_and_no_global_state(method: str) -> None:
     assert not np.array_equal(first.x, other.x)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("budget", [1, 7, 40, 41, 503])
 def test_budget_is_never_exceeded(method: str, budget: int) -> None:
     asked: list[Array] = []

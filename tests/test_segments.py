@@ -104,6 +104,7 @@ def study_of_film(folder: Path, frames: Array) -> Path:
     return folder / "study.toml"
 
 
+@pytest.mark.slow
 def test_all_tracks_of_a_long_film_are_shared_between_processes(
     tmp_path: Path, frames: Array, monkeypatch: Any
 ) -> None:

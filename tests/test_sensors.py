@@ -196,6 +196,7 @@ def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> Non
     assert "nearest to 0 of several that agree equally well" in aligned.reason
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("sensor", "change", "cause"),
     [

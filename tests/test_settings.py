@@ -253,6 +253,7 @@ TIED = (
 )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("domain", "search"), [("force", "varpro"), ("displacement", "ga"), ("force", "sga")])
 @pytest.mark.usefixtures("few_evaluations")
 def test_settings_hold_in_every_domain_and_search(lines, domain, search):

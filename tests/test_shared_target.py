@@ -60,6 +60,7 @@ def lit_from_the_side(frame: Array) -> Array:
     return frame * (1 + 0.2 * np.sin(np.arange(frame.shape[1]) / 40.0))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("change", [larger, blurred, lit_from_the_side])
 def test_a_film_in_which_the_target_looks_different_learns_its_own(
     known: TargetModel, tmp_path: Path, change: Callable[[Array], Array]

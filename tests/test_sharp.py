@@ -64,6 +64,7 @@ def _film(folder: Path, x: Array) -> Path:
     return path
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("speed", [0.6, -0.57])
 def test_places_of_a_sharp_target_are_not_drawn_to_the_pixels(tmp_path: Path, speed: float) -> None:
     t = np.arange(FRAMES)

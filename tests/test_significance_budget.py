@@ -97,6 +97,7 @@ class TestStudy:
     def session(self, study_file: Path) -> Session:
         return Session(open_study(study_file))
 
+    @pytest.mark.slow
     def test_what_is_spent_is_kept_and_said(self, session: Session, capsys: pytest.CaptureFixture[str]):
         assert session.history()["tests"] == []
         first = session.diagnose(quick=True)

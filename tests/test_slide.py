@@ -96,6 +96,7 @@ def test_load_mass_ratio_and_mass_enter_as_the_design_says():
     np.testing.assert_allclose(run.a, -(2.0 * 1.9 + 1.0 * 2.0) / 0.7, rtol=1e-10)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("speed", [4.0, -4.0, 2.2])
 @pytest.mark.parametrize("name", ["", *(n for n in HIDDEN if n not in SHIFTS)])
 def test_every_force_effect_is_followed_to_below_a_nanometre(name, speed):
@@ -105,6 +106,7 @@ def test_every_force_effect_is_followed_to_below_a_nanometre(name, speed):
     assert np.max(np.abs(slid(values, t, start).x - integrate(values, Slider(), t, start, max_step=step))) < 0.01 * NM
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("width", [1e-4, 5e-5, 2e-5])
 def test_a_blow_much_shorter_than_a_frame_is_followed_too(width):
     values = BASE | {"collision": {"J": 0.05, "time": 0.0601, "width": width}}

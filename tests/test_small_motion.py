@@ -51,6 +51,7 @@ def on_body(rectangle: tuple[int, int, int, int]) -> float:
     return max(wide, 0) * max(tall, 0) / (w * h)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("size", [0.01, 0.03, 0.1, 0.3, 1.0])
 def test_what_moves_by_less_than_a_pixel_is_found_and_followed(size: float) -> None:
     recording, x, y = body_film(size)

@@ -52,6 +52,7 @@ def verdict_and_group(runs: list[Run]) -> tuple[str, set[str]]:
     return found.verdict, set(run.named_group(found))
 
 
+@pytest.mark.slow
 def test_runs_of_one_mass_name_a_vibration_of_one_percent_beside_what_they_cannot_tell_from_it():
     rng = np.random.default_rng(3)
     verdict, group = verdict_and_group([slide(v, 1.0, 24.0, rng) for v in (2.2, 3.0, 4.0, 5.5)])
@@ -59,6 +60,7 @@ def test_runs_of_one_mass_name_a_vibration_of_one_percent_beside_what_they_canno
     assert {"vibration", "load_modulation"} <= group
 
 
+@pytest.mark.slow
 def test_a_double_mass_names_it_alone():
     rng = np.random.default_rng(3)
     runs = [slide(v, m, 20.0, rng) for v, m in ((2.2, 1), (4.0, 1), (5.5, 1), (4.0, 2), (-3.0, 1))]
@@ -73,6 +75,7 @@ def at_the_limit():
     return truth, fit
 
 
+@pytest.mark.slow
 def test_an_effect_of_many_parameters_is_named_at_the_limit_although_bic_asks_for_more(at_the_limit):
     truth, fit = at_the_limit
     found = ft.diagnose(fit, rng=truth.seed, quick=True)
@@ -97,6 +100,7 @@ def test_a_fit_that_falls_short_of_the_critical_value_does_not_pass(at_the_limit
     assert "vibration" not in {c.effect.name for c in replace(tested, tests=harder).passing}
 
 
+@pytest.mark.slow
 def test_the_ideal_detector_knows_which_effects_nobody_can_tell_apart(at_the_limit):
     truth, fit = at_the_limit
     named = ideal.name_ideally(truth, fit.solution)
@@ -128,6 +132,7 @@ def test_the_table_counts_by_effect_and_size():
     assert "0.50" in run.overview([drag])
 
 
+@pytest.mark.slow
 def test_a_vibration_that_lasts_is_not_ambiguous_with_one_that_decays():
     rng = np.random.default_rng(5)
     runs = [slide(v, m, 31.0, rng) for v, m in ((2.2, 1), (4.0, 1), (5.5, 1), (4.0, 2), (-3.0, 1))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from runs import Spec, study
 
 from frictrack import models
@@ -20,6 +21,7 @@ HIDDEN = {
 SPEEDS = ((2.4, 1), (3.8, 1), (5.2, 1), (6.6, 1), (4.5, 2), (-3.8, 1), (-5.2, 1))  # m/s, mass ratio
 
 
+@pytest.mark.slow
 def test_drag_and_asymmetry_are_not_taken_for_a_distorted_picture() -> None:
     specs = tuple(Spec(v, ratio, min(0.225, 0.48 / abs(v))) for v, ratio in SPEEDS)
     law, rng = models.of(list(HIDDEN)), np.random.default_rng(1)

@@ -47,6 +47,7 @@ def test_runs_of_other_loads_and_directions_are_joined(linearised):
     assert len({len(b.path.t) for b in linearised.blocks}) > 1
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", sorted(set(LIBRARY) - ALONE))
 def test_joined_rows_and_derivatives_are_those_of_every_run(linearised, name):
     layout, p = with_effect(linearised, name)

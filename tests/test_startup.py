@@ -84,6 +84,7 @@ def test_stored_results_are_read_without_the_science(study: Path) -> None:
         assert heavy(imported(command, study)) == [], command
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("unit", _UNITS)
 @pytest.mark.parametrize("power", ["", "^2", "^3"])
 def test_ordinary_units_convert_as_pint_converts_them(unit: str, power: str) -> None:
@@ -95,6 +96,7 @@ def test_ordinary_units_convert_as_pint_converts_them(unit: str, power: str) -> 
         np.testing.assert_allclose(_convert(values, given, wanted, "x"), expected, rtol=1e-15)
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("given", ["mm/px", "um/ms", "kN/mm^2", "cm^2", "g", "N/m", "deg/s", "m/s^2"])
 @pytest.mark.parametrize("wanted", ["m/px", "m/s", "Pa", "kg", "rad/s", "m/s^2", "N", "Hz"])
 def test_a_unit_of_another_quantity_is_refused_as_pint_refuses_it(given: str, wanted: str) -> None:

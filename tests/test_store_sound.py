@@ -324,6 +324,7 @@ def _theirs(path: Path, out: Any) -> None:
     out.put(len(seen))
 
 
+@pytest.mark.slow
 def test_readers_see_whole_versions_while_a_writer_works(tmp_path: Path) -> None:
     path = tmp_path / "study.h5"
     store.write(path, {name: GroupContent({"x": np.zeros(4000), "n": 0}) for name in ("a", "b/c")})

@@ -38,6 +38,7 @@ def test_the_run_whose_mass_is_wrong_is_named_with_the_mass_that_explains_it() -
     assert float(found[1]) == pytest.approx(0.7, rel=0.1)
 
 
+@pytest.mark.slow
 def test_right_masses_are_not_doubted_and_long_records_are_left_out() -> None:
     assert remarks([0.35] * 4, [0.35] * 4) == []
     long = [slide(v, 0.35, 0.35, MAX_FRAMES // 3) for v in (30.0, 40.0, 50.0)]

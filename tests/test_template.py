@@ -275,6 +275,7 @@ def shadow(i, frame):
     return frame
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("disturbed", [glare, hand, shadow])
 def test_what_passes_before_the_target_neither_loses_nor_moves_it(disturbed):
     source = block_film(X, size=(40, 60), shape=(96, 400))

@@ -101,6 +101,7 @@ def vibration(k):
     return slide(k) + 0.3 * np.sin(k / 9) + 0.05 * np.sin(k / 3)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("motion", [slide, stick_slip, collision, stop, strike, starts_and_stops, vibration])
 def test_real_motion_is_no_fault(motion):
     for seed in range(5):

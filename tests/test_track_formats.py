@@ -317,6 +317,7 @@ def test_annotations_of_kinovea_that_cannot_be_used_are_refused(tmp_path) -> Non
 # --- DeepLabCut, movement, SLEAP
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "header", "program"),
     [

@@ -130,6 +130,7 @@ def test_small_rotation_is_seen_and_leaves_the_position_alone():
     assert np.std(rest) < 0.004
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("degrees", [0.0, 0.3])
 def test_the_stated_deviation_of_a_small_angle_is_its_error(degrees: float) -> None:
     angle = np.radians(degrees) * np.sin(np.arange(100) / 4)

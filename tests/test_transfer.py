@@ -188,6 +188,7 @@ def test_only_the_parameters_of_the_law_are_shared_between_correlated_priors(pri
     assert spread(prior) < 0.2 * spread(marginal)
 
 
+@pytest.mark.slow
 def test_transfer_to_a_poor_record_reduces_the_error_and_its_intervals_cover(prior):
     errors, inside, n = [], 0, 60
     for seed in range(n):
@@ -202,6 +203,7 @@ def test_transfer_to_a_poor_record_reduces_the_error_and_its_intervals_cover(pri
     assert inside >= 0.95 * n - 2.6 * np.sqrt(0.95 * 0.05 * n)
 
 
+@pytest.mark.slow
 def test_p_of_a_true_prior_is_uniform(prior):
     p = [ft.fit(LAW, [run(3000 + i, n=600)], prior=ft.fit(LAW, [run(4000 + i)]).to_prior()).prior_agreement.p
          for i in range(60)]  # fmt: skip

@@ -39,6 +39,7 @@ class TestDampedStep:
         step = damped_step(ROWS, RIGHT, (np.full(2, -1.0), np.full(2, high)), TrustRegion())
         assert step.values.max() <= high * (1 + 1e-9)
 
+    @pytest.mark.few(6)
     @pytest.mark.parametrize("seed", range(20))
     def test_is_the_least_squares_solution_within_bounds(self, seed):
         rng = np.random.default_rng(seed)

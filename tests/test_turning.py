@@ -80,6 +80,7 @@ def off(result: Track, true: Array) -> Array:
     return error - (turned @ offset).reshape(2, -1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("rate", "n"), [(2.0, 48), (-20.0, 30)])
 def test_a_turning_target_is_tracked_to_the_noise_bound(rate: float, n: int) -> None:
     film, true = filmed(pose(rate, n))
@@ -109,6 +110,7 @@ def test_the_stated_deviations_of_a_turning_target_are_its_errors(rate: float) -
     assert np.var(angle / result.sigma_angle[1:]) == pytest.approx(1.0, abs=0.2)  # noise of the figure itself: 0.08
 
 
+@pytest.mark.slow
 def test_a_bar_before_a_turning_target_neither_moves_nor_turns_it() -> None:
     def bar(picture: Array) -> Array:
         picture[:, 92:102] = 240.0
@@ -142,6 +144,7 @@ def test_a_target_that_does_not_turn_stays_upright() -> None:
     assert np.std(result.x_px - true[0]) < 4e-3
 
 
+@pytest.mark.slow
 def test_a_small_turning_body_in_a_large_rectangle_is_not_held_by_the_background() -> None:
     """Twelve frames, three quarters of the rectangle are black, and a bar that rests stands in its edge."""
     n, arm = 12, np.array([45.0, 9.0])

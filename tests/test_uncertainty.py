@@ -260,6 +260,7 @@ def red(rng, n, rho=0.9, sigma=2e-5):
     return out
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("repeats", "room"), few_or_many((4, 0.9), (20, 0.4)))
 def test_correlated_noise_is_found_and_widens_the_deviations(repeats, room):
     fits = []
@@ -284,6 +285,7 @@ def waves(rng, n):
     return size[0] @ np.cos(turns) + size[1] @ np.sin(turns) + 1e-5 * rng.standard_normal(n)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("repeats", "drawn"), few_or_many((20, 3), (30, 5)))
 def test_a_correlated_residual_is_drawn_in_blocks(repeats, drawn):
     values, told, white = [], [], []
@@ -499,6 +501,7 @@ def coverage(seeds, *, specs=ONE_SLIDE, sigma=1e-5, scatter=0.0, draws=0):
     return {key: float(np.mean(held)) for key, held in hits.items()}
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_in_a_few_seeds():
     found = coverage(range(12), sigma=5e-5)
     assert 0.8 <= np.mean(list(found.values())) <= 1.0

@@ -96,6 +96,7 @@ def firsts(fits):
     return cache(lambda cause: search_formulas(ResidualForces(fits[cause].solution)).entries[0])
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("cause", CAUSES)
 def test_the_axis_of_a_cause_outside_the_library_is_found(fits, cause):
     best, second, *_ = smooth_forces(compress_residual(fits[cause].solution))
@@ -131,6 +132,7 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
     assert 0.9 < first["reduced_chi2"] < 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
 def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
     found = search_formulas(ResidualForces(fits[cause].solution)).entries
@@ -156,6 +158,7 @@ def test_numbers_are_those_of_the_cause(firsts):
     assert rate == pytest.approx(140.0, abs=10.0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cause", ["magnet", "flash_weakening"])
 def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, firsts, cause):
     first = firsts(cause)
@@ -180,6 +183,7 @@ def repeated(axis):
     return Repeatability([AxisRepeatability(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
 
 
+@pytest.mark.slow
 def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     """The library's best imitation swings the load, with an amplitude and a phase in every run."""
     start = fits["rate_and_state"]
@@ -192,6 +196,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     assert told.summary["formulas"][0]["delta_bic"] > 10 + worth
 
 
+@pytest.mark.slow
 def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
     found = unexplained_force(fits["joint"].solution)
     name, law, delta_bic = found.as_candidate()
@@ -201,6 +206,7 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
     assert refine(law.problem, law.p, law.starts, tau=law.tau).objective == pytest.approx(law.objective, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_several_effects_that_one_formula_beats_are_not_exchanged_for_others(fits):
     """A magnet: a few waves in every run imitate it, and any other set of so many effects can only do the same."""
     start = fits["magnet"].solution
@@ -214,6 +220,7 @@ def test_several_effects_that_one_formula_beats_are_not_exchanged_for_others(fit
     assert not _FormulaInstead(start, (), False).explains_more(waves)
 
 
+@pytest.mark.slow
 def test_runs_are_proposed_that_separate_an_effect_from_a_formula_that_is_as_likely():
     """A joint where few frames see it: a step in the friction, or a patch."""
     small = slides(lambda x, v, t, s, load: 0.08 * load * s * np.tanh((x - 0.31) / 0.02), seed=4)

@@ -47,6 +47,7 @@ SAME = {
 }
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", SAME)
 @pytest.mark.parametrize("s", [1.0, -1.0])
 def test_a_formula_equals_the_librarys_own_effect(name, s):

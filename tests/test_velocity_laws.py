@@ -36,6 +36,7 @@ def group(found):
     return {found.missing[0], *found.candidates[0].indistinguishable_from}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"]
 )
@@ -45,11 +46,13 @@ def test_a_hidden_effect_is_named(name):
     assert name in group(found)
 
 
+@pytest.mark.slow
 def test_an_inclined_course_is_named():
     found = diagnose(fit(list(LAW), runs_with("out_of_plane", {"k": 2e-3})), quick=True)
     assert "out_of_plane" in group(found)
 
 
+@pytest.mark.slow
 def test_drag_stays_drag_beside_an_effect_that_contains_it():
     found = diagnose(fit(list(LAW), runs_with("drag", {"c": 0.05})), quick=True)
     assert (found.verdict, found.missing) == ("missing", ["drag"])
@@ -78,6 +81,7 @@ def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
     )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["adhesion", "load_exponent"])
 def test_two_masses_cannot_part_adhesion_from_a_power_of_the_load_and_a_third_is_asked_for(name):
     runs = runs_with(name, specs=SPEEDS[:6])
@@ -88,6 +92,7 @@ def test_two_masses_cannot_part_adhesion_from_a_power_of_the_load_and_a_third_is
     assert found.next_experiment[0]["settings"]["mass"] not in {run.mass for run in runs}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["adhesion", "load_exponent"])
 def test_three_masses_part_adhesion_from_a_power_of_the_load(name):
     found = diagnose(fit(list(LAW), runs_with(name)), quick=True)

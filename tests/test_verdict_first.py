@@ -52,6 +52,7 @@ def study_file(recorded: list[Any], tmp_path: Path) -> Path:
     return tmp_path / "study.toml"
 
 
+@pytest.mark.slow
 def test_formulas_are_compared_before_the_verdict_and_not_after_it(
     recorded: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

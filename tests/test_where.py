@@ -179,6 +179,7 @@ def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
     assert np.mean(np.abs(np.concatenate(z)) < 2) > 0.7  # without the wave it was a twentieth
 
 
+@pytest.mark.slow
 def test_the_missing_force_of_a_line_is_told_with_its_phase():
     vibration = {"amplitude": 1.0, "frequency": 61.3, "phase": 0.7}
     solution = fit(LAW, lacking("vibration", vibration)).solution
@@ -318,6 +319,7 @@ def test_a_piece_of_a_few_frames_has_one_look():
     assert find_local_forces(solution).bumps == []
 
 
+@pytest.mark.slow
 def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
     """Without the patch the fit gives one run a twentieth of its friction; a place then seems to act in few runs."""
     solution = fit("tustin", samples.runs()).solution

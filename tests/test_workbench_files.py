@@ -109,6 +109,7 @@ def test_an_outdated_report_is_refused_unless_it_is_asked_for_as_it_is(fitted: P
     assert (status, body) == (200, report.read_bytes())
 
 
+@pytest.mark.slow
 def test_a_candidate_is_fitted_when_its_curve_is_asked_for(fitted: Path, page: Clients) -> None:
     client = page(fitted)
     assert client.get("/api/candidate", name="drag") == (202, {"pending": True})
@@ -174,6 +175,7 @@ def test_half_an_upload_leaves_nothing(study_file: Path, page: Clients) -> None:
     assert not (study_file.parent / "half.avi").exists()
 
 
+@pytest.mark.slow
 def test_too_large_an_upload_is_refused_before_it_is_sent(study_file: Path, page: Clients) -> None:
     client = page(study_file)
     with socket.create_connection(("127.0.0.1", client.server.port)) as link:

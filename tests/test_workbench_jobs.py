@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import psutil
+import pytest
 from browser import Server
 from conftest import Clients
 from page_client import wait_for
@@ -26,6 +27,7 @@ def test_a_job_is_followed_to_its_end(study_file: Path, page: Clients) -> None:
     assert client.hear_state(lambda s: s["models"] and s["job"] is None)["last_job"]["id"] == ended["id"]
 
 
+@pytest.mark.slow
 def test_a_failed_job_says_why(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     client.work("add", effect="textur")
@@ -34,6 +36,7 @@ def test_a_failed_job_says_why(study_file: Path, page: Clients) -> None:
     assert 'did you mean "texture"' in ended["error"]
 
 
+@pytest.mark.slow
 def test_useless_work_is_cancelled_by_a_change(fitted: Path, page: Clients) -> None:
     client = page(fitted).listen()
     client.work("diagnose")
@@ -43,6 +46,7 @@ def test_useless_work_is_cancelled_by_a_change(fitted: Path, page: Clients) -> N
     assert client.hear_end()["state"] == "cancelled"
 
 
+@pytest.mark.slow
 def test_a_run_begins_again_when_its_input_changes(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     assert client.change("edit", table="study", key="mass", value="0.34 kg")[0] == 200  # the next change is quick
@@ -55,6 +59,7 @@ def test_a_run_begins_again_when_its_input_changes(study_file: Path, page: Clien
     assert client.hear(lambda m: m["type"] == "job" and not m["job"] and m["last_job"]["id"] == "0002")
 
 
+@pytest.mark.slow
 def test_a_killed_server_is_replaced_and_its_job_goes_on(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     before = client.hear(lambda m: m["type"] == "hello")["server"]

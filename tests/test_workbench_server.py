@@ -137,6 +137,7 @@ def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
 # --- messages
 
 
+@pytest.mark.slow
 def test_a_change_by_the_command_line_reaches_two_tabs(study_file: Path, page: Clients) -> None:
     one = page(study_file).listen()
     two = page(study_file, one.server).listen()
@@ -175,6 +176,7 @@ def test_a_ping_is_answered(study_file: Path, page: Clients) -> None:
 # --- files that vanish
 
 
+@pytest.mark.slow
 def test_a_deleted_study_file_is_said_and_comes_back(study_file: Path, page: Clients) -> None:
     client = page(study_file).listen()
     assert client.state["exists"]
@@ -191,6 +193,7 @@ def test_a_deleted_study_file_is_said_and_comes_back(study_file: Path, page: Cli
     assert client.hear_state(lambda s: s["exists"] and not s["error"])["runs"]
 
 
+@pytest.mark.slow
 def test_deleted_results_are_said_and_can_be_made_again(fitted: Path, page: Clients) -> None:
     client = page(fitted).listen()
     assert client.state["models"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -56,7 +56,7 @@ SCALES = {
 }
 
 
-def make_gallery(folder: Path) -> None:
+def make_gallery(folder: Path, simulated: Collection[str] | None = None) -> None:
     """Write the pages and pictures of all effects into a folder, and the cards that lead to them.
 
     An effect of which nothing has changed since the last build is not simulated again.
@@ -65,18 +65,27 @@ def make_gallery(folder: Path) -> None:
     ----------
     folder
         Folder of the generated files.
+    simulated
+        Effects to simulate where they have changed; the pages of other changed effects hold only what the definition
+        says. None: all.
 
     """
+    folder.mkdir(parents=True, exist_ok=True)
     marks_file = folder / "made.json"
     marks = json.loads(marks_file.read_text()) if marks_file.exists() else {}
     for name in all_effects():
         mark = _mark(name)
-        if marks.get(name) != mark or not all((folder / file).exists() for file in _files(name)):
+        if marks.get(name) == mark and all((folder / file).exists() for file in _files(name)):
+            continue
+        if simulated is None or name in simulated:
             _make_page(folder, name)
             marks[name] = mark
-            write_page(marks_file, json.dumps(marks, indent=1))
+        else:
+            write_page(folder / _files(name)[0], effect_page(name))
+            marks.pop(name, None)
+        write_page(marks_file, json.dumps(marks, indent=1))
     keep_only(folder, map(page_name, all_effects()))
-    write_page(folder / "cards.txt", _cards())
+    write_page(folder / "cards.txt", _cards(marks))
 
 
 def all_effects() -> list[str]:
@@ -111,64 +120,65 @@ def _mark(name: str) -> str:
 
 def _make_page(folder: Path, name: str) -> None:
     failure = fit_without(name, EXAMPLES[name])
-    folder.mkdir(parents=True, exist_ok=True)
     page, picture, small = (folder / file for file in _files(name))
     picture.write_bytes(small_png(failure_figure(failure), PICTURE_DPI))
     small.write_bytes(small_png(thumbnail(failure), THUMBNAIL_DPI))
-    write_page(page, effect_page(failure))
+    write_page(page, effect_page(name, failure))
 
 
-def _cards() -> str:
-    """Return the cards of all effects by group, for the index page."""
+def _cards(drawn: Collection[str]) -> str:
+    """Return the cards of all effects by group, for the index page; `drawn` are the effects that have a picture."""
     listed = {name for names in GROUPS.values() for name in names}
     groups = GROUPS | {"Further effects": tuple(name for name in all_effects() if name not in listed)}
-    return "\n".join(_group(title, names) for title, names in groups.items() if names)
+    return "\n".join(_group(title, names, drawn) for title, names in groups.items() if names)
 
 
-def _group(title: str, names: tuple[str, ...]) -> str:
-    cards = "\n".join(_card(name) for name in names)
+def _group(title: str, names: tuple[str, ...], drawn: Collection[str]) -> str:
+    cards = "\n".join(_card(name, name in drawn) for name in names)
     pages = "\n".join(f"{name} <effects/{page_name(name)}>" for name in names)
     tree = f"```{{toctree}}\n:hidden:\n:caption: {title}\n\n{pages}\n```\n"
     return f"## {title}\n\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}\n::::\n\n{tree}"
 
 
-def _card(name: str) -> str:
+def _card(name: str, drawn: bool) -> str:
     page, effect = page_name(name), effects.get(name)
+    picture = f":img-bottom: effects/{page}_small.png\n:img-alt: What a fit leaves where {name} acts\n" if drawn else ""
     return (
-        f":::{{grid-item-card}} {name}\n:link: effects/{page}\n:link-type: doc\n"
-        f":img-bottom: effects/{page}_small.png\n:img-alt: What a fit leaves where {name} acts\n\n"
+        f":::{{grid-item-card}} {name}\n:link: effects/{page}\n:link-type: doc\n{picture}\n"
         f"{plain(sentence(effect.looks_like))}\n:::\n"
     )
 
 
-def effect_page(failure: Failure) -> str:
+def effect_page(name: str, failure: Failure | None = None) -> str:
     """Return the page of one effect as Markdown.
 
     Parameters
     ----------
+    name
+        Name of the effect.
     failure
-        A fit without the effect to runs that have it.
+        A fit without the effect to runs that have it; without it the page holds only what the definition says.
 
     """
-    effect = effects.get(failure.effect)
+    effect = effects.get(name)
     parts = [
         WIDE_PAGE,
-        f"# {failure.effect}\n\n{plain(effect.what)}\n",
+        f"# {name}\n\n{plain(effect.what)}\n",
         f"```text\n{'F' if effect.acts_on == 'force' else 'y'} += {effect.equation.removeprefix('y: ')}\n```\n",
         "## What a fit without it leaves\n",
         f"{plain(sentence(effect.looks_like))}\n",
-        _figure(failure),
+        _figure(failure) if failure else "",
         "## What it is confused with\n",
         f"{plain(sentence(effect.mistaken_for))}\n",
-        _lookalikes(failure),
+        _lookalikes(failure) if failure else "",
         "## The run that separates them\n",
-        *_separation(failure),
+        *_separation(effect, failure),
         "## Parameters\n",
         _parameters(effect),
         _facts(effect),
         "## Use it\n",
-        f"```sh\nfrictrack add study.toml {failure.effect}\n```\n",
-        f'```python\nfit = ft.fit([*fit.model.names, "{failure.effect}"], runs)\n```\n',
+        f"```sh\nfrictrack add study.toml {name}\n```\n",
+        f'```python\nfit = ft.fit([*fit.model.names, "{name}"], runs)\n```\n',
     ]
     return "\n".join(parts)
 
@@ -266,18 +276,21 @@ def _lookalikes(failure: Failure) -> str:
     )
 
 
-def _separation(failure: Failure) -> Iterator[str]:
+def _separation(effect: Effect, failure: Failure | None) -> Iterator[str]:
     """Yield what to do: the effect's own test, the planned run for the pair, and a direct measurement."""
-    effect = effects.get(failure.effect)
     yield f"{prose(sentence(effect.confirm))}\n"
-    rival = failure.lookalikes[0][0] if failure.lookalikes else ""
-    found = separating_run(failure.effect, rival)
-    if found is not None and found.is_separated:
-        yield _calculation(f"{_link(failure.effect)} and {_link(rival)}", found)
+    if failure and failure.lookalikes:
+        yield from _planned_run(failure.effect, failure.lookalikes[0][0])
     if effect.invariant:
         yield f"What stays the same when a run is made differently: {plain(effect.invariant)}.\n"
     if effect.direct_check is not None:
         yield f"Without a run: {prose(sentence(effect.direct_check.instruction))}\n"
+
+
+def _planned_run(effect: str, rival: str) -> Iterator[str]:
+    found = separating_run(effect, rival)
+    if found is not None and found.is_separated:
+        yield _calculation(f"{_link(effect)} and {_link(rival)}", found)
 
 
 def _calculation(pair: str, found: Separation) -> str:
