@@ -22,7 +22,7 @@ QUICK = ("texture",)  # effects that a quick build simulates: the front page sho
 def write_generated_pages(app: Sphinx, *_: object) -> None:
     """Write all pages; Sphinx calls it before it looks for sources. What has not changed is not made again.
 
-    `sphinx-build -t quick` simulates few effects of the gallery: all texts and links are checked, in a fifth of the time.
+    `sphinx-build -t quick` simulates few effects of the gallery; all texts and links are there.
     """
     for write in (
         write_command_line,
