@@ -55,9 +55,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             families[item.nodeid.partition("[")[0]].append(item)
     for cases in families.values():
         n = cases[0].get_closest_marker("few").args[0]
-        kept = {
-            round(i * (len(cases) - 1) / max(n - 1, 1)) for i in range(n)
-        }  # spread evenly, first and last among them
+        kept = np.linspace(0, len(cases) - 1, n).round()  # the first, the last, and some between
         for i, case in enumerate(cases):
             if i not in kept:
                 case.add_marker("slow")
