@@ -22,10 +22,10 @@ from rich.console import Console
 from scipy import stats
 
 from frictrack import cluster, workers
-from frictrack.batch import batch, find_studies
+from frictrack.batch import BatchState, batch, find_studies
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
-from frictrack.batch.scheduler import BatchState, Scheduler
+from frictrack.batch.scheduler import Scheduler
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends, fit_slope
 from frictrack.cli.batch_progress import progress_table

@@ -31,7 +31,7 @@ from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
-from frictrack.fit.stepwise import remove_effect
+from frictrack.fit import remove_effect
 from frictrack.flow import Session, open_study
 from frictrack.records import Array
 from frictrack.simulate import Trajectory, simulate

@@ -15,7 +15,7 @@ from test_plots import results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
-from frictrack.flow.stages import run_pipeline
+from frictrack.flow import run_pipeline
 from frictrack.report import fit_text, provenance, tables
 from frictrack.study import load, write_study
 

@@ -12,8 +12,7 @@ from conftest import slide
 
 from frictrack import store
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, read_results
-from frictrack.flow.command_history import CommandHistory
+from frictrack.flow import CommandHistory, Session, open_study, read_results
 from frictrack.store import GroupContent
 
 TEXT = """# our course

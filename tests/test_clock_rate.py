@@ -13,9 +13,7 @@ from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span
-from frictrack.fit import bootstrap, fit, restore, state
-from frictrack.fit.prediction import predict_run
-from frictrack.fit.segments import reference_of
+from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.flow.contradictions import withhold_verdict
 from frictrack.friction import free_section

@@ -22,8 +22,7 @@ import pytest
 from campaigns import campaign, results
 
 from frictrack import cluster
-from frictrack.batch import batch
-from frictrack.batch.scheduler import BatchState
+from frictrack.batch import BatchState, batch
 from frictrack.errors import FrictrackError
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals")]

@@ -17,9 +17,7 @@ from frictrack.diagnose import Diagnosis, diagnose, search_budget
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.evaluation_budget import EvaluationBudget
-from frictrack.fit import fit
-from frictrack.fit.least_squares import refine
-from frictrack.fit.stepwise import add_effect
+from frictrack.fit import add_effect, fit, refine
 from frictrack.flow import open_study, read_results
 from frictrack.report.provenance import findings_table
 from frictrack.results import to_builtins

@@ -18,8 +18,7 @@ from campaigns import campaign, contents, results
 from repeats import few_or_many
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, verify
-from frictrack.flow.stages import run_pipeline
+from frictrack.flow import Session, open_study, run_pipeline, verify
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_videos" / "fast.avi"

@@ -11,7 +11,7 @@ import pytest
 from frictrack.flow.target_rotation import rotation_note
 from frictrack.flow.track_quality import lost_frames_note
 from frictrack.records import Track
-from frictrack.tracking.checks.self_tests import forward_backward, key_frame_notes, peak_locking, scores, self_test
+from frictrack.tracking.checks import forward_backward, key_frame_notes, peak_locking, scores, self_test
 
 N, SIGMA = 600, 0.002
 K = np.arange(N, dtype=float)

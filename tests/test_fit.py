@@ -27,8 +27,8 @@ from runs import (
 
 from frictrack import models
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit, restore, state
-from frictrack.fit.least_squares import heldout_rms, refine
+from frictrack.fit import fit, refine, restore, state
+from frictrack.fit.least_squares import heldout_rms
 from frictrack.records import Displacement, Motion, Run
 from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate

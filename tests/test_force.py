@@ -10,8 +10,8 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import models
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit, global_search, restore, state
-from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters, unfitted_problem
+from frictrack.fit import fit, global_search, restore, state, unfitted_problem
+from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters
 from frictrack.fit.segments.acceleration_chain import acceleration_chain
 from frictrack.fit.separable import PopulationMisfit, displacement_block
 from frictrack.motion import differentiate, low_pass

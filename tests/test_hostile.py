@@ -20,13 +20,12 @@ from frictrack import export, store
 from frictrack.calibration.lens import read_lens
 from frictrack.errors import MAX_MESSAGE_LENGTH, FrictrackError
 from frictrack.files import is_file_name, lock_folder, make_subfolder
-from frictrack.flow import Session, open_study
-from frictrack.flow.command_history import CommandHistory
+from frictrack.flow import CommandHistory, Session, open_study
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
-from frictrack.store import GroupContent
-from frictrack.store.file_header import HEADER_BYTES, with_header
+from frictrack.store import HEADER_BYTES, GroupContent
+from frictrack.store.file_header import with_header
 from frictrack.store.signatures import sign
 from frictrack.study import load, parse, read_table, table_files, write_study
 from frictrack.units import parse_quantity

@@ -14,19 +14,17 @@ from runs import Slider, integrate, measured
 
 from frictrack import effects
 from frictrack.costs import Costs
-from frictrack.diagnose import diagnose
+from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
 from frictrack.diagnose.conclusion import _limits
 from frictrack.diagnose.formula_comparison import _log_prior_odds, _probability
-from frictrack.diagnose.model_selection import MAX_BIC_EQUAL
 from frictrack.diagnose.power import find_undetermined, mean_friction
 from frictrack.diagnose.rounds import run_round
 from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.subsampling import MAX_PIECES, subsample_pieces
-from frictrack.fit import fit
+from frictrack.fit import add_effect, cut_into_segments, fit
 from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.parameters import jacobian_basis
-from frictrack.fit.segments import cut_into_segments
-from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import linear_estimates
 from frictrack.plan import next_run
 from frictrack.plan.explanations import Weighted, list_explanations

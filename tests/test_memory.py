@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from frictrack import models
 from frictrack.effects import Path, direction_of_motion, get
 from frictrack.effects.library.presliding import bending
-from frictrack.fit.segments import reference_of
+from frictrack.fit import reference_of
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.friction import free_section
 from frictrack.records import Displacement, Motion, Run

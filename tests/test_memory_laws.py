@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.effects import Path, direction_of_motion, get
-from frictrack.fit import fit
-from frictrack.fit.least_squares import refine
+from frictrack.fit import fit, refine
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate
 

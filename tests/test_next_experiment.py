@@ -25,8 +25,10 @@ from frictrack.diagnose.experiments import (
     EvidenceForecast,
     Explanation,
     ModelDiscrimination,
+    RunDesign,
     candidate_experiments,
     make_explanation,
+    max_frames_of_film,
     plan_for_candidates,
     plan_for_unexplained,
     propose_experiments,
@@ -35,18 +37,12 @@ from frictrack.diagnose.experiments import (
 from frictrack.diagnose.experiments.advice_text import describe_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
 from frictrack.diagnose.experiments.rival_runs import RivalOfAllRuns, RivalOfPlannedRun
-from frictrack.diagnose.experiments.virtual_runs import (
-    RunDesign,
-    expected_scatter,
-    extend_layout,
-    max_frames_of_film,
-    simulate_run,
-)
+from frictrack.diagnose.experiments.virtual_runs import expected_scatter, extend_layout, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
-from frictrack.fit import fit
-from frictrack.fit.least_squares import LeastSquaresProblem, refine, white_noise_covariance
-from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
+from frictrack.fit.least_squares import white_noise_covariance
+from frictrack.fit.stepwise import refine_to_end
 from frictrack.plan import fitted_setup
 from frictrack.plan.experiment_setup import plain_run
 from frictrack.records import GRAVITY

@@ -23,8 +23,8 @@ from frictrack import effects, models
 from frictrack.cli import main, output
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit
-from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.fit import add_effect, fit
+from frictrack.fit.stepwise import refine_to_end
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
 from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default_setup, fitted_setup, summarise_plan

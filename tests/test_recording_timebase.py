@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Header
-from frictrack.recording.timebase import audit, read_stamps
+from frictrack.recording import Header, read_stamps
+from frictrack.recording.timebase import audit
 
 FPS = 4000.0
 

@@ -16,13 +16,14 @@ from frictrack.simulate.rendering import (
     Highlight,
     Oscillation,
     Rod,
+    Surface,
     Target,
     cramer_rao_shift_std,
     render,
     render_clean,
     write_film,
 )
-from frictrack.simulate.rendering.surface import FourierSurface, MovingCells, Surface
+from frictrack.simulate.rendering.surface import FourierSurface, MovingCells
 
 SNAP = Camera(width=64, height=48, exposure=0.0)
 SMALL = Target(24, 18, Surface(size=3.0), course=False)

@@ -15,10 +15,25 @@ from typer.testing import CliRunner
 from frictrack.cli.utility_commands import app
 from frictrack.effects import Path as Way
 from frictrack.errors import FrictrackError
-from frictrack.reproduce import FULL, QUICK, eq8, laws, papers_method, printed, recordings, statistics, tustin_model
-from frictrack.reproduce.page import Reproduction, format_cell, numeric_columns, render_page, write_reproduction
+from frictrack.reproduce import (
+    FULL,
+    QUICK,
+    Claim,
+    Reproduction,
+    ResultTable,
+    Section,
+    eq8,
+    laws,
+    papers_method,
+    printed,
+    recordings,
+    statistics,
+    tustin_model,
+    write_reproduction,
+)
+from frictrack.reproduce.page import format_cell, numeric_columns, render_page
 from frictrack.reproduce.search_trials import run_trials
-from frictrack.reproduce.sections import FAILS, HOLDS, OPEN, Claim, ResultTable, Section
+from frictrack.reproduce.sections import FAILS, HOLDS, OPEN
 
 Array = np.ndarray
 

@@ -12,9 +12,9 @@ from frictrack import effects, models
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.review import _named_in_order, _without
 from frictrack.diagnose.rounds import RoundOutcome
-from frictrack.fit import fit
+from frictrack.fit import add_effect, fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import add_effect, rename_effects
+from frictrack.fit.stepwise import rename_effects
 
 LAW = ["coulomb", "viscous"]
 

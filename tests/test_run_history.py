@@ -11,8 +11,7 @@ import frictrack as ft
 from frictrack.diagnose import diagnose
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit
-from frictrack.fit.stepwise import add_effect
+from frictrack.fit import add_effect, fit
 
 MASS = 0.35
 SPEEDS = (3.0, 5.0, 6.0, 4.0, 5.0, -5.0, 3.5, 6.0)  # m/s

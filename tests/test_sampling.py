@@ -14,10 +14,9 @@ from frictrack.flow import Session, open_study
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
-from frictrack.sampling import copies, outliers, quantum, rounding_noise, screened
-from frictrack.sampling.uneven_samples import common_unevenness, unevenness
+from frictrack.sampling import common_unevenness, copies, outliers, quantum, rounding_noise, screened, unevenness
 from frictrack.study import TableData
-from frictrack.tracking.checks.timing import correct_ticks, slips
+from frictrack.tracking.checks import correct_ticks, slips
 from tests.test_timing import a_track
 
 N, FPS, NOISE, PIXEL = 600, 4000.0, 1e-5, 5e-4

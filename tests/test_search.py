@@ -11,15 +11,9 @@ import pytest
 from scipy.optimize import brentq
 
 from frictrack.errors import FrictrackError
-from frictrack.search import METHODS, SearchResult, minimise
+from frictrack.search import METHODS, SearchResult, code_length, code_length_as_printed, minimise
 from frictrack.search.coding import decode, encode, random_genes
-from frictrack.search.mga import (
-    code_length,
-    code_length_as_printed,
-    crossover_probability,
-    mutation_as_printed,
-    mutation_probability,
-)
+from frictrack.search.mga import crossover_probability, mutation_as_printed, mutation_probability
 from frictrack.search.operators import (
     flip_bits,
     geometric_cooling,

@@ -8,18 +8,17 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.force_traces import ForceTraces
+from frictrack.compare import ForceTraces
 from frictrack.compare.spectral_lines import sine_cosine_columns
+from frictrack.diagnose.experiments import RunDesign
 from frictrack.diagnose.experiments.rival_runs import RivalOfPlannedRun, compress_response
-from frictrack.diagnose.experiments.virtual_runs import RunDesign, extend_layout, simulate_run
+from frictrack.diagnose.experiments.virtual_runs import extend_layout, simulate_run
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit
+from frictrack.fit import LeastSquaresProblem, fit, refine
 from frictrack.fit.least_squares import (
-    LeastSquaresProblem,
     displacement_response,
     fit_with_scatter,
     predicted_objective,
-    refine,
     refine_further,
     refit_with_scatter,
 )

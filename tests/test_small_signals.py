@@ -15,7 +15,7 @@ from frictrack.blind.equivalents import replacements, solution_at_truth
 from frictrack.diagnose.confirmation import is_confirmed
 from frictrack.diagnose.model_selection import likelihood_gain, parameter_penalty
 from frictrack.diagnose.rounds import run_round
-from frictrack.plots.candidates import passes
+from frictrack.plots import passes
 from frictrack.records import Displacement, Run
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))

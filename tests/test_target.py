@@ -9,8 +9,8 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking.detection.reference_patch import find_reference
-from frictrack.tracking.detection.target_input import resolve_target
+from frictrack.tracking import find_reference
+from frictrack.tracking.detection import resolve_target
 
 
 def a_track(x, y=31.5, size=SIZE):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.tracking.checks.timing import correct_ticks, slips, timing_note
+from frictrack.tracking.checks import correct_ticks, slips, timing_note
 
 N = 600
 SIGMA = 0.003

@@ -16,10 +16,8 @@ import pandas as pd
 import pytest
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import open_study
-from frictrack.flow.pipeline import hash_path
-from frictrack.flow.stages import run_pipeline
-from frictrack.flow.survey import expand_folders, survey_recording
+from frictrack.flow import hash_path, open_study, run_pipeline, survey_recording
+from frictrack.flow.survey import expand_folders
 from frictrack.study import find_recordings, open_table, read_table, table_headers
 from frictrack.study import xml_files as xml_limits
 

@@ -18,18 +18,15 @@ from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formula_comparison import compare_with_formulas
-from frictrack.diagnose.formulas.formula_search import search_formulas
-from frictrack.diagnose.formulas.shapes import SHAPES
+from frictrack.diagnose.formulas import SHAPES, search_formulas
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, Repeatability
+from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
 from frictrack.diagnose.search import _FormulaInstead
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import definitions, read_settings
-from frictrack.fit import fit
-from frictrack.fit.least_squares import refine
-from frictrack.fit.stepwise import add_effect
+from frictrack.fit import add_effect, fit, refine
 
 LAW = ["coulomb", "viscous"]
 PLAN = ((3.4, 1), (4.0, 1), (6.0, 1), (4.5, 2), (-4.0, 1), (-5.5, 1))  # start speed m/s, mass over the reference

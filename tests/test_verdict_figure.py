@@ -12,8 +12,9 @@ from test_plots import candidate, diagnosis, drawn, model, results
 import frictrack as ft
 from frictrack import models, plots
 from frictrack.diagnose.residual_series import residual_series
+from frictrack.plots import failed_model
 from frictrack.plots.verdict import _spans
-from frictrack.plots.verdict_data import HeldOutError, data_of_diagnosis, data_of_study, failed_model
+from frictrack.plots.verdict_data import HeldOutError, data_of_diagnosis, data_of_study
 from frictrack.report import tables
 
 PATCH = {"F": 2.0, "x_c": 0.2, "w": 0.008}

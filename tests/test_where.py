@@ -9,17 +9,16 @@ import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, models, plots, samples
-from frictrack.compare import WaveScan, deconvolve_force, failing_spans
+from frictrack.compare import WaveScan, deconvolve_force, failing_spans, find_local_forces
 from frictrack.compare.bump_dictionary import _bumps_in_time
 from frictrack.compare.global_significance import GlobalSignificance, curve_length
-from frictrack.compare.local_forces import bump_columns, find_local_forces, start_search
-from frictrack.diagnose.repeatability import find_failure_pattern
-from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
+from frictrack.compare.local_forces import bump_columns, start_search
+from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, find_failure_pattern
+from frictrack.diagnose.repeatability.common_curves import describe_axes
 from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
-from frictrack.fit import fit
+from frictrack.fit import add_effect, fit
 from frictrack.fit.least_squares import model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
-from frictrack.fit.stepwise import add_effect
 from frictrack.plots import style
 
 DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}

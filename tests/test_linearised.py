@@ -13,22 +13,19 @@ import pytest
 from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
 from frictrack import effects, models, samples
-from frictrack.fit import fit
-from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms, refine
-from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
-from frictrack.fit.linearised.gains import _inverse_root
-from frictrack.fit.linearised.measured_motion import linearise_about_measurement
-from frictrack.fit.parameters import jacobian_basis
-from frictrack.fit.segments import reference_of
-from frictrack.fit.segments.pieces import pieces_of
-from frictrack.fit.stepwise import (
-    add_effect,
-    baseline_misfit,
-    deepen_trials,
-    misfit_left_by_other,
-    simulate_trial,
-    try_effect,
+from frictrack.fit import add_effect, fit, reference_of, refine
+from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms
+from frictrack.fit.linearised import (
+    candidate_grids,
+    linearise,
+    linearise_about_measurement,
+    measured_series,
+    scan_candidate,
 )
+from frictrack.fit.linearised.gains import _inverse_root
+from frictrack.fit.parameters import jacobian_basis
+from frictrack.fit.segments.pieces import pieces_of
+from frictrack.fit.stepwise import baseline_misfit, deepen_trials, misfit_left_by_other, simulate_trial, try_effect
 from frictrack.friction import free_section
 from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse

@@ -8,8 +8,7 @@ from scipy.optimize import least_squares
 
 from frictrack import effects, models
 from frictrack.effects import Path, Span
-from frictrack.fit import fit
-from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit import ParameterLayout, fit
 from frictrack.fit.separable import (
     PopulationMisfit,
     ProjectedProblem,
