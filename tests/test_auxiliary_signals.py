@@ -69,6 +69,7 @@ def test_the_law_is_found_and_a_beam_measured_anew_is_fitted_anew(study_file: Pa
     assert again["beam_vibration.r"]["value"] > 1.2 * parameters["beam_vibration.r"]["value"]
 
 
+@pytest.mark.slow
 def test_a_length_that_nobody_measured_is_fitted(study_file: Path) -> None:
     runs = [work.to_run() for work in Session(open_study(study_file)).bring_up_to("motion")]
     blind = [replace(run, beam_length=None) for run in runs]

@@ -406,6 +406,7 @@ def test_kinds_come_in_proportion_and_in_no_order():
     assert len({turn for _, kind, turn in planned if kind == "one"}) == 200
 
 
+@pytest.mark.slow
 def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pytest.MonkeyPatch):
     use_few_effects(monkeypatch)
     done: list[str] = []

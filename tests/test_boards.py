@@ -222,6 +222,7 @@ def test_several_pictures_or_a_folder_of_them(tmp_path):
     assert of_list.values[0] == pytest.approx(1200, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_film_of_a_board_that_is_moved_about(tmp_path):
     """Views that differ are taken from it; the first that shows the board lies in the plane, or frame `plane`."""
     stack = np.stack([pictured(checkers((9, 6)), 40, homography(*view, 1200.0, SMALL), SMALL) for view in tilts()])

@@ -172,6 +172,7 @@ def test_an_effect_of_ones_own_is_defined_and_undone(study_file: Path) -> None:
     assert study_file.read_text(encoding="utf-8") == TEXT
 
 
+@pytest.mark.slow
 def test_what_was_changed_since_the_results_were_made_is_told(study_file: Path) -> None:
     def told() -> tuple[str, ...]:
         return read_results(open_study(study_file)).outdated

@@ -76,6 +76,7 @@ def test_correlated_noise_is_found_with_its_size_and_its_level_at_low_frequencie
     assert np.sqrt(np.median(levels) / truth) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_white_noise_is_not_called_correlated(slides, rng):
     alarms = [found_in([x + RMS * rng.standard_normal(len(x)) for x in slides]) for _ in range(40)]
     assert sum(a is not None for a in alarms) <= 1

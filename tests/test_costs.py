@@ -135,6 +135,7 @@ def test_the_named_run_gives_the_evidence_that_is_predicted(ambiguous):
     assert 0.5 < realised / least["expected"] < 2.0
 
 
+@pytest.mark.slow
 def test_a_run_that_costs_much_is_named_only_if_it_is_worth_it(ambiguous):
     *_, made, found = ambiguous
     dear = Costs(camera=math.inf, mass=math.inf, direction=math.inf, incline=math.inf)

@@ -68,6 +68,7 @@ def test_a_later_round_stops_early_only_where_nothing_is_left(texture_missing):
     assert going_on.passing[0].effect.name == "texture"
 
 
+@pytest.mark.slow
 def test_a_stricter_level_demands_a_larger_effect(nothing_missing):
     fitted = fit(LAW, runs_with())
     strict = diagnose(fitted, alpha=0.002, quick=True)
@@ -170,6 +171,7 @@ def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():
     assert "vibration" in {gap.what for gap in found.undetermined}
 
 
+@pytest.mark.slow
 def test_the_noise_of_an_angle_that_rests_is_no_rotation():
     rng = np.random.default_rng(8)
     runs = runs_with("texture")
@@ -261,6 +263,7 @@ def test_two_plain_effects_are_not_taken_for_one_wave_that_imitates_their_sum():
     assert found.missing == ["viscous", "thermal"]
 
 
+@pytest.mark.slow
 def test_an_effect_of_your_own_is_tried_and_named():
     magnet = effects.formula(
         "magnet", "F*exp(-((x - x_c)/w)**2)", units={"F": "N", "x_c": "m", "w": "m"}, bounds={"w": (0.005, 0.05)}

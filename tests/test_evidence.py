@@ -74,6 +74,7 @@ def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
     assert "curve" not in first.summary()
 
 
+@pytest.mark.slow
 def test_vertical_motion_that_has_nothing_to_do_with_the_residual_is_no_evidence():
     found = []
     for seed in range(2):
@@ -86,6 +87,7 @@ def test_vertical_motion_that_has_nothing_to_do_with_the_residual_is_no_evidence
     assert len(found) <= 1  # p of 0.01 each
 
 
+@pytest.mark.slow
 def test_vertical_motion_that_drifts_with_the_place_is_no_evidence_of_a_patch():
     """A rail that is not level under a path that has a patch: both repeat with the place, and are smooth."""
     found = []

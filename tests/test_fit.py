@@ -418,6 +418,7 @@ def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     assert one_line.chi2 < plain_law.chi2
 
 
+@pytest.mark.slow
 def test_a_rejected_model_is_fitted_through_a_stop():
     """Its motion up to the stop is found again when the effects are put into the order of the model."""
     values = {"coulomb": {"F_c": 1.0}, "stribeck": {"F_s": 0.5, "v_s": 0.3, "delta": 1.0}, "viscous": {"F_v": 0.1}}

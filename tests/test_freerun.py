@@ -57,6 +57,7 @@ def swinging(n=1500, *, seed=0, sigma=2e-6, lead=0, **known):
     return measured(t[:n], x, sigma=sigma, mass=M, drive=push(t[lead:], seed), **own)
 
 
+@pytest.mark.slow
 def test_a_free_run_of_hysteresis_is_the_motion_that_scipy_integrates():
     t = np.arange(800) / FS
     x, v, z = oscillator(t)

@@ -106,6 +106,7 @@ def test_a_line_below_the_noise_has_no_row():
     assert not accuracy._is_faint(scene, bound(scene, 2e-6))
 
 
+@pytest.mark.slow
 def test_lines_are_numbered_by_frequency_and_pushed_not_resisted():
     estimate = METHODS[accuracy.OURS](SCENES["atm1:2"], films(SCENES["atm1:2"], 2e-6, 1))
     limits = bound(SCENES["atm1:2"], 2e-6)

@@ -83,6 +83,7 @@ def test_a_shape_of_the_law_that_imitates_an_effect_does_not_hide_it(wide_stribe
     assert "drag" in {*found["missing"], *listed[found["missing"][0]]["indistinguishable_from"]}
 
 
+@pytest.mark.slow
 def test_no_effect_is_named_without_a_rival_that_explains_as_much(wide_stribeck):
     _, found = wide_stribeck
     best, *others = found["candidates"]
@@ -100,6 +101,7 @@ def test_no_effect_is_named_without_a_rival_that_explains_as_much(wide_stribeck)
 COSTS = Costs(camera=math.inf, speeds=(2.0, 8.0), masses=(0.325, 0.65))
 
 
+@pytest.mark.slow
 def test_a_next_run_is_named_where_nothing_explains_the_misfit(wide_stribeck):
     made, _ = wide_stribeck
     named = next_run(made, {"verdict": "unexplained"}, COSTS)
@@ -171,6 +173,7 @@ def four_runs():
     return fit(list(law), [slide(law, 0.3, v, 1.0, rng, name=f"r{i}") for i, v in enumerate(speeds)])
 
 
+@pytest.mark.slow
 def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
     """Flash weakening far above all speeds is a force in proportion to the speed, as viscous friction is."""
     first = run_round(four_runs.solution, (), np.random.default_rng(0), lambda what: None)

@@ -83,6 +83,7 @@ def test_one_piece_of_work_at_a_time_and_cancelled_at_once(study: Study) -> None
     assert ended(start(study, "fit")) == jobs.DONE  # and the study is as it was
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_is_seen_and_nothing_half_written_stays(study: Study) -> None:
     job = at_work(slow(study))
     pid = next(int(p.name) for p in Path("/proc").iterdir() if p.name.isdigit() and str(job.folder) in _command(p))
@@ -209,6 +210,7 @@ def test_the_process_that_waits_runs_a_job_and_ends_with_its_input(study: Study)
     assert other.wait(30) == 0
 
 
+@pytest.mark.slow
 def test_a_job_starts_although_the_process_that_waits_was_killed(study: Study) -> None:
     launcher = WarmLauncher()
     launcher.prepare()
@@ -226,6 +228,7 @@ def test_only_the_newest_jobs_are_kept(study: Study, monkeypatch: pytest.MonkeyP
     assert [job.folder.name for job in jobs.list_jobs(study.output)] == ["0002", "0003", "0004"]
 
 
+@pytest.mark.slow
 def test_a_job_ends_when_the_results_are_removed(study: Study) -> None:
     job = at_work(slow(study))
     process = next(p for p in Path("/proc").iterdir() if p.name.isdigit() and str(job.folder) in _command(p))

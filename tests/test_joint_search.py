@@ -129,6 +129,7 @@ def test_a_set_in_place_of_one_effect_is_its_rival_as_a_whole():
     assert compared >= {"slope", "asymmetry with spring"}
 
 
+@pytest.mark.slow
 def test_the_true_pair_stays():
     named, _ = diagnosed_as(["slope", "drag"], slides(0.4, 0.06))
     assert set(named) == {"slope", "drag"}

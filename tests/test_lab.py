@@ -37,6 +37,7 @@ def study(study_file: Path) -> Path:
     return study_file
 
 
+@pytest.mark.slow
 def test_the_plots_of_a_study_and_what_is_selected(study: Path) -> None:
     shown = look(study, background="1_coulomb+viscous")
     assert shown.scene["rows"] == 1500

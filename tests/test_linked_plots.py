@@ -366,6 +366,7 @@ def test_a_late_frame_does_not_replace_a_newer_one(opened: PlotsPage) -> None:
     assert opened.js("filmView.pictureNumber") == 7
 
 
+@pytest.mark.slow
 def test_many_selections_leave_nothing_in_memory(opened: PlotsPage) -> None:
     session = opened.page.context.new_cdp_session(opened.page)
     session.send("HeapProfiler.enable")
@@ -419,6 +420,7 @@ def test_dark_mode_draws_on_a_dark_ground(opened: PlotsPage) -> None:
     opened.until(f"{ground} > 200")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("width", "ratio"), [(800, 1), (2560, 1), (1280, 2)])
 def test_plots_fit_their_page(chromium: Any, address: str, width: int, ratio: int) -> None:
     page = chromium.new_page(viewport={"width": width, "height": 900}, device_scale_factor=ratio)

@@ -197,6 +197,7 @@ def test_times_are_moved_and_frames_left_out():
 # ---- what is done with the film
 
 
+@pytest.mark.slow
 def test_a_compressed_film_is_decoded_once(tmp_path, monkeypatch):
     filmed(tmp_path)
     text = (tmp_path / "study.toml").read_text()

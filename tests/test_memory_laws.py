@@ -263,6 +263,7 @@ def test_the_sensitivities_through_reversals_are_the_differences_of_simulations(
             assert np.linalg.norm(column - change) < 5e-3 * np.linalg.norm(change)
 
 
+@pytest.mark.slow
 def test_a_fit_through_reversals_ends_where_one_from_the_truth_ends(swung):
     values, solution = swung
     truth = np.array(solution.p)

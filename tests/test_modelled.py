@@ -117,6 +117,7 @@ def fitted(model=VIBRATION, sigma=10e-6, pulse=False):
     return fit(model, [seen(coll() if pulse else vib(), sigma)])
 
 
+@pytest.mark.slow
 def test_acceleration_is_nearer_than_smoothing_and_at_the_bound():
     runs = [seen(vib(), seed=seed, method="structural") for seed in range(5)]
     told = [fit(VIBRATION, [run]).motion[0] for run in runs]

@@ -13,6 +13,7 @@ import pytest
 
 import frictrack
 
+pytestmark = pytest.mark.slow
 EFFECT = '''"""Magnet: a magnet below the course pulls the mass toward one place."""
 
 import numpy as np
@@ -143,7 +144,6 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.mark.slow
 def test_it_is_found_fitted_and_lowers_the_error(said):
     assert said["last"] == "magnet"
     assert said["missing"] == ["magnet"]

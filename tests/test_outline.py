@@ -89,6 +89,7 @@ def test_width_of_a_body(look):
     assert ("diameter" in width.used) == look.get("disc", False)
 
 
+@pytest.mark.slow
 def test_the_stated_deviation_is_that_of_many_bodies():
     z = []
     for seed in range(12):

@@ -106,6 +106,7 @@ def test_numbers_are_read_back_while_they_are_typed(untracked: Server, tab: Open
         assert page.page.get_by_label(name, exact=True).is_visible()
 
 
+@pytest.mark.slow
 def test_numbers_of_one_run_are_its_own(untracked: Server, tab: Open) -> None:
     before, page = untracked.study_text, tab().open(untracked)
     page.click("Per run")
@@ -169,6 +170,7 @@ def test_films_are_dropped_on_the_page(tmp_path: Path, tab: Open, serve: Serve) 
     assert (tmp_path / "fast.avi").read_bytes() == (SAMPLES / "fast.avi").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open, serve: Serve) -> None:
     (tmp_path / "broken.avi").write_bytes((SAMPLES / "fast.avi").read_bytes()[:4000])
     server = serve(tmp_path)
@@ -307,6 +309,7 @@ def test_the_page_asks_for_its_token(study_file: Path, tab: Open, serve: Serve) 
 # --- quick
 
 
+@pytest.mark.slow
 def test_the_page_paints_before_its_data_arrive(untracked: Server, tab: Open) -> None:
     page = tab()
     page.page.route("**/api/state", lambda route: None)  # never answered

@@ -191,6 +191,7 @@ def test_the_script_of_a_session_repeats_it(
     assert set(again) == {n.split("_", 1)[1] for n in before}
 
 
+@pytest.mark.slow
 def test_work_is_cancelled_and_found_again_after_a_reload(tables: Server, tab: Open) -> None:
     page = tab().open(tables).to("Model")
     page.page.get_by_label("Search", exact=True).select_option("sga")

@@ -103,6 +103,7 @@ def test_the_free_section_is_typed_and_detected_again(bench: Server, tab: Open) 
     undone(page, bench, before)
 
 
+@pytest.mark.slow
 def test_what_is_typed_stays_when_the_study_changes_meanwhile(bench: Server, tab: Open) -> None:
     before, page, other = bench.study_text, tab().open(bench).to("Motion"), tab().open(bench)
     page.fill("From", "12", enter=False)
@@ -151,6 +152,7 @@ def test_a_pdf_is_printed_while_the_page_lives_on(bench: Server, tab: Open) -> N
     page.faults.clear()  # the server has refused it once, with its reason
 
 
+@pytest.mark.slow
 def test_files_are_downloaded_in_the_format_chosen(bench: Server, tab: Open) -> None:
     page = tab().open(bench).to("History")
     page.page.get_by_role("group", name="Figures as").get_by_role("button", name="PNG").click()
@@ -174,6 +176,7 @@ def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path, tab: Ope
         assert button.get_attribute("title") == "Write the report first."
 
 
+@pytest.mark.slow
 def test_models_of_the_same_name_are_told_apart(study_file: Path, tab: Open, serve: Serve) -> None:
     session = Session(open_study(study_file))
     session.fit()

@@ -463,6 +463,7 @@ def test_a_measured_drive_tells_the_mass():
     assert "x_m holds mm" in finding.words
 
 
+@pytest.mark.slow
 def test_the_drive_of_a_real_carriage_tells_its_published_mass():
     """EMPS, 95.1 kg (Janot, Gautier, Brunot 2019)."""
     q, drive = np.loadtxt(samples.DATA / "emps_200Hz.csv", delimiter=",").T
@@ -636,6 +637,7 @@ def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     assert found.correction == "fps = 4000"  # as the other runs have it
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1 / 60, "min")])
 def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, unit):
     t, nan = factor * np.arange(400) / 4000.0, np.full(400, np.nan)

@@ -162,6 +162,7 @@ def test_rounded_positions_raise_no_alarm(seed):
     assert found.p_lack_of_fit > 0.005
 
 
+@pytest.mark.slow
 def test_how_long_a_short_blow_lasts_leaves_no_verdict_open():
     t = np.arange(600) / FPS
 

@@ -95,6 +95,7 @@ def supersampled(x: float, y: float, angle: float, n: int) -> np.ndarray:
     return picture.reshape(48, n, 64, n).mean(axis=(1, 3))
 
 
+@pytest.mark.slow
 def test_whole_frame_agrees_with_supersampling() -> None:
     # At a multiple of 1/16 px the sampled mask is exact and only the midpoint rule's 1e-4 is left.
     assert np.abs(still(30.0625, 22.1875) - supersampled(30.0625, 22.1875, 0.0, 16)).max() < 2e-4

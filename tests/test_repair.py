@@ -175,6 +175,7 @@ class TestAFilmWithAHand:
         aligned = replace(backward, x_px=backward.x_px - off[0], y_px=backward.y_px - off[1])
         assert ft.suspect_spans(track, aligned) == ()
 
+    @pytest.mark.slow
     def test_repaired_positions_reach_the_bound_where_the_target_is_visible(self):
         film, track = tracked()
         found = ft.repair(track, film, repairs())
@@ -207,6 +208,7 @@ class TestAFilmWithAHand:
             assert np.max(np.abs(change)) < 0.5  # of a frame in which another pixel counts as covered
             assert found.sigma_px[20:61] == pytest.approx(track.sigma_px[20:61], rel=0.05)
 
+    @pytest.mark.slow
     def test_a_target_that_is_not_there_is_said(self):
         film, track = tracked()
         with pytest.raises(ft.FrictrackError, match=r"frames 20 to 30: expected the target near .* not recognised"):
@@ -329,6 +331,7 @@ class TestTheVerdict:
         assert found.rests_on_repairs.startswith('this verdict rests on 20 frames of run "v3" that were tracked again')
         assert found.summary()["rests_on_repairs"] == found.rests_on_repairs
 
+    @pytest.mark.slow
     def test_a_right_repair_changes_nothing(self):
         found = diagnosis(wave=0.3)
         assert found.missing == ["texture"]

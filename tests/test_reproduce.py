@@ -274,7 +274,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     return folder, json.loads(answer.stdout)
 
 
-@pytest.mark.slow
 def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
     folder, result = made
     tables = {f.stem for f in (folder / "tables").glob("*.csv")}

@@ -64,7 +64,7 @@ def test_before_an_unknown_pause_nothing_is_known():
         ft.with_earlier_runs(runs, [None, 5.0])
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "dry", "truth"),
     [
