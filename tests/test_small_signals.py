@@ -87,6 +87,7 @@ def test_an_effect_of_many_parameters_is_named_at_the_limit_although_bic_asks_fo
     assert "vibration" in run.named_group(found)
 
 
+@pytest.mark.slow
 def test_a_fit_that_falls_short_of_the_critical_value_does_not_pass(at_the_limit):
     truth, fit = at_the_limit
     tested = run_round(fit.solution, (), np.random.default_rng(truth.seed), lambda what: None)

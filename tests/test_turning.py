@@ -165,6 +165,7 @@ def test_a_small_turning_body_in_a_large_rectangle_is_not_held_by_the_background
     assert np.max(np.hypot(result.x_px - 84.5, result.y_px - 54.5)) < 0.3  # 0.7 px off the centre of the turn
 
 
+@pytest.mark.slow
 def test_a_body_that_turns_is_found_without_a_target() -> None:
     film, true = filmed(pose(6.0, 48))
     found = track(film)

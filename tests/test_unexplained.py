@@ -118,7 +118,7 @@ def test_pure_noise_has_no_axis():
 
 @pytest.mark.parametrize(
     "cause",
-    [c if c in ("magnet", "rate_and_state", "chirp") else pytest.param(c, marks=pytest.mark.slow) for c in CAUSES],
+    [c if c == "magnet" else pytest.param(c, marks=pytest.mark.slow) for c in CAUSES],
 )
 def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, cause):
     first = firsts(cause)

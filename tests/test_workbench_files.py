@@ -97,6 +97,7 @@ def test_downloads(fitted: Path, page: Clients) -> None:
     assert client.get("/api/figure", name="history")[1].lstrip().startswith(b"<?xml")
 
 
+@pytest.mark.slow
 def test_an_outdated_report_is_refused_unless_it_is_asked_for_as_it_is(fitted: Path, page: Clients) -> None:
     report = fitted.parent / "study_results/report.html"
     report.write_text("<!doctype html><title>of an earlier model</title>")

@@ -48,6 +48,7 @@ def test_the_state_of_a_study(fitted: Path, page: Clients) -> None:
     assert [model["current"] for model in state["models"]] == [True]
 
 
+@pytest.mark.slow
 def test_effects_and_numbers_as_they_are_typed(study_file: Path, page: Clients) -> None:
     client = page(study_file)
     effects = client.get("/api/effects")[1]["effects"]
