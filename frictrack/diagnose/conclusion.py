@@ -24,7 +24,7 @@ from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.joint_search import AlternativeSet
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.diagnose.power import Undetermined, find_undetermined
+from frictrack.diagnose.power import find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
@@ -34,12 +34,11 @@ from frictrack.diagnose.rounds import Round
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
+from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
-MAX_ERROR_RATIO = 1.002  # of held-out errors that counts as no rise
-MAX_ERROR_RATIO_DECISIVE = 0.9  # of held-out errors, for an effect named beside an undetermined model
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
 
 
@@ -154,7 +153,19 @@ class Conclusion:
         kind = residual_kind(self.fit.solution.problem)
         noise, misfit = kind.noise(self.fit)
         grown = found[-1].law if found else None
-        verdict, undetermined = self._judge(listed, misfit, find_undetermined(self.fit, first, curves, grown))
+        gaps = find_undetermined(self.fit, first, curves, grown)
+        verdict = judge(
+            Grounds(
+                something_missing=not self._nothing_missing,
+                n_found=len(found),
+                misfit_left=self.search.last.leaves_misfit,
+                has_objection=any(t.objection for t in found),
+                has_rivals=any(t.indistinguishable_from for t in found) or bool(self._sets_in_place_of_one),
+                error_ratio=0.0 if self._nothing_missing else self._error_ratio(listed),
+                reduced_chi2=misfit,
+                gaps=gaps,
+            )
+        )
         named = [] if verdict == "undetermined" else found
         return Diagnosis(
             model=self.fit.model.names,
@@ -168,7 +179,7 @@ class Conclusion:
             candidates=listed,
             unexplained=None,
             detection_limits=limits,
-            undetermined=undetermined,
+            undetermined=gaps if verdict == "undetermined" else [],
             alternatives=[one.summary() for one in self.search.alternatives] if named else [],
             remarks=[
                 *_remarks(self.fit, first.excluded),
@@ -179,23 +190,6 @@ class Conclusion:
             complete=False,
             alpha=2 * first.tests.level,
         )
-
-    def _judge(
-        self, listed: Sequence[Candidate], misfit: float, gaps: list[Undetermined]
-    ) -> tuple[str, list[Undetermined]]:
-        """Return the verdict, and what the runs leave open where that matters."""
-        last, found = self.search.last, self.search.found
-        if self._nothing_missing:
-            return ("undetermined" if gaps else "complete"), gaps
-        ratio = self._error_ratio(listed)
-        if last.leaves_misfit or not found or ratio >= MAX_ERROR_RATIO or any(t.objection for t in found):
-            verdict = "unexplained"
-        else:
-            has_rivals = any(t.indistinguishable_from for t in found) or bool(self._sets_in_place_of_one)
-            verdict = "ambiguous" if has_rivals else "missing"
-        decisive = ratio < MAX_ERROR_RATIO_DECISIVE or all(gap.uncertainty is None for gap in gaps)
-        unclear = misfit < 1 if verdict == "unexplained" else not decisive
-        return ("undetermined", gaps) if gaps and unclear else (verdict, [])
 
     @property
     def _sets_in_place_of_one(self) -> list[AlternativeSet]:
