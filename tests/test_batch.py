@@ -333,7 +333,9 @@ def _short_study(path: Path, seed: int) -> StudyOutcome:
     time.sleep(0.02)
     with path.with_name("ended").open("a") as file:
         file.write("x")
-    return StudyOutcome(str(path), {"verdict": "complete", "runs": 1, "reason": None}, [{"run": "r0"}], seed=seed)
+    return StudyOutcome(
+        str(path), {"verdict": "complete", "missing": [], "runs": 1, "reason": None}, [{"run": "r0"}], seed=seed
+    )
 
 
 @pytest.mark.slow
