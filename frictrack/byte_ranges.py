@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from http.client import PARTIAL_CONTENT
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 import numpy as np
@@ -34,13 +34,11 @@ _VERSIONS = {"VersionId": "version", "generation": "generation", "ETag": "etag",
 
 
 @dataclass(frozen=True)
-class RangedFile:
+class RangedFile(RemoteFile):
     """One version of a remote file, of which parts can be read.
 
     Attributes
     ----------
-    url
-        The address.
     size
         Bytes.
     identity
@@ -48,27 +46,8 @@ class RangedFile:
 
     """
 
-    url: str
     size: int
     identity: str
-
-    def __str__(self) -> str:
-        return self.url
-
-    @property
-    def name(self) -> str:
-        """The last part of the path: ``v3.cine``."""
-        return RemoteFile(self.url).name
-
-    @property
-    def stem(self) -> str:
-        """The name without its suffix: ``v3``."""
-        return RemoteFile(self.url).stem
-
-    @property
-    def suffix(self) -> str:
-        """The last part of the name: ``.cine``."""
-        return PurePosixPath(self.name).suffix
 
     def open(self, mode: str = "rb") -> BinaryIO:
         """Open the file for reading; see `Path.open`."""
@@ -209,7 +188,7 @@ class RangeReader(io.RawIOBase):
 
     @cached_property
     def _filesystem(self) -> tuple[Any, str]:
-        return RemoteFile(self._source.url).filesystem()
+        return self._source.filesystem()
 
     def _failed(self, e: Exception) -> FrictrackError:
         return FrictrackError(f"{self._source.url} cannot be read: {describe_cause(e)}")

@@ -14,8 +14,9 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
@@ -33,9 +34,8 @@ MAX_SILENCE_S = 30.0  # without an answer of a web server, or without one more b
 MIN_BYTES_PER_S = 1e3  # on the average of a file, after `MAX_SILENCE_S`
 MAX_CAUSE_LENGTH = 300  # characters of what a server or a package says
 COMPANION_ENDINGS = {".cih": (".mraw",), ".cihx": (".mraw",)}  # header -> files with the frames
-CHANGE_KEYS = (  # by which a file's change is seen
-    *("ETag", "etag", "LastModified", "last_modified", "Last-Modified", "mtime", "updated"),
-)
+CHANGE_KEYS = ("ETag", "etag", "LastModified", "last_modified", "Last-Modified", "mtime", "updated")  # of a new version
+_LISTED: ContextVar[Collection[str] | None] = ContextVar("listed", default=None)  # the only files that may be named
 
 
 def is_address(text: str) -> bool:
@@ -50,7 +50,24 @@ def is_address(text: str) -> bool:
     return "://" in text
 
 
-def locate(text: str, folder: Path = Path(), listed: Collection[str] | None = None) -> Path | RemoteFile:
+@contextmanager
+def only_listed(files: Collection[str]) -> Iterator[None]:
+    """Let `locate` refuse all other files while the block runs.
+
+    Parameters
+    ----------
+    files
+        Paths in the folder of a study.
+
+    """
+    before = _LISTED.set(files)
+    try:
+        yield
+    finally:
+        _LISTED.reset(before)
+
+
+def locate(text: str, folder: Path = Path()) -> Path | RemoteFile:
     """Return the file that a text names. Every path and address from outside passes here or through `RemoteFile`.
 
     Parameters
@@ -59,8 +76,6 @@ def locate(text: str, folder: Path = Path(), listed: Collection[str] | None = No
         A path, or an address of one of `PROTOCOLS`.
     folder
         Folder to which a path is relative.
-    listed
-        The only files that may be named, as paths in the folder; None for any file.
 
     Returns
     -------
@@ -70,7 +85,7 @@ def locate(text: str, folder: Path = Path(), listed: Collection[str] | None = No
     Raises
     ------
     FrictrackError
-        If the address has another protocol, or the file is not one of `listed`.
+        If the address has another protocol, or the file is not one of `only_listed`.
 
     Examples
     --------
@@ -78,7 +93,7 @@ def locate(text: str, folder: Path = Path(), listed: Collection[str] | None = No
     'v3.cine'
 
     """
-    if listed is not None:
+    if (listed := _LISTED.get()) is not None:
         place = normpath(text)
         if is_address(text) or not any(one == place or one.startswith(f"{place}/") for one in listed):
             raise FrictrackError(
@@ -138,6 +153,11 @@ class RemoteFile:
         """The name without its suffix: ``v3``."""
         return PurePosixPath(self.name).stem
 
+    @property
+    def suffix(self) -> str:
+        """The last part of the name: ``.cine``."""
+        return PurePosixPath(self.name).suffix
+
     def fetch(self) -> Path:
         """Return the path of the file on this machine; it is fetched unless the cache has its current version.
 
@@ -148,9 +168,8 @@ class RemoteFile:
 
         """
         trim_cache()
-        suffix = PurePosixPath(self.name).suffix
-        endings = COMPANION_ENDINGS.get(suffix.lower(), ())
-        files = [self, *(RemoteFile(self.url[: -len(suffix)] + ending) for ending in endings)]
+        endings = COMPANION_ENDINGS.get(self.suffix.lower(), ())
+        files = [self, *(RemoteFile(self.url.removesuffix(self.suffix) + ending) for ending in endings)]
         try:
             found = [(file, *file.filesystem()) for file in files]
             infos = [fs.info(path) for _, fs, path in found]
@@ -264,13 +283,13 @@ def cache_folder(url: str) -> Path:
         Address of a file.
 
     """
-    return _cache_root() / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
+    return cache_root("recordings") / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
 def trim_cache() -> None:
     """Delete the least recently used files of the cache above `MAX_CACHE_BYTES`."""
     files = []
-    for path in _cache_root().rglob("*"):
+    for path in cache_root("recordings").rglob("*"):
         with suppress(FileNotFoundError):  # another process has deleted it
             if path.is_file():
                 files.append((path.stat(), path))
@@ -280,10 +299,6 @@ def trim_cache() -> None:
             return
         total -= _bytes_on_disk(found)
         path.unlink(missing_ok=True)
-
-
-def _cache_root() -> Path:
-    return cache_root("recordings")
 
 
 def _bytes_on_disk(found: os.stat_result) -> int:

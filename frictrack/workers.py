@@ -21,6 +21,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -38,6 +39,7 @@ MAX_STARTS = 20  # of processes for one task that die before they have begun it,
 EXIT_TIMEOUT_S = 5.0  # for a process that has nothing left to do
 MEMORY_PER_TASK_BYTES = 0.5e9  # until a task has shown how much it needs
 CGROUP = Path("/sys/fs/cgroup")
+Answer = tuple[float, Any, BaseException | None]  # of a process: its peak memory so far, bytes; result or error
 
 
 class WorkerPool(Protocol):
@@ -168,14 +170,6 @@ def free_memory(group: Path = CGROUP) -> float:
     return free if most == "max" else min(free, float(most) - used + float(cached))
 
 
-class _ProcessDiedError(Exception):
-    """A process has died; `has_begun` tells whether it had begun the task that it was given."""
-
-    def __init__(self, code: int, *, has_begun: bool) -> None:
-        super().__init__(code, has_begun)
-        self.code, self.has_begun = code, has_begun
-
-
 class _LocalPool:
     """Processes of this machine, each served by one thread. A task waits until there is memory for it."""
 
@@ -183,9 +177,9 @@ class _LocalPool:
         self._workers = workers
         self._need = MEMORY_PER_TASK_BYTES
         self._threads = ThreadPoolExecutor(workers)
-        self._of_thread = threading.local()
+        self._own = threading.local()  # the process of a thread
+        self._processes: list[_Process] = []
         self._lock = threading.Lock()
-        self._alive: set[_Process] = set()
         self._is_stopped = False
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -199,84 +193,80 @@ class _LocalPool:
         self._threads.shutdown(wait=False, cancel_futures=True)
         with self._lock:
             self._is_stopped = True
-            for process in self._alive:
+            for process in self._processes:
                 process.kill()
 
     def close(self) -> None:
         """Wait for what was submitted, and end the processes."""
         self._threads.shutdown()
-        for process in self._alive:
+        for process in self._processes:
             process.close()
 
     def _run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Run a task in the process of this thread; in a new one if that dies."""
         attempts = starts = 0
-        while True:
+        while attempts < MAX_ATTEMPTS and starts < MAX_STARTS:
             process = self._process()
             try:
-                took, value = process.run(function, arguments)
-            except _ProcessDiedError as died:
-                self._forget(process)
-                attempts, starts = attempts + died.has_begun, starts + (not died.has_begun)
-                if attempts >= MAX_ATTEMPTS or starts >= MAX_STARTS:
-                    raise FrictrackError(_describe_exit(died.code, attempts or starts)) from None
-            else:
-                self._need = max(self._need, took)
-                return value
+                took, value, error = process.run(function, arguments)
+            except EOFError:
+                self._own.process = None
+                attempts, starts = attempts + process.has_begun, starts + 1 - process.has_begun
+                continue
+            if error is not None:
+                raise error
+            self._need = max(self._need, took)
+            return value
+        raise FrictrackError(_describe_exit(process.close(), attempts or starts))
 
     def _process(self) -> _Process:
-        found: _Process | None = getattr(self._of_thread, "process", None)
-        if found is None:
+        """Return the process of this thread; it is started if there is none."""
+        if getattr(self._own, "process", None) is None:
             with self._lock:
                 if self._is_stopped:
                     raise FrictrackError("its task was cancelled, as happens when workers are shut down; run it again")
                 try:
-                    found = self._of_thread.process = _Process()
+                    self._own.process = _Process()
                 except OSError as e:
                     raise FrictrackError(f"cannot start a process: {e.strerror or e}; try fewer --workers") from e
-                self._alive.add(found)
+                self._processes.append(self._own.process)
+        found: _Process = self._own.process
         return found
-
-    def _forget(self, process: _Process) -> None:
-        self._of_thread.process = None
-        with self._lock:
-            self._alive.discard(process)
 
 
 class _Process:
-    """A process that runs tasks one after the other."""
+    """A process that runs tasks one after the other; `has_begun` tells whether it had begun the last one."""
 
     def __init__(self) -> None:
         context = get_context("spawn")
+        self.has_begun = False
         self._connection, theirs = context.Pipe()
         with theirs:  # when the process dies, nobody holds its end, and we read that it has ended
             self._process = context.Process(target=_serve, args=(theirs, os.getpid()))
             self._process.start()
 
-    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[float, Any]:
-        """Run a task; return the peak memory of the process so far, bytes, and the result."""
-        has_begun = False
+    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Answer:
+        """Run a task; raise EOFError if the process dies."""
+        self.has_begun = False
         try:
             self._connection.send((function, arguments))
             while (answer := self._connection.recv()) is None:
-                has_begun = True
-        except (EOFError, OSError):
-            self.close()
-            raise _ProcessDiedError(self._process.exitcode or 0, has_begun=has_begun) from None
-        took, value, error = answer
-        if error is not None:
-            raise error
-        return took, value
+                self.has_begun = True
+        except OSError as e:
+            raise EOFError from e
+        found: Answer = answer
+        return found
 
     def kill(self) -> None:
         self._process.kill()
 
-    def close(self) -> None:
-        """End the process when it is idle."""
+    def close(self) -> int:
+        """End the process when it is idle; return its exit code."""
         self._connection.close()
         self._process.join(EXIT_TIMEOUT_S)
         self._process.kill()
         self._process.join()
+        return self._process.exitcode or 0
 
 
 def _serve(connection: Connection, parent: int) -> None:
@@ -287,14 +277,13 @@ def _serve(connection: Connection, parent: int) -> None:
         while True:
             answer = _answer(connection)
             try:
-                connection.send(answer)
-            except OSError:
-                raise
+                message = ForkingPickler.dumps(answer)
             except Exception as e:  # noqa: BLE001 - pickle may raise anything
-                connection.send((0.0, None, TypeError(f"the result of a task cannot be sent: {e}")))
+                message = ForkingPickler.dumps((0.0, None, TypeError(f"the result of a task cannot be sent: {e}")))
+            connection.send_bytes(message)
 
 
-def _answer(connection: Connection) -> tuple[float, Any, BaseException | None]:
+def _answer(connection: Connection) -> Answer:
     """Receive a task, say that it has begun, run it; return the peak memory, and its result or error."""
     data = connection.recv_bytes()
     try:

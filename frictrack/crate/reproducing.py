@@ -24,6 +24,7 @@ from frictrack.flow import (
     repeat_models,
     stored_values,
 )
+from frictrack.remote import only_listed
 
 STUDY_FILE = "study.h5"
 UNPACKED, AGAIN = "crate", "study"  # folders in that of the output
@@ -71,8 +72,8 @@ def reproduce_crate(
         crate = _unpacked(path, out, progress)
         progress(0, 0, "checking the inputs")
         known = find_inputs(crate, recordings, progress if allow_addresses else None)
-        file = set_up_study(crate, _made(out / AGAIN), known)
-        study = open_study(file, listed=known.keys())
+        with only_listed(known):
+            study = open_study(set_up_study(crate, _made(out / AGAIN), known))
     except FrictrackError:
         shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
         raise
@@ -80,7 +81,8 @@ def reproduce_crate(
     for one in versions:
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     stored = _stored_files(crate)
-    repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
+    with only_listed(known):
+        repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
     computed = {file.name: stored_values(file) for file in sorted(study.output.glob("*.h5"))}
     groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)

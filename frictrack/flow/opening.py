@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,7 @@ from frictrack.flow.fit_request import FitRequest
 from frictrack.study import Study, load
 
 
-def open_study(
-    path: str | Path,
-    *,
-    allow_no_runs: bool = False,
-    allow_incomplete: bool = False,
-    listed: Collection[str] | None = None,
-) -> Study:
+def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read a study file and check it: keys, scales, model, effects.
 
     Parameters
@@ -29,8 +23,6 @@ def open_study(
         Allow a study without runs.
     allow_incomplete
         Allow a study without runs, and runs without mass or scale. It can be edited, not computed.
-    listed
-        The only files that the study may name, as paths in its folder; None for any file.
 
     Raises
     ------
@@ -38,7 +30,7 @@ def open_study(
         (usage) With all faults.
 
     """
-    return check_study(load(path, allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete, listed=listed))
+    return check_study(load(path, allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete))
 
 
 def check_study(study: Study) -> Study:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,13 +96,7 @@ class Study:
         return self.path.parent
 
 
-def load(
-    path: str | Path,
-    *,
-    allow_no_runs: bool = False,
-    allow_incomplete: bool = False,
-    listed: Collection[str] | None = None,
-) -> Study:
+def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read a study file.
 
     Parameters
@@ -113,8 +107,6 @@ def load(
         Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale.
-    listed
-        The only files that the study may name, as paths in its folder; None for any file.
 
     Raises
     ------
@@ -124,17 +116,10 @@ def load(
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    return parse(path, _read(path), allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete, listed=listed)
+    return parse(path, _read(path), allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete)
 
 
-def parse(
-    path: Path,
-    text: str,
-    *,
-    allow_no_runs: bool = False,
-    allow_incomplete: bool = False,
-    listed: Collection[str] | None = None,
-) -> Study:
+def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
     """Read the text of a study file, which need not be on the disk.
 
     Parameters
@@ -147,8 +132,6 @@ def parse(
         Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale; see `Study.incomplete`.
-    listed
-        The only files that the study may name, as paths in its folder; None for any file.
 
     Raises
     ------
@@ -157,8 +140,7 @@ def parse(
 
     """
     raw = read_toml(path.name, text)
-    context = {"folder": path.parent, "listed": listed}
-    reader = _Reader(text, context, allow_no_runs=allow_no_runs or allow_incomplete)
+    reader = _Reader(text, {"folder": path.parent}, allow_no_runs=allow_no_runs or allow_incomplete)
     study = reader.study(path, raw)
     if not allow_incomplete:
         reader.faults += reader.lacks

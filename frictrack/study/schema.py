@@ -161,7 +161,7 @@ def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
     try:
-        path = locate(raw, _folder(info), (info.context or {}).get("listed"))
+        path = locate(raw, _folder(info))
     except FrictrackError as e:
         raise ValueError(str(e)) from e
     if isinstance(path, Path) and not _exists(path):

@@ -31,7 +31,7 @@ from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
 from frictrack.recording import open_recording, random_access
-from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate
+from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import with_header
@@ -175,7 +175,8 @@ def _set_up(folder: Path) -> None:
     """The study of a crate as `reproduce` opens it: it names only what the crate lists."""
     opened = read_crate(folder / "crate")
     known = find_inputs(opened, None, None)
-    study = open_study(set_up_study(opened, folder / "again", known), listed=known.keys())
+    with only_listed(known):
+        study = open_study(set_up_study(opened, folder / "again", known))
     for run in study.runs:
         for path in run_pipeline(study, run).input_files():
             assert isinstance(path, Path)
