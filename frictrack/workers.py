@@ -35,7 +35,7 @@ WORKER_ENVIRONMENT = {  # one thread of linear algebra; no import from the curre
     "PYTHONSAFEPATH": "1",
 }
 MAX_ATTEMPTS = 2  # of one task whose process dies while it runs
-MAX_STARTS = 20  # of processes for one task that die before they have begun it, for which the task is not to blame
+MAX_STARTS = 20  # of processes for one task, most of which were killed before they had begun it
 EXIT_TIMEOUT_S = 5.0  # for a process that has nothing left to do
 MEMORY_PER_TASK_BYTES = 0.5e9  # until a task has shown how much it needs
 CGROUP = Path("/sys/fs/cgroup")
@@ -210,14 +210,17 @@ class _LocalPool:
             try:
                 took, value, error = process.run(function, arguments)
             except EOFError:
-                self._own.process = None
-                attempts, starts = attempts + process.has_begun, starts + 1 - process.has_begun
+                self._own.process, code = None, process.close()
+                attempts += process.has_begun or code >= 0  # an exception while it starts will come again
+                starts += 1
+                with self._lock:
+                    self._processes.remove(process)
                 continue
             if error is not None:
                 raise error
             self._need = max(self._need, took)
             return value
-        raise FrictrackError(_describe_exit(process.close(), attempts or starts))
+        raise FrictrackError(_describe_exit(code, starts))
 
     def _process(self) -> _Process:
         """Return the process of this thread; it is started if there is none."""

@@ -9,11 +9,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import psutil
+
+if TYPE_CHECKING:
+    from frictrack.batch.tasks import StudyOutcome
 
 MASS = 0.5
 
@@ -66,6 +69,18 @@ def die_once(mark: str) -> str:
         Path(mark).touch()
         signal.raise_signal(signal.SIGKILL)
     return "done"
+
+
+def short_study(path: Path, seed: int) -> StudyOutcome:
+    """Stand in for `begin_study`."""
+    from frictrack.batch.tasks import StudyOutcome  # noqa: PLC0415 - few tests need it
+
+    time.sleep(0.02)
+    with path.with_name("ended").open("a") as file:
+        file.write("x")
+    return StudyOutcome(
+        str(path), {"verdict": "complete", "missing": [], "runs": 1, "reason": None}, [{"run": "r0"}], seed=seed
+    )
 
 
 @contextmanager

@@ -8,7 +8,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet
 import pytest
-from campaigns import campaign, die_once, killed_workers, results, slide
+from campaigns import campaign, die_once, killed_workers, results, short_study, slide
 from rich.console import Console
 from scipy import stats
 
@@ -328,21 +327,25 @@ def test_processes_that_die_before_they_have_begun_a_task() -> None:
     assert len(dead) >= 3
 
 
-def _short_study(path: Path, seed: int) -> StudyOutcome:
-    """Stand in for `begin_study`."""
-    time.sleep(0.02)
-    with path.with_name("ended").open("a") as file:
-        file.write("x")
-    return StudyOutcome(
-        str(path), {"verdict": "complete", "missing": [], "runs": 1, "reason": None}, [{"run": "r0"}], seed=seed
-    )
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process")
+def test_processes_that_cannot_start() -> None:
+    import resource  # noqa: PLC0415 - not on Windows
+
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with workers.local_workers(1) as ours:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1, before[1]))
+        try:
+            error = ours.submit(os.path.basename, "a/b").exception(60)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert str(error) == "cannot start a process: Too many open files; try fewer --workers"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_workers_of_a_batch_killed_at_100_moments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("frictrack.batch.scheduler.begin_study", _short_study)
-    moments = np.random.default_rng(0).permutation(np.linspace(0.001, 4.0, 100))
+    monkeypatch.setattr("frictrack.batch.scheduler.begin_study", short_study)
+    moments = np.random.default_rng(0).permutation(np.linspace(0.001, 2.0, 100))
     kills = 0
     for i, moment in enumerate(moments):
         folder = campaign(tmp_path / str(i), 8)
