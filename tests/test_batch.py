@@ -353,7 +353,8 @@ def test_workers_of_a_batch_killed_at_100_moments(tmp_path: Path, monkeypatch: p
             found = batch([str(folder)], folder / "all", workers=2)
         kills += len(dead)
         assert not found["failed"]
-        written = [json.loads(line)["study"] for line in (folder / ".frictrack" / "all.jsonl").open()]
+        lines = (folder / ".frictrack" / "all.jsonl").read_text().splitlines()
+        written = [json.loads(line)["study"] for line in lines]
         assert sorted(written) == sorted(str(path) for path in folder.rglob("study.toml"))
         counts = [len(path.read_text()) for path in folder.rglob("ended")]
         assert len(counts) == 8
