@@ -347,6 +347,11 @@ def test_bombs_links_and_twins_are_refused(tmp_path: Path, monkeypatch: pytest.M
     assert "two of one name" in refused(tmp_path / "twin.zip", tmp_path / "3")
     (tmp_path / "text.zip").write_text("no zip")
     assert "damaged or is not a zip file" in refused(tmp_path / "text.zip", tmp_path / "4")
+    nameless = bytearray((tmp_path / "bomb.zip").read_bytes())
+    at = nameless.index(b"PK\1\2")
+    nameless[at + 28 : at + 32] = b"\0\0\5\0"  # the five letters of the name as other data
+    (tmp_path / "nameless.zip").write_bytes(nameless)
+    assert "damaged" in refused(tmp_path / "nameless.zip", tmp_path / "6")
     whole = bytearray((tmp_path / "twin.zip").read_bytes())
     whole[31] ^= 1  # the first byte of content
     (tmp_path / "flip.zip").write_bytes(whole.replace(b"\x01\x00A", b"\x01\x00B").replace(b"A", b"C"))
