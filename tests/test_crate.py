@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -440,17 +441,21 @@ def test_addresses_of_a_crate_are_fetched_only_if_the_user_allows_it(
         found = find_inputs(crate, None, lambda done, total, what: shown.append(what))
         assert found[film.place].read_bytes() == b"1,2"
         assert shown == [f"fetching {url}"]
+        here = replace(crate, moved={f"file://{tmp_path}/web/v3.csv": film.place})  # nobody asked for local files
+        with pytest.raises(FrictrackError, match=r"inputs/1/v3\.csv is not in the crate"):
+            find_inputs(here, None, lambda done, total, what: None)
         (tmp_path / "web" / "v3.csv").write_bytes(b"9,9")
         with pytest.raises(FrictrackError, match=r"v3\.csv .* has other bytes than the crate says"):
             find_inputs(crate, None, lambda done, total, what: None)
 
 
-def test_paths_inside_the_study_are_relative_in_a_crate(tmp_path: Path) -> None:
+@pytest.mark.parametrize("protocol", ["", "file://"])
+def test_paths_inside_the_study_are_relative_in_a_crate(tmp_path: Path, protocol: str) -> None:
     folder = tmp_path / "lab"
     write_table(folder / "slow.csv", 1.0, 1)
-    (folder / "study.toml").write_text(f'[study]\nmass = 0.5\n[[run]]\ntable = "{folder / "slow.csv"}"\n')
+    (folder / "study.toml").write_text(f'[study]\nmass = 0.5\n[[run]]\ntable = "{protocol}{folder / "slow.csv"}"\n')
     listed = payload.list_payload(Session(open_study(folder)), include_recordings=False)
-    assert listed.moved == {str(folder / "slow.csv"): "slow.csv"}
+    assert listed.moved == {f"{protocol}{folder / 'slow.csv'}": "slow.csv"}
 
 
 def test_nothing_is_overwritten(crate: Path, study: Path, tmp_path: Path) -> None:

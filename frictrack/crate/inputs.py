@@ -71,7 +71,8 @@ def find_inputs(crate: Crate, recordings: Path | None, progress: Progress | None
     missing: list[str] = []
     changed: list[str] = []
     candidates = _files_by_name(recordings)
-    addresses = {PurePosixPath(place).with_suffix(""): text for text, place in crate.moved.items() if is_address(text)}
+    remote = {text: place for text, place in crate.moved.items() if is_address(text) and not text.startswith("file:")}
+    addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
     for one in (crate.study, *crate.inputs):
         name = PurePosixPath(one.place)
         known = [crate.path(one)] if one.is_included else candidates.get(name.name, [])

@@ -17,7 +17,7 @@ from frictrack.crate.unpacking import safe_place
 from frictrack.errors import FrictrackError
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
-from frictrack.remote import RemoteFile, local_path
+from frictrack.remote import RemoteFile, local_path, locate
 from frictrack.study import Study, read_toml
 
 MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
@@ -194,8 +194,15 @@ class _Places:
         """Return the places by the texts of the study file that name what was moved."""
         raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
         texts = dict.fromkeys(text for text in _texts(raw) if text)
-        found = {text: self._moved.get(text, self._moved.get(_absolute(self._folder / text))) for text in texts}
+        found = {text: self._place(text) for text in texts}
         return {text: place for text, place in found.items() if place not in (None, text)}
+
+    def _place(self, text: str) -> str | None:
+        try:
+            path = locate(text, self._folder)
+        except FrictrackError:  # no text that names a file
+            return None
+        return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
 
 def _texts(value: Any) -> Iterator[str]:
