@@ -6,13 +6,15 @@ This statement takes the place of the hash over every byte.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from http.client import PARTIAL_CONTENT
+from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 import numpy as np
@@ -20,24 +22,23 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.files import write_at
-from frictrack.remote import RemoteFile, cache_folder
+from frictrack.remote import RemoteFile, cache_folder, describe_cause
 
 BLOCK_BYTES = 1 << 14  # that are fetched and kept together
 _MAX_RUN_BLOCKS = 512  # blocks of one request: 8 MB
 _MAX_BATCH_BLOCKS = 4096  # blocks of the requests that are sent at once: 64 MB
+MAX_BATCH_S = 600.0  # for the answers to these requests
 # Key in the description of a file by fsspec -> name of the statement; of the content, then of this version of the file.
 _CHECKSUMS = {"ChecksumSHA256": "sha256", "md5Hash": "md5"}
 _VERSIONS = {"VersionId": "version", "generation": "generation", "ETag": "etag", "etag": "etag"}
 
 
 @dataclass(frozen=True)
-class RangedFile:
+class RangedFile(RemoteFile):
     """One version of a remote file, of which parts can be read.
 
     Attributes
     ----------
-    url
-        The address.
     size
         Bytes.
     identity
@@ -45,27 +46,8 @@ class RangedFile:
 
     """
 
-    url: str
     size: int
     identity: str
-
-    def __str__(self) -> str:
-        return self.url
-
-    @property
-    def name(self) -> str:
-        """The last part of the path: ``v3.cine``."""
-        return RemoteFile(self.url).name
-
-    @property
-    def stem(self) -> str:
-        """The name without its suffix: ``v3``."""
-        return RemoteFile(self.url).stem
-
-    @property
-    def suffix(self) -> str:
-        """The last part of the name: ``.cine``."""
-        return PurePosixPath(self.name).suffix
 
     def open(self, mode: str = "rb") -> BinaryIO:
         """Open the file for reading; see `Path.open`."""
@@ -182,11 +164,9 @@ class RangeReader(io.RawIOBase):
     def _fetch_blocks(self, blocks: NDArray[np.int64]) -> None:
         """Fetch blocks by their rising numbers; they are marked when they are on the disk."""
         runs = list(_runs(blocks))
-        fs, path = self._filesystem
         starts = [first * BLOCK_BYTES for first, _ in runs]
         ends = [min((last + 1) * BLOCK_BYTES, self._source.size) for _, last in runs]
-        found = fs.cat_ranges([path] * len(runs), starts, ends, on_error="raise")
-        for start, end, part in zip(starts, ends, found, strict=True):
+        for start, end, part in zip(starts, ends, self._read_ranges(starts, ends), strict=True):
             if len(part) != end - start:
                 raise OSError(f"expected {end - start} bytes from byte {start} but got {len(part)}")
             write_at(self._kept, start, part)
@@ -195,13 +175,38 @@ class RangeReader(io.RawIOBase):
             write_at(self._kept, self._source.size + first, b"\1" * (last + 1 - first))
         self._there[blocks] = 1
 
+    def _read_ranges(self, starts: list[int], ends: list[int]) -> list[bytes]:
+        fs, path = self._filesystem
+        if not path.startswith("http"):
+            return list(fs.cat_ranges([path] * len(starts), starts, ends, on_error="raise"))
+        from fsspec.asyn import sync  # noqa: PLC0415 - optional
+
+        try:
+            return list(sync(fs.loop, _read_web_ranges, fs, path, starts, ends, timeout=MAX_BATCH_S))
+        except TimeoutError as e:
+            raise OSError(f"expected an answer within {MAX_BATCH_S:g} s but its server has sent none") from e
+
     @cached_property
     def _filesystem(self) -> tuple[Any, str]:
-        return RemoteFile(self._source.url).filesystem()
+        return self._source.filesystem()
 
     def _failed(self, e: Exception) -> FrictrackError:
-        why = " ".join(str(e).split()) or type(e).__name__
-        return FrictrackError(f"{self._source.url} cannot be read: {why}")
+        return FrictrackError(f"{self._source.url} cannot be read: {describe_cause(e)}")
+
+
+async def _read_web_ranges(fs: Any, url: str, starts: list[int], ends: list[int]) -> list[bytes]:
+    """Read parts from a web server; fsspec would read whatever it sends, without end."""
+    session = await fs.set_session()
+
+    async def read(start: int, end: int) -> bytes:
+        headers = {**fs.kwargs.get("headers", {}), "Range": f"bytes={start}-{end - 1}"}
+        async with session.get(fs.encode_url(url), **{**fs.kwargs, "headers": headers}) as answer:
+            answer.raise_for_status()
+            if answer.status != PARTIAL_CONTENT:
+                raise OSError("expected a part of it but its server sends all")
+            return bytes(await answer.content.readexactly(end - start))
+
+    return await asyncio.gather(*map(read, starts, ends))
 
 
 def find_ranges(file: RemoteFile) -> RangedFile | None:

@@ -18,8 +18,9 @@ from uuid import uuid4
 
 from frictrack.errors import DiskFullError, FrictrackError
 from frictrack.version import __version__
-from frictrack.workers import MAX_ATTEMPTS, WorkerPool
+from frictrack.workers import WorkerPool
 
+MAX_ATTEMPTS = 3  # of one task that is lost with the scheduler
 SCHEDULER_TIMEOUT_S = 20.0  # s to wait for the first answer
 RESTART_TIMEOUT_S = 300.0  # s to wait for a scheduler that was lost
 _CLIENT_LOGGERS = ("distributed.batched", "distributed.client")  # their tracebacks of a lost scheduler are no news

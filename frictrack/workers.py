@@ -3,20 +3,25 @@
     with local_workers(workers) as pool:
         future = pool.submit(function, *arguments)  # a concurrent.futures.Future
 
-A process that dies takes only its own task with it, and another process starts that task again. The standard library's
-`ProcessPoolExecutor` cannot do this: one dead process breaks the pool and fails all tasks, so pebble is used here.
+A process that dies takes only its own task with it, and a new process takes its place. The pools of the standard
+library and of pebble cannot do this at every moment: their processes share queues and locks, which a dead process may
+leave locked or half written. Here every process has a connection of its own.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -29,9 +34,12 @@ WORKER_ENVIRONMENT = {  # one thread of linear algebra; no import from the curre
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     "PYTHONSAFEPATH": "1",
 }
-MAX_ATTEMPTS = 3  # of one task whose process dies
+MAX_ATTEMPTS = 2  # of one task whose process dies while it runs
+MAX_STARTS = 20  # of processes for one task, most of which were killed before they had begun it
+EXIT_TIMEOUT_S = 5.0  # for a process that has nothing left to do
 MEMORY_PER_TASK_BYTES = 0.5e9  # until a task has shown how much it needs
 CGROUP = Path("/sys/fs/cgroup")
+Answer = tuple[float, Any, BaseException | None]  # of a process: its peak memory so far, bytes; result or error
 
 
 class WorkerPool(Protocol):
@@ -61,21 +69,15 @@ def local_workers(workers: int | None = None) -> Iterator[WorkerPool]:
         The pool. It is closed when the block ends, and its processes are stopped when the block raises.
 
     """
-    from pebble import ProcessPool  # noqa: PLC0415 - only needed for several processes
-
-    workers = workers or processors()
     with _worker_environment():
-        pool = ProcessPool(
-            workers, context=get_context("spawn"), initializer=_exit_with_parent, initargs=(os.getpid(),)
-        )
+        pool = _LocalPool(workers or processors())
         try:
-            yield _LocalPool(pool, workers)
-            pool.close()
+            yield pool
         except BaseException:
             pool.stop()
             raise
         finally:
-            pool.join()
+            pool.close()
 
 
 def run_parallel(work: Mapping[str, Callable[[], Any]], workers: int | None = None) -> Iterator[tuple[str, Any]]:
@@ -169,46 +171,131 @@ def free_memory(group: Path = CGROUP) -> float:
 
 
 class _LocalPool:
-    """Processes of this machine. A task waits until there is memory for it."""
+    """Processes of this machine, each served by one thread. A task waits until there is memory for it."""
 
-    def __init__(self, pool: Any, workers: int) -> None:
-        self._pool = pool
+    def __init__(self, workers: int) -> None:
         self._workers = workers
         self._need = MEMORY_PER_TASK_BYTES
+        self._threads = ThreadPoolExecutor(workers)
+        self._own = threading.local()  # the process of a thread
+        self._processes: list[_Process] = []
+        self._lock = threading.Lock()
+        self._is_stopped = False
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        found: Future[Any] = Future()
-        self._begin(found, MAX_ATTEMPTS, function, arguments)
-        return found
+        return self._threads.submit(self._run, function, arguments)
 
     def capacity(self) -> int:
         return min(self._workers, max_parallel(free_memory(), _memory_of_children(), self._need))
 
-    def _begin(self, found: Future[Any], tries: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-        def ended(future: Any) -> None:
-            if future.cancelled():
-                found.cancel()
-                return
-            died = future.exception()
-            if died is None:
-                took, value = future.result()
-                self._need = max(self._need, took)
-                found.set_result(value)
-            elif isinstance(died, OSError) and hasattr(died, "exitcode"):  # pebble's ProcessExpired
-                if tries > 1:
-                    self._begin(found, tries - 1, function, arguments)
-                else:
-                    found.set_exception(FrictrackError(_describe_exit(died.exitcode)))
-            else:
-                found.set_exception(died)
+    def stop(self) -> None:
+        """End all processes; what was submitted is cancelled."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        with self._lock:
+            self._is_stopped = True
+            for process in self._processes:
+                process.kill()
 
-        self._pool.schedule(_with_peak_memory, args=(function, arguments)).add_done_callback(ended)
+    def close(self) -> None:
+        """Wait for what was submitted, and end the processes."""
+        self._threads.shutdown()
+        for process in self._processes:
+            process.close()
+
+    def _run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """Run a task in the process of this thread; in a new one if that dies."""
+        attempts = starts = 0
+        while attempts < MAX_ATTEMPTS and starts < MAX_STARTS:
+            process = self._process()
+            try:
+                took, value, error = process.run(function, arguments)
+            except EOFError:
+                self._own.process, code = None, process.close()
+                attempts += process.has_begun or code >= 0  # an exception while it starts will come again
+                starts += 1
+                with self._lock:
+                    self._processes.remove(process)
+                continue
+            if error is not None:
+                raise error
+            self._need = max(self._need, took)
+            return value
+        raise FrictrackError(_describe_exit(code, starts))
+
+    def _process(self) -> _Process:
+        """Return the process of this thread; it is started if there is none."""
+        if getattr(self._own, "process", None) is None:
+            with self._lock:
+                if self._is_stopped:
+                    raise FrictrackError("its task was cancelled, as happens when workers are shut down; run it again")
+                try:
+                    self._own.process = _Process()
+                except OSError as e:
+                    raise FrictrackError(f"cannot start a process: {e.strerror or e}; try fewer --workers") from e
+                self._processes.append(self._own.process)
+        found: _Process = self._own.process
+        return found
 
 
-def _with_peak_memory(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[float, Any]:
-    """Run a task; return the peak memory of its process so far, bytes, and the result."""
-    value = function(*arguments)
-    return float(_peak_memory()), value
+class _Process:
+    """A process that runs tasks one after the other; `has_begun` tells whether it had begun the last one."""
+
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self.has_begun = False
+        self._connection, theirs = context.Pipe()
+        with theirs:  # when the process dies, nobody holds its end, and we read that it has ended
+            self._process = context.Process(target=_serve, args=(theirs, os.getpid()))
+            self._process.start()
+
+    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Answer:
+        """Run a task; raise EOFError if the process dies."""
+        self.has_begun = False
+        try:
+            self._connection.send((function, arguments))
+            while (answer := self._connection.recv()) is None:
+                self.has_begun = True
+        except OSError as e:
+            raise EOFError from e
+        found: Answer = answer
+        return found
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def close(self) -> int:
+        """End the process when it is idle; return its exit code."""
+        self._connection.close()
+        self._process.join(EXIT_TIMEOUT_S)
+        self._process.kill()
+        self._process.join()
+        return self._process.exitcode or 0
+
+
+def _serve(connection: Connection, parent: int) -> None:
+    """Run the tasks that come through a connection, until it is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C: our parent ends us
+    _exit_with_parent(parent)
+    with suppress(EOFError, OSError):
+        while True:
+            answer = _answer(connection)
+            try:
+                message = ForkingPickler.dumps(answer)
+            except Exception as e:  # noqa: BLE001 - pickle may raise anything
+                message = ForkingPickler.dumps((0.0, None, TypeError(f"the result of a task cannot be sent: {e}")))
+            connection.send_bytes(message)
+
+
+def _answer(connection: Connection) -> Answer:
+    """Receive a task, say that it has begun, run it; return the peak memory, and its result or error."""
+    data = connection.recv_bytes()
+    try:
+        function, arguments = pickle.loads(data)
+        connection.send(None)
+        value = function(*arguments)
+        return float(_peak_memory()), value, None
+    except BaseException as e:  # noqa: BLE001 - a task may raise anything
+        return 0.0, None, e
 
 
 def _peak_memory() -> float:
@@ -231,11 +318,11 @@ def _memory_of_children() -> float:
     return total
 
 
-def _describe_exit(code: int) -> str:
-    """Describe how a process died."""
+def _describe_exit(code: int, times: int) -> str:
+    """Describe how the processes of a task died."""
     how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
     hint = "; was memory short? try fewer --workers" if code == -9 else ""
-    return f"the process that worked on it {how}, {MAX_ATTEMPTS} times{hint}"
+    return f"the process that worked on it {how}, {times} times{hint}"
 
 
 def _exit_with_parent(parent: int) -> None:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import random
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
+import psutil
+
+if TYPE_CHECKING:
+    from frictrack.batch.tasks import StudyOutcome
 
 MASS = 0.5
 
@@ -51,3 +61,57 @@ def contents(path: Path) -> dict[str, Any]:
 def results(folder: Path) -> dict[str, Any]:
     """All that the studies below a folder have come to."""
     return {str(path.relative_to(folder)): contents(path) for path in sorted(folder.rglob("[!.]*.h5"))}
+
+
+def die_once(mark: str) -> str:
+    """End this process, unless it did so before."""
+    if not Path(mark).exists():
+        Path(mark).touch()
+        signal.raise_signal(signal.SIGKILL)
+    return "done"
+
+
+def short_study(path: Path, seed: int) -> StudyOutcome:
+    """Stand in for `begin_study`."""
+    from frictrack.batch.tasks import StudyOutcome  # noqa: PLC0415 - few tests need it
+
+    time.sleep(0.02)
+    with path.with_name("ended").open("a") as file:
+        file.write("x")
+    return StudyOutcome(
+        str(path), {"verdict": "complete", "missing": [], "runs": 1, "reason": None}, [{"run": "r0"}], seed=seed
+    )
+
+
+@contextmanager
+def killed_workers(moments: list[float]) -> Iterator[list[int]]:
+    """Kill a process of this one at every moment, s after the begin of the block; yield the process ids of the dead."""
+    ended, dead = threading.Event(), []
+
+    def kill() -> None:
+        began = time.monotonic()
+        for moment in moments:
+            ended.wait(max(0.0, began + moment - time.monotonic()))
+            while not ended.is_set():
+                if workers := [one for one in psutil.Process().children() if _is_worker(one) and one.pid not in dead]:
+                    chosen = random.choice(workers)
+                    with suppress(psutil.Error):
+                        chosen.kill()
+                    dead.append(chosen.pid)
+                    break
+                time.sleep(0.0005)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        yield dead
+    finally:
+        ended.set()
+        killer.join()
+
+
+def _is_worker(process: psutil.Process) -> bool:
+    try:
+        return any("spawn_main" in part for part in process.cmdline())
+    except psutil.Error:  # it has ended
+        return False

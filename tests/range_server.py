@@ -80,7 +80,7 @@ def _md5(path: Path, changed: int) -> str:
 def serving(folder: Path, *, etags: bool = True) -> Iterator[RangeServer]:
     """Serve a folder while the block runs."""
     server = RangeServer(folder, etags=etags)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
     try:
         yield server
     finally:

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet
 import pytest
-from campaigns import campaign, results, slide
+from campaigns import campaign, die_once, killed_workers, results, short_study, slide
 from rich.console import Console
 from scipy import stats
 
@@ -29,7 +30,7 @@ from frictrack.batch.scheduler import Scheduler
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends, fit_slope
 from frictrack.cli.batch_progress import progress_table
-from frictrack.errors import FrictrackError
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow import Session
 
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
@@ -299,33 +300,66 @@ def test_a_force_that_drifts_over_a_campaign_is_found() -> None:
 # --- who does it
 
 
-def _die_once(mark: str) -> str:
-    if not Path(mark).exists():
-        Path(mark).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return "done"
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_process_that_dies_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
+    with workers.local_workers(2) as ours:
+        once = ours.submit(die_once, str(tmp_path / "mark"))
+        always, failing, fine = (
+            ours.submit(signal.raise_signal, signal.SIGKILL),
+            ours.submit(raise_faults, ["expected light"], "a"),
+            ours.submit(os.path.basename, "a/b"),
+        )
+        assert once.result(60) == "done"
+        assert fine.result(60) == "b"
+        with pytest.raises(FrictrackError, match="ended by signal 9, 2 times; was memory short"):
+            always.result(60)
+        with pytest.raises(FrictrackError, match="expected light"):
+            failing.result(60)
+        with pytest.raises(TypeError, match="result of a task cannot be sent"):
+            ours.submit(threading.Lock).result(60)
 
 
-def _die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_processes_that_die_before_they_have_begun_a_task() -> None:
+    with killed_workers([0.0, 0.0, 0.05, 0.1]) as dead, workers.local_workers(2) as ours:
+        found = [ours.submit(os.path.basename, f"a/{i}") for i in range(20)]
+        assert [one.result(60) for one in found] == [str(i) for i in range(20)]
+    assert len(dead) >= 3
 
 
-def _fail() -> None:
-    raise FrictrackError("expected light but got none")
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process")
+def test_processes_that_cannot_start() -> None:
+    import resource  # noqa: PLC0415 - not on Windows
+
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with workers.local_workers(1) as ours:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1, before[1]))
+        try:
+            error = ours.submit(os.path.basename, "a/b").exception(60)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert str(error) == "cannot start a process: Too many open files; try fewer --workers"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_a_process_that_dies_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
-    with workers.local_workers(2) as ours:
-        once = ours.submit(_die_once, str(tmp_path / "mark"))
-        always, failing, fine = ours.submit(_die), ours.submit(_fail), ours.submit(os.path.basename, "a/b")
-        assert once.result(60) == "done"
-        assert fine.result(60) == "b"
-        with pytest.raises(FrictrackError, match="ended by signal 9, 3 times; was memory short"):
-            always.result(60)
-        with pytest.raises(FrictrackError, match="expected light"):
-            failing.result(60)
+def test_workers_of_a_batch_killed_at_100_moments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("frictrack.batch.scheduler.begin_study", short_study)
+    moments = np.random.default_rng(0).permutation(np.linspace(0.001, 2.0, 100))
+    kills = 0
+    for i, moment in enumerate(moments):
+        folder = campaign(tmp_path / str(i), 8)
+        with killed_workers([moment]) as dead:
+            found = batch([str(folder)], folder / "all", workers=2)
+        kills += len(dead)
+        assert not found["failed"]
+        lines = (folder / ".frictrack" / "all.jsonl").read_text().splitlines()
+        written = [json.loads(line)["study"] for line in lines]
+        assert sorted(written) == sorted(str(path) for path in folder.rglob("study.toml"))
+        counts = [len(path.read_text()) for path in folder.rglob("ended")]
+        assert len(counts) == 8
+        assert sum(counts) <= 8 + len(dead)  # only the task of the dead process, if it had just ended
+    assert kills > 50
 
 
 def test_as_many_as_the_memory_takes(tmp_path: Path) -> None:

@@ -129,6 +129,7 @@ def test_without_such_a_statement_the_whole_film_is_fetched(server: RangeServer)
     ],
 )
 def test_the_strongest_statement_is_taken(monkeypatch: pytest.MonkeyPatch, says: dict[str, Any], identity: str) -> None:
+    monkeypatch.setattr(remote, "PROTOCOLS", ("memory",))
     held = fsspec.filesystem("memory")
     monkeypatch.setattr(type(held), "info", lambda self, path, **more: {"size": 4, "type": "file"} | says)
     found = find_ranges(RemoteFile("memory://lab/v3.cine"))
@@ -139,7 +140,7 @@ def test_a_part_that_breaks_off_is_no_part(server: RangeServer) -> None:
     path = write_cine(server.folder, noise(8), 8)
     film = ft.open_recording(RemoteFile(server.url(path.name)))
     server.cut_short = True
-    with pytest.raises(FrictrackError, match=r"film.cine cannot be read: .*but got|not enough data"):
+    with pytest.raises(FrictrackError, match="cannot be read: 74483 bytes read on a total of 74484"):
         film.frame(5)
     server.cut_short = False
     np.testing.assert_array_equal(film.frame(5), noise(8)[5])

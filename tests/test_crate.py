@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import os
@@ -10,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,16 @@ import pytest
 import tifffile
 from camera_films import write_photron
 from conftest import STUDY, slide
+from range_server import serving
 
 from frictrack import effects, store
 from frictrack.cli import main
+from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.crate import CrateOptions, payload, reproduce_crate, write_crate
 from frictrack.crate.authorship import read_authorship
 from frictrack.crate.comparison import compare_files, tolerance_of
-from frictrack.crate.reading import read_crate
+from frictrack.crate.inputs import find_inputs
+from frictrack.crate.reading import Crate, CrateFile, read_crate
 from frictrack.crate.unit_codes import UNIT_CODES
 from frictrack.crate.unpacking import safe_place, unpack
 from frictrack.errors import FrictrackError
@@ -345,6 +350,11 @@ def test_bombs_links_and_twins_are_refused(tmp_path: Path, monkeypatch: pytest.M
     assert "two of one name" in refused(tmp_path / "twin.zip", tmp_path / "3")
     (tmp_path / "text.zip").write_text("no zip")
     assert "damaged or is not a zip file" in refused(tmp_path / "text.zip", tmp_path / "4")
+    nameless = bytearray((tmp_path / "bomb.zip").read_bytes())
+    at = nameless.index(b"PK\1\2")
+    nameless[at + 28 : at + 32] = b"\0\0\5\0"  # the five letters of the name as other data
+    (tmp_path / "nameless.zip").write_bytes(nameless)
+    assert "damaged" in refused(tmp_path / "nameless.zip", tmp_path / "6")
     whole = bytearray((tmp_path / "twin.zip").read_bytes())
     whole[31] ^= 1  # the first byte of content
     (tmp_path / "flip.zip").write_bytes(whole.replace(b"\x01\x00A", b"\x01\x00B").replace(b"A", b"C"))
@@ -363,6 +373,91 @@ def test_metadata_that_lead_out_or_are_of_others_are_refused(folder: Path, tmp_p
     assert "cannot be read" in refused(folder, tmp_path / "3")
     path.unlink()
     assert refused(folder, tmp_path / "4").startswith("expected an RO-Crate but")
+
+
+def rewrite_study(folder: Path, old: str, new: str) -> None:
+    """Change the study file of a crate, and its description with it, as somebody who means harm would."""
+    raw = metadata(folder)
+    path = folder / "study.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    (entity,) = [one for one in raw["@graph"] if one["@id"] == "study.toml"]
+    entity |= {"contentSize": str(path.stat().st_size), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    (folder / "ro-crate-metadata.json").write_text(json.dumps(raw))
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        'table = "{outside}"',
+        'table = "../slow.csv"',
+        'table = "unlisted.csv"',
+        'table = "file://{outside}"',
+        'table = "ftp://127.0.0.1/slow.csv"',
+        'table = "http://127.0.0.1/slow.csv"',
+        'table = "tables/slow.csv"\nsensor = "{outside}"',
+        'table = "tables/slow.csv"\ndrive = {{table = "{outside}"}}',
+        'table = "tables/slow.csv"\nlens = "{outside}"',
+        'table = "tables/slow.csv"\nscale = {{board = ["{outside}"], squares = [3, 4], square = "1 mm"}}',
+    ],
+)
+def test_a_crate_names_only_what_it_lists(folder: Path, tmp_path: Path, named: str) -> None:
+    outside = tmp_path / "slow.csv"
+    shutil.copy(folder / "tables" / "slow.csv", outside)
+    shutil.copy(outside, folder / "unlisted.csv")
+    rewrite_study(folder, 'table = "tables/slow.csv"', named.format(outside=outside))
+    said = refused(folder, tmp_path / "out", allow_addresses=True)
+    assert "expected a file that the crate lists, in its own folder, but got" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("place", ["tables/slow.csv", "study.toml", "ro-crate-metadata.json"])
+def test_links_out_of_a_crate_are_not_followed(folder: Path, tmp_path: Path, place: str) -> None:
+    outside = tmp_path / "outside"
+    (folder / place).rename(outside)
+    (folder / place).symlink_to(outside)
+    assert refused(folder, tmp_path / "out").startswith(f"expected {place} inside {folder} but it is a link out of it")
+
+
+def test_addresses_of_a_crate_are_fetched_only_if_the_user_allows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    for name in ("crate", "web"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "crate" / "study.toml").write_bytes(b"[study]")
+    (tmp_path / "web" / "v3.csv").write_bytes(b"1,2")
+
+    def described(place: str, content: bytes, *, is_included: bool) -> CrateFile:
+        return CrateFile(place, len(content), hashlib.sha256(content).hexdigest(), is_included)
+
+    with serving(tmp_path / "web") as server:
+        url = server.url("v3.csv")
+        film = described("inputs/1/v3.csv", b"1,2", is_included=False)
+        study = described("study.toml", b"[study]", is_included=True)
+        crate = Crate(tmp_path / "crate", study, (film,), (), {url: film.place}, {})
+        with pytest.raises(FrictrackError, match=f"give --recordings .*, or --allow-addresses to fetch {url}"):
+            find_inputs(crate, None, None)
+        assert server.requests == 0
+        shown: list[str] = []
+        found = find_inputs(crate, None, lambda done, total, what: shown.append(what))
+        assert found[film.place].read_bytes() == b"1,2"
+        assert shown == [f"fetching {url}"]
+        here = replace(crate, moved={f"file://{tmp_path}/web/v3.csv": film.place})  # nobody asked for local files
+        with pytest.raises(FrictrackError, match=r"inputs/1/v3\.csv is not in the crate"):
+            find_inputs(here, None, lambda done, total, what: None)
+        (tmp_path / "web" / "v3.csv").write_bytes(b"9,9")
+        with pytest.raises(FrictrackError, match=r"v3\.csv .* has other bytes than the crate says"):
+            find_inputs(crate, None, lambda done, total, what: None)
+
+
+@pytest.mark.parametrize("protocol", ["", "file://"])
+def test_paths_inside_the_study_are_relative_in_a_crate(tmp_path: Path, protocol: str) -> None:
+    folder = tmp_path / "lab"
+    write_table(folder / "slow.csv", 1.0, 1)
+    (folder / "study.toml").write_text(f'[study]\nmass = 0.5\n[[run]]\ntable = "{protocol}{folder / "slow.csv"}"\n')
+    listed = payload.list_payload(Session(open_study(folder)), include_recordings=False)
+    assert listed.moved == {f"{protocol}{folder / 'slow.csv'}": "slow.csv"}
 
 
 def test_nothing_is_overwritten(crate: Path, study: Path, tmp_path: Path) -> None:

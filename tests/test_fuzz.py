@@ -21,7 +21,7 @@ FUZZ = Path(__file__).resolve().parents[1] / "pipelines" / "fuzz"
 CONTAINERS = ("avi", "mp4", "mkv")  # FFmpeg has a minute of its own in test_recording_damaged
 GROUPS = {
     "recordings": ("tiff", "cine", "cih", "cihx", "folder", *CONTAINERS),
-    "texts": ("study", "scene", "formula", "unit", "scale", "lens", "log"),
+    "texts": ("study", "address", "crate", "described", "scene", "formula", "unit", "scale", "lens", "log"),
     "tables": ("table", "sheet", "workbook", "sensor", "store"),
 }
 PIECES = (

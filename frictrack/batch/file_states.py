@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from stat import S_ISDIR
 
+from frictrack.errors import FrictrackError
 from frictrack.flow import run_pipeline
-from frictrack.remote import RemoteFile, is_remote
+from frictrack.remote import RemoteFile, locate
 from frictrack.study import Study
 
 FileStates = dict[str, list[int]]  # path -> size, time of change in ns
@@ -29,12 +31,10 @@ def file_states(study: Study) -> FileStates:
 
 
 def are_unchanged(files: FileStates) -> bool:
-    """Return whether all files have the recorded states; False for no files."""
-    return bool(files) and all(_state(_file(path)) == state for path, state in files.items())
-
-
-def _file(text: str) -> Path | RemoteFile:
-    return RemoteFile(text) if is_remote(text) else Path(text)
+    """Return whether all files have the recorded states; False for no files, or an address that is not allowed."""
+    with suppress(FrictrackError):
+        return bool(files) and all(_state(locate(path)) == state for path, state in files.items())
+    return False
 
 
 def _state(path: Path | RemoteFile) -> list[int]:

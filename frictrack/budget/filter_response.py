@@ -11,8 +11,6 @@ from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencils
 from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
 from frictrack.records import Array, Filtered, Motion
 
-CHUNK_COLUMNS = 256  # columns at once
-
 
 @dataclass(frozen=True)
 class AccelerationError:

@@ -181,13 +181,17 @@ def _documentation() -> Path:
 
 
 @command()
-def reproduce(
+def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     crate: Annotated[
         Path | None, typer.Argument(metavar="CRATE", help="crate of a study, from `frictrack export --to crate`")
     ] = None,
     recordings: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="where the recordings are that the crate does not contain")
     ] = None,
+    allow_addresses: Annotated[
+        bool,
+        typer.Option("--allow-addresses", help="of a crate: fetch missing recordings from where its author had them"),
+    ] = False,
     quick: Annotated[
         bool, typer.Option("--quick", help="papers: use few seeds, a test run without statistics")
     ] = False,
@@ -207,10 +211,11 @@ def reproduce(
     if crate is not None:
         if quick or seed:
             raise FrictrackError("expected no --quick and no --seed with a crate, which has its own seeds", usage=True)
-        _reproduce_crate(crate, out, recordings, as_json)
+        _reproduce_crate(crate, out, recordings, as_json, allow_addresses=allow_addresses)
         return
-    if recordings is not None:
-        raise FrictrackError("expected a crate together with --recordings", usage=True)
+    if recordings is not None or allow_addresses:
+        option = "--allow-addresses" if recordings is None else "--recordings"
+        raise FrictrackError(f"expected a crate together with {option}", usage=True)
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.reproduce import reproduce as make  # noqa: PLC0415
 
@@ -219,13 +224,13 @@ def reproduce(
     print_result(result, as_json, "reproduce", result["page"])
 
 
-def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool) -> None:
+def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool, *, allow_addresses: bool) -> None:
     """Compute the results of a crate again and compare them."""
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.crate import reproduce_crate  # noqa: PLC0415
 
     with progress_bars() as progress:
-        result = reproduce_crate(crate, out, recordings, progress)
+        result = reproduce_crate(crate, out, recordings, progress, allow_addresses=allow_addresses)
     print_result(result, as_json, "reproduced_crate", result["output"])
     if not result["equal"]:
         n = sum(group["n_differences"] for group in result["groups"])

@@ -13,11 +13,13 @@ from tomlkit.exceptions import TOMLKitError
 
 from frictrack.crate.reading import Crate, has_same_bytes
 from frictrack.errors import FrictrackError
+from frictrack.flow import Progress
+from frictrack.remote import is_address, local_path, locate
 
 MAX_LISTED = 5  # files that a message names
 
 
-def set_up_study(crate: Crate, folder: Path, recordings: Path | None) -> Path:
+def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
     """Make a copy of the study in an empty folder; return its study file.
 
     Parameters
@@ -26,8 +28,38 @@ def set_up_study(crate: Crate, folder: Path, recordings: Path | None) -> Path:
         The crate.
     folder
         The new folder.
+    inputs
+        The files by their places in it, from `find_inputs`.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be written.
+
+    """
+    study = folder / crate.study.place
+    try:
+        study.parent.mkdir(parents=True, exist_ok=True)
+        for place, source in inputs.items():
+            _link(source, folder / place)
+        text = crate.path(crate.study).read_bytes()
+        study.write_bytes(_with_places(text, crate.moved) if crate.moved else text)
+    except OSError as e:
+        raise FrictrackError(f"cannot copy the study into {folder}: {e.strerror or e}") from e
+    return study
+
+
+def find_inputs(crate: Crate, recordings: Path | None, progress: Progress | None) -> dict[str, Path]:
+    """Return the inputs on this machine by their places; every one has the bytes that the crate says.
+
+    Parameters
+    ----------
+    crate
+        The crate.
     recordings
         Folder with the recordings that the crate does not contain; it is searched with all folders inside.
+    progress
+        Shows the addresses from which missing recordings are then fetched; None: they are not fetched.
 
     Raises
     ------
@@ -35,27 +67,18 @@ def set_up_study(crate: Crate, folder: Path, recordings: Path | None) -> Path:
         If an input is missing or has other bytes than when the results were computed.
 
     """
-    found = _find_inputs(crate, recordings)
-    study = folder / crate.study.place
-    try:
-        study.parent.mkdir(parents=True, exist_ok=True)
-        for place, source in found.items():
-            _link(source, folder / place)
-        text = (crate.folder / crate.study.place).read_bytes()
-        study.write_bytes(_with_places(text, crate.moved) if crate.moved else text)
-    except OSError as e:
-        raise FrictrackError(f"cannot copy the study into {folder}: {e.strerror or e}") from e
-    return study
-
-
-def _find_inputs(crate: Crate, recordings: Path | None) -> dict[str, Path]:
-    """Return the files on this machine by their places; every one has the right bytes."""
     found: dict[str, Path] = {}
     missing: list[str] = []
     changed: list[str] = []
     candidates = _files_by_name(recordings)
+    remote = {text: place for text, place in crate.moved.items() if is_address(text) and not text.startswith("file:")}
+    addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
     for one in (crate.study, *crate.inputs):
-        known = [crate.folder / one.place] if one.is_included else candidates.get(PurePosixPath(one.place).name, [])
+        name = PurePosixPath(one.place)
+        known = [crate.path(one)] if one.is_included else candidates.get(name.name, [])
+        if progress is not None and not known and (address := addresses.get(name.with_suffix(""))):
+            progress(0, 0, f"fetching {address}")
+            known = [local_path(locate(address)).with_name(name.name)]
         there = [path for path in known if path.is_file()]
         same = next((path for path in there if has_same_bytes(path, one)), None)
         if same is not None:
@@ -72,6 +95,8 @@ def _find_inputs(crate: Crate, recordings: Path | None) -> dict[str, Path]:
         faults.append(f"{_listed(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says")
     if faults:
         advice = "give --recordings FOLDER with the original recordings"
+        if addresses and progress is None:
+            advice += f", or --allow-addresses to fetch {_listed([*addresses.values()])}"
         raise FrictrackError(f"expected the inputs of the study but {' and '.join(faults)}; {advice}")
     found.pop(crate.study.place)
     return found

@@ -17,7 +17,7 @@ from frictrack.crate.unpacking import safe_place
 from frictrack.errors import FrictrackError
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
-from frictrack.remote import RemoteFile, local_path
+from frictrack.remote import RemoteFile, local_path, locate
 from frictrack.study import Study, read_toml
 
 MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
@@ -170,16 +170,16 @@ class _Places:
         output = _absolute(study.output)
         inside = output.is_relative_to(self._folder) and output != self._folder
         self.results = output.relative_to(self._folder).as_posix() if inside else RESULTS
-        if not inside:
-            self._moved[output] = RESULTS
+        self._moved[output] = self.results
 
     def of(self, path: Path | RemoteFile) -> str:
         """Return the place of a file or folder that the study file names."""
         local = _absolute(local_path(path))
         if not isinstance(path, RemoteFile) and local.is_relative_to(self._folder):
-            return local.relative_to(self._folder).as_posix()
-        folder = self._outside.setdefault(local.parent, f"{OUTSIDE}/{len(self._outside) + 1}")
-        place = f"{folder}/{local.name}"
+            place = local.relative_to(self._folder).as_posix()
+        else:
+            folder = self._outside.setdefault(local.parent, f"{OUTSIDE}/{len(self._outside) + 1}")
+            place = f"{folder}/{local.name}"
         self._moved[path.url if isinstance(path, RemoteFile) else local] = place
         return place
 
@@ -194,8 +194,15 @@ class _Places:
         """Return the places by the texts of the study file that name what was moved."""
         raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
         texts = dict.fromkeys(text for text in _texts(raw) if text)
-        found = {text: self._moved.get(text, self._moved.get(_absolute(self._folder / text))) for text in texts}
-        return {text: place for text, place in found.items() if place is not None}
+        found = {text: self._place(text) for text in texts}
+        return {text: place for text, place in found.items() if place not in (None, text)}
+
+    def _place(self, text: str) -> str | None:
+        try:
+            path = locate(text, self._folder)
+        except FrictrackError:  # no text that names a file
+            return None
+        return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
 
 def _texts(value: Any) -> Iterator[str]:

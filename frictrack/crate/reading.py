@@ -66,6 +66,17 @@ class Crate:
     moved: dict[str, str]
     versions: dict[str, str]
 
+    def path(self, file: CrateFile) -> Path:
+        """Return the path of a file in the crate, which need not exist.
+
+        Raises
+        ------
+        FrictrackError
+            If a link there leads out of the crate.
+
+        """
+        return _inside(self.folder, file.place)
+
 
 def read_crate(folder: Path) -> Crate:
     """Read the description of an unpacked crate.
@@ -81,7 +92,7 @@ def read_crate(folder: Path) -> Crate:
         If the folder is no crate, another program wrote it, or it describes files outside the folder.
 
     """
-    path = folder / METADATA
+    path = _inside(folder, METADATA)
     try:
         if path.stat().st_size > MAX_METADATA_BYTES:
             raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
@@ -122,6 +133,16 @@ def has_same_bytes(path: Path, described: CrateFile) -> bool:
         return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
     except OSError as e:
         raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
+
+
+def _inside(folder: Path, place: str) -> Path:
+    path = folder / place
+    try:
+        if path.resolve().is_relative_to(folder.resolve()):
+            return path
+    except (OSError, RuntimeError):  # links in a circle
+        pass
+    raise FrictrackError(f"expected {place} inside {folder} but it is a link out of it; do not trust this crate")
 
 
 def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from frictrack.crate.comparison import APPROXIMATE, RELATIVE_TOLERANCE, GroupComparison, compare_files
-from frictrack.crate.inputs import set_up_study
+from frictrack.crate.inputs import find_inputs, set_up_study
 from frictrack.crate.platform_versions import FRICTRACK, platform_versions
 from frictrack.crate.reading import Crate, has_same_bytes, read_crate
 from frictrack.crate.unpacking import unpack
@@ -24,13 +24,19 @@ from frictrack.flow import (
     repeat_models,
     stored_values,
 )
+from frictrack.remote import only_listed
 
 STUDY_FILE = "study.h5"
 UNPACKED, AGAIN = "crate", "study"  # folders in that of the output
 
 
 def reproduce_crate(
-    path: Path, out: Path, recordings: Path | None = None, progress: Progress = no_progress
+    path: Path,
+    out: Path,
+    recordings: Path | None = None,
+    progress: Progress = no_progress,
+    *,
+    allow_addresses: bool = False,
 ) -> dict[str, Any]:
     """Compute the results of a crate again in a new folder, with its settings and seeds, and compare every number.
 
@@ -44,6 +50,9 @@ def reproduce_crate(
         Folder with the recordings that the crate does not contain.
     progress
         Called as ``progress(done, total, what)``.
+    allow_addresses
+        Fetch recordings that are neither in the crate nor in `recordings` from where the author had them. `progress`
+        shows every address before it is opened.
 
     Returns
     -------
@@ -53,22 +62,27 @@ def reproduce_crate(
     Raises
     ------
     FrictrackError
-        If the crate cannot be read, an input is missing or has other bytes, or the study cannot be computed.
+        If the crate cannot be read, an input is missing or has other bytes, the study file names a file that the crate
+        does not list, or the study cannot be computed.
 
     """
     _check_paths(path, out)
     began = time.monotonic()
     try:
-        crate, file = _set_up(path, out, recordings, progress)
+        crate = _unpacked(path, out, progress)
+        progress(0, 0, "checking the inputs")
+        known = find_inputs(crate, recordings, progress if allow_addresses else None)
+        with only_listed(known):
+            study = open_study(set_up_study(crate, _made(out / AGAIN), known))
     except FrictrackError:
         shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
         raise
     versions = compare_versions(crate.versions, platform_versions())
     for one in versions:
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
-    study = open_study(file)
     stored = _stored_files(crate)
-    repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
+    with only_listed(known):
+        repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
     computed = {file.name: stored_values(file) for file in sorted(study.output.glob("*.h5"))}
     groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
@@ -79,16 +93,13 @@ def reproduce_crate(
     }
 
 
-def _set_up(path: Path, out: Path, recordings: Path | None, progress: Progress) -> tuple[Crate, Path]:
-    """Unpack a crate and set up its study; return the description of the crate, and the study file."""
+def _unpacked(path: Path, out: Path, progress: Progress) -> Crate:
     folder = path
     if not path.is_dir():
         progress(0, 0, f"unpacking {path.name}")
         folder = out / UNPACKED
         unpack(path, _made(folder))
-    crate = read_crate(folder)
-    progress(0, 0, "checking the inputs")
-    return crate, set_up_study(crate, _made(out / AGAIN), recordings)
+    return read_crate(folder)
 
 
 def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> list[dict[str, str]]:
@@ -122,7 +133,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
         "numbers": sum(row["numbers"] for row in rows),
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
-        "altered": [one.place for one in crate.results if not has_same_bytes(crate.folder / one.place, one)],
+        "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
         "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
         "approximate": [
             {"names": one.pattern.pattern, "tolerance": one.tolerance, "reason": one.reason} for one in APPROXIMATE
@@ -132,8 +143,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
 
 def _stored_files(crate: Crate) -> dict[str, Path]:
     """Return the HDF5 files of the crate by name."""
-    places = [PurePosixPath(one.place) for one in crate.results if one.place.endswith(".h5")]
-    found = {place.name: crate.folder / place for place in places}
+    found = {PurePosixPath(one.place).name: crate.path(one) for one in crate.results if one.place.endswith(".h5")}
     if STUDY_FILE not in found:
         raise FrictrackError(f"expected {STUDY_FILE} among the results of the crate but it lists none; export it again")
     return found

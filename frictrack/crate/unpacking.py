@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import stat
+import struct
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -70,7 +71,7 @@ def unpack(crate: Path, folder: Path) -> None:
                 _copy(file, info, folder / safe_place(info.filename))
     except FrictrackError:
         raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as e:
+    except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, LookupError, RuntimeError, ValueError) as e:
         raise FrictrackError(f"{crate} is damaged or is not a zip file ({e}); fetch it again") from e
     except OSError as e:
         raise FrictrackError(f"cannot unpack {crate} into {folder}: {e.strerror or e}") from e

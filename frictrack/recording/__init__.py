@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from frictrack.byte_ranges import find_ranges
 from frictrack.errors import FrictrackError
@@ -82,8 +82,7 @@ def open_recording(path: str | Path | RemoteFile, fps: float | None = None) -> R
 
 def _open_remote(file: RemoteFile, fps: float | None) -> Recording:
     """Open a remote recording in parts where its format and its store allow it, else fetch it."""
-    suffix = PurePosixPath(file.name).suffix.lower()
-    kind = next((kind for kind in FORMATS if kind.reads_ranges and suffix in kind.suffixes), None)
+    kind = next((kind for kind in FORMATS if kind.reads_ranges and file.suffix.lower() in kind.suffixes), None)
     if kind is not None and (found := find_ranges(file)) is not None:
         trim_cache()
         return kind(found, fps)

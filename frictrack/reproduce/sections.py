@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 Progress = Callable[[int, int, str], None]
 Cell = str | float | None
 HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot be decided"
-NOT_SPECIFIED = "not specified by the paper"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from frictrack.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, has_units
-    from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
+    from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         TableData,
@@ -60,7 +60,6 @@ _MODULE_OF = {
     "parse": "loading",
     "propose_columns": "reading_tables",
     "read_frame_rate": "schema",
-    "read_key": "editing",
     "read_frame": "reading_tables",
     "read_run_table": "reading_tables",
     "read_sensor_table": "reading_tables",

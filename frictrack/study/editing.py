@@ -56,21 +56,6 @@ def with_key(text: str, table: str, key: str, value: Any, which: str | None = No
     return tomlkit.dumps(document)
 
 
-def read_key(text: str, table: str, key: str, which: str | None = None) -> Any:
-    """Return the value of a key as it is written; None if it is not there.
-
-    The parameters are those of `with_key`.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If the text is not TOML, or there is no such run.
-
-    """
-    found = _find_table(_parse(text), table, which).get(key)
-    return found.unwrap() if hasattr(found, "unwrap") else found
-
-
 def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
     """Add a ``[[run]]`` for each recording.
 

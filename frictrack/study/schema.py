@@ -18,7 +18,7 @@ from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.priors import Prior
-from frictrack.remote import RemoteFile, is_remote
+from frictrack.remote import RemoteFile, is_address, locate
 from frictrack.repairs import Repair, read_repairs
 from frictrack.units import parse_quantity
 
@@ -153,17 +153,38 @@ def _angle(raw: Any, info: ValidationInfo) -> float:
         raise ValueError(f"{e}{hint}") from e
 
 
-def _path(raw: Any, info: ValidationInfo) -> Path:
-    """Return an existing file or folder; the path is relative to the study file."""
+def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
+    """Return an existing file or folder, whose path is relative to the study file, or an address.
+
+    An address is opened only when it is needed. Every file that a study names passes here.
+    """
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
-    path = _folder(info) / raw
-    if not _exists(path):
+    try:
+        path = locate(raw, _folder(info))
+    except FrictrackError as e:
+        raise ValueError(str(e)) from e
+    if isinstance(path, Path) and not _exists(path):
         there = [p.name for p in path.parent.iterdir()] if _exists(path.parent / "..") else []
         near = difflib.get_close_matches(path.name, there, 1)
         hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
         raise ValueError(f'expected a file "{raw}" but there is none{hint}')
     return path
+
+
+def _path(raw: Any, info: ValidationInfo) -> Path:
+    """Return an existing file or folder of this machine."""
+    path = _source(raw, info)
+    if not isinstance(path, Path):
+        raise ValueError(f'expected a file of this machine but got "{raw}"; fetch it and give its path')
+    return path
+
+
+def _results_folder(raw: Any) -> Any:
+    """Refuse an address as folder of the results."""
+    if isinstance(raw, str) and is_address(raw):
+        raise ValueError(f'expected a folder of this machine but got "{raw}"')
+    return raw
 
 
 def _prior(raw: Any, info: ValidationInfo) -> Path:
@@ -243,11 +264,6 @@ def _exists(path: Path) -> bool:
         return path.is_file() or path.is_dir()
     except OSError:  # a name longer than the system has
         return False
-
-
-def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
-    """Read a path of this machine, or an address, which is opened only when it is needed."""
-    return RemoteFile(raw) if isinstance(raw, str) and is_remote(raw) else _path(raw, info)
 
 
 def _are_numbers(raw: Any, count: int) -> bool:
@@ -505,7 +521,7 @@ class StudyTable(Keys):
     name: str = ""
     mass: Mass | None = None
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
-    output: str = ""
+    output: Annotated[str, BeforeValidator(_results_folder)] = ""
     prior: PriorFile | None = None
     prior_scale: Factor = 1.0
     prior_scatter: Share = 0.0

@@ -42,7 +42,9 @@ def _find_film(live: LiveStudy, run: str, file: str) -> FilmFile:
         table = next((one for one in study.runs if one.name == run), None) if study else None
         if table is None or table.video is None:
             raise MissingError(f'expected a run with a film but got "{run}"; reload the page')
-        return film_file(Path(table.video), table.fps)
+        if not isinstance(table.video, Path):
+            raise MissingError(f"expected a film of this machine but {table.video} is an address; fetch it to see it")
+        return film_file(table.video, table.fps)
     return film_file(live.path.parent / need_plain_name(file))
 
 

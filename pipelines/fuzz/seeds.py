@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,7 @@ import pandas as pd
 import tifffile
 
 from frictrack import store
+from frictrack.crate.metadata import METADATA, MOVED
 from frictrack.records import Displacement, Track
 from frictrack.results import RecordingInfo
 
@@ -119,6 +122,49 @@ def results() -> bytes:
         "models/1_tustin": {"current": True, "summary": "{}", "state": {"theta": x, "names": ["a", "b"], "tau": None}},
     }
     return made("run.h5", lambda path: store.write(path, {k: store.GroupContent(v) for k, v in groups.items()}))
+
+
+def crate_files() -> dict[str, bytes]:
+    """The files of a small crate: a study of one table, and the description of both."""
+    files = {
+        "study.toml": b'[study]\nmass = 0.5\n[[run]]\ntable = "/lab/t.csv"\n',
+        "inputs/1/t.csv": b"t_s,x_m\n0,0\n1,2\n",
+    }
+    parts = [
+        {"@id": place, "@type": "File", "contentSize": str(len(content)), "sha256": sha256(content).hexdigest()}
+        for place, content in files.items()
+    ]
+    moved = {"@id": "#moved", "@type": "PropertyValue", "propertyID": MOVED, "name": "/lab/t.csv"}
+    graph = [
+        {"@id": "./", "@type": "Dataset", "mainEntity": {"@id": "study.toml"}, "mentions": {"@id": "#run"}},
+        {
+            "@id": "#run",
+            "@type": "CreateAction",
+            "instrument": {"@id": "#software"},
+            "object": [{"@id": place} for place in (*files, "#moved")],
+            "result": {"@id": "inputs/1/t.csv"},
+        },
+        {
+            "@id": "#software",
+            "name": "frictrack",
+            "softwareVersion": "1",
+            "softwareRequirements": [],
+            "operatingSystem": "Linux",
+            "processorRequirements": "x86_64",
+        },
+        moved | {"value": "inputs/1/t.csv"},
+        *parts,
+    ]
+    return files | {METADATA: json.dumps({"@graph": graph}).encode()}
+
+
+def crate() -> bytes:
+    """The same as a zip file."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
+        for place, content in crate_files().items():
+            file.writestr(place, content)
+    return out.getvalue()
 
 
 def foreign() -> bytes:

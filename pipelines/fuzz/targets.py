@@ -9,6 +9,7 @@ import re
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import h5py
@@ -19,12 +20,18 @@ from seeds import CAMERAS, ROOT
 from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.calibration.lens import read_lens
+from frictrack.crate.inputs import find_inputs, set_up_study
+from frictrack.crate.metadata import METADATA
+from frictrack.crate.reading import read_crate
+from frictrack.crate.unpacking import unpack
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.errors import FrictrackError
+from frictrack.flow import open_study, run_pipeline
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
 from frictrack.recording import open_recording, random_access
+from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import with_header
@@ -130,6 +137,51 @@ def study(data: bytes, folder: Path) -> None:
         assert (study.output / f"{run.name}.h5").resolve().parent == study.output.resolve()
     text = path.read_text(encoding="utf-8")
     parse(path, with_key(text, "run", "note", "seen", study.runs[0].name))
+
+
+def address(data: bytes, folder: Path) -> None:
+    """A path or an address; nothing is opened."""
+    found = locate(data.decode("utf-8", "replace"), folder)
+    if isinstance(found, RemoteFile):
+        assert found.url.partition("://")[0] in PROTOCOLS
+        assert "::" not in found.url
+        assert Path(found.name).name == found.name
+        assert cache_folder(found.url).parent == cache_folder("s3://lab/a").parent
+
+
+def crate(data: bytes, folder: Path) -> None:
+    """The zip file of a crate."""
+    (folder / "crate.zip").write_bytes(data)
+    unpack(folder / "crate.zip", folder / "crate")
+    _set_up(folder)
+
+
+def described_crate(data: bytes, folder: Path) -> None:
+    """An unpacked crate: the first byte tells which of its files is fuzzed. The study file is always as described."""
+    files = seeds.crate_files()
+    chosen = [*files][data[0] % len(files)] if data else METADATA
+    if chosen == "study.toml":
+        old = files[chosen]
+        for was, now in ((len(old), len(data[1:])), (sha256(old).hexdigest(), sha256(data[1:]).hexdigest())):
+            files[METADATA] = files[METADATA].replace(f'"{was}"'.encode(), f'"{now}"'.encode(), 1)
+    for place, content in (files | {chosen: data[1:]}).items():
+        path = folder / "crate" / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    _set_up(folder)
+
+
+def _set_up(folder: Path) -> None:
+    """The study of a crate as `reproduce` opens it: it names only what the crate lists."""
+    opened = read_crate(folder / "crate")
+    known = find_inputs(opened, None, None)
+    with only_listed(known):
+        study = open_study(set_up_study(opened, folder / "again", known))
+    for run in study.runs:
+        for path in run_pipeline(study, run).input_files():
+            assert isinstance(path, Path)
+            assert path.resolve().is_relative_to((folder / "crate").resolve()) or path.is_dir()
+            assert path.relative_to(study.folder).as_posix() in known or path.is_dir()
 
 
 def scene(data: bytes, folder: Path) -> None:
@@ -350,6 +402,18 @@ TARGETS = {
         Target("cihx", lambda: [p.read_bytes() for p in CAMERAS.glob("*.cihx")], photron("film.cihx")),
         Target("folder", lambda: [b"\0" + seeds.picture(s) for s in (".png", ".bmp", ".jpg", ".tif")], pictures),
         Target("study", lambda: seeds.texts(STUDY), study),
+        Target(
+            "address",
+            lambda: seeds.texts("s3://lab/a.cine", "https://h:1/a/b.avi?c=1", "file:///a.csv", "a"),
+            address,
+            200,
+        ),
+        Target("crate", lambda: [seeds.crate()], crate, 1 << 14),
+        Target(
+            "described",
+            lambda: [bytes([i]) + content for i, content in enumerate(seeds.crate_files().values())],
+            described_crate,
+        ),
         Target("scene", lambda: [(ROOT / "sample_videos/scene.toml").read_bytes()], scene),
         Target("formula", lambda: seeds.texts(*FORMULAS), formula, 600),
         Target("unit", lambda: seeds.texts("0.350 +/- 0.002 kg", "(350 ± 2) g", "1e3 +/- 1% mg^2/g"), unit, 200),
