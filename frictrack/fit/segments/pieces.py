@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -355,7 +355,11 @@ def _with_time_scaled(way: Array, by: float) -> Array:
 
 def _series_with_time_scaled(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
     """A function of time with its times multiplied by `by`."""
-    return None if series is None else lambda t: series(t / by)
+    return None if series is None else partial(_at_scaled_time, series, by)
+
+
+def _at_scaled_time(series: Callable[[Array], Array], by: float, t: Array) -> Array:
+    return series(t / by)
 
 
 def _motion_before(way: Array, t: float) -> Array:
@@ -428,7 +432,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
     """
     motion = run.motion
     times = motion.t - context.release
-    drive_at = None if run.drive is None else _clamped_interpolant(CubicSpline(times, run.drive), times)
+    drive_at = None if run.drive is None else partial(_clamped, CubicSpline(times, run.drive))
     still = np.zeros_like(nodes)
     before = _motion_before(context.way, run.displacement.t[rows[0]] - context.release)
     row = max(before.shape[1] - 1, 0)
@@ -455,13 +459,9 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
     )
 
 
-def _clamped_interpolant(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
-    """An interpolant that keeps its first and last value outside the known times."""
-
-    def at(t: Array) -> Array:
-        return np.asarray(series(np.clip(t, times[0], times[-1])))
-
-    return at
+def _clamped(series: CubicSpline, t: Array) -> Array:
+    """Values of an interpolant that keeps its first and last value outside the known times."""
+    return np.asarray(series(np.clip(t, series.x[0], series.x[-1])))
 
 
 def _interpolated(times: Array, series: Array | None, t: Array) -> Array | None:
