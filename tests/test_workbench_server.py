@@ -73,6 +73,9 @@ def test_numbers_that_are_not_finite_are_null() -> None:
         ("/api/do", {"do": "undo", "seen": 7}, 409, "changed meanwhile"),
         ("/api/do", {"do": "undo", "seen": "x"}, 400, "expected the revision"),
         ("/api/job", {"do": "rm"}, 400, "expected one of the jobs"),
+        ("/api/job", {"do": []}, 400, "expected one of the jobs"),
+        ("/api/job", {"do": {"a": 1}}, 400, "expected one of the jobs"),
+        ("/api/do", {"do": {"a": 1}}, 400, "expected one of the changes"),
         ("/api/job", {"do": "attempt", "arguments": {"effect": "drag", "path": "/etc/x"}}, 400, "but got path"),
         ("/api/job", {"do": "fit", "seen": 9}, 409, "changed meanwhile"),
         ("/api/study", {"recordings": []}, 400, "expected the names of recordings"),
@@ -97,6 +100,8 @@ def test_a_refused_command_is_one_sentence(
         ("/api/film?file=none.avi", 404, "is gone"),
         ("/api/film?file=slow.csv", 400, "expected a film"),
         ("/api/frame?file=slow.avi&n=x", 400, "expected the number of a frame"),
+        ("/api/frame?file=slow.avi&n=--5", 400, "expected the number of a frame"),
+        (f"/api/frame?file=slow.avi&n={'9' * 5000}", 400, "expected the number of a frame"),
         ("/api/plots?view=compare", 404, "expected a fitted model"),
         ("/api/plots?view=motion&run=none", 404, "measured run"),
         ("/api/candidate?name=texture", 404, "expected a fitted model"),
@@ -111,6 +116,31 @@ def test_what_is_not_there_is_said_in_one_sentence(path: str, status: int, words
     found = shared.get(path)
     assert found[0] == status, found
     assert words in found[1]["error"]
+
+
+@pytest.mark.parametrize("path", ["/static/%00", "/static/a%00b", "/static/%ff", "/%00"])
+def test_addresses_that_are_no_file_names(path: str, shared: Client) -> None:
+    status, body = shared.get(path)
+    assert status in (400, 404)
+    assert "expected " in str(body).lower()
+
+
+def send_raw(client: Client, head: str) -> bytes:
+    """First part of the answer to a request with the cookie, without checks of its header."""
+    own = f"127.0.0.1:{client.server.port}"
+    with socket.create_connection(("127.0.0.1", client.server.port), timeout=20) as link:
+        link.sendall(f"{head}\r\nHost: {own}\r\nCookie: {client.cookie}\r\n\r\n".encode())
+        return link.recv(65536)
+
+
+@pytest.mark.parametrize("length", ["abc", "", "0x10", "5, 6", "²", "9" * 5000])
+@pytest.mark.parametrize("path", ["/api/do", "/api/upload?name=a.avi"])
+def test_a_length_that_is_no_number_is_refused(path: str, length: str, shared: Client) -> None:
+    assert b" 400 " in send_raw(shared, f"POST {path} HTTP/1.1\r\nContent-Length: {length}")
+
+
+def test_an_origin_that_is_no_address_is_refused(shared: Client) -> None:
+    assert b" 403 " in send_raw(shared, "GET /api/state HTTP/1.1\r\nOrigin: http://[")
 
 
 def test_a_body_that_is_no_json_or_too_large_is_refused(shared: Client) -> None:

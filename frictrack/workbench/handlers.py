@@ -46,6 +46,12 @@ class PageFiles(StaticFileHandler):
         stat = Path(self.absolute_path).stat()
         return f'"{stat.st_mtime_ns:x}-{stat.st_size:x}"'
 
+    def parse_url_path(self, url_path: str) -> str:
+        """Path of the file (Tornado's interface); a NUL stands in none."""
+        if "\0" in url_path:
+            raise HTTPError(404)
+        return super().parse_url_path(url_path)
+
     def write_error(self, status_code: int, **more: Any) -> None:
         """Answer that there is no such file."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
