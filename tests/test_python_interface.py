@@ -75,13 +75,43 @@ def test_a_doubled_sample_is_left_out_of_all_columns():
         (dict(mass=None), "expected a mass but got none"),
         (dict(mass="350 mm"), "mm"),
         (dict(mass=-1), "expected a mass above 0 kg but got -1 kg"),
+        (dict(mass="1e-310 kg"), "expected mass as a quantity in kg but got 1e-310"),
+        (
+            dict(x=0 * X),
+            "expected a moving target but x is 0 m in all 800 valid frames; check which target was tracked",
+        ),
+        (dict(x=0 * X + 0.3), "expected a moving target but x is 0.3 m in all 800 valid frames"),
+        (dict(x=X + 1e6), "expected positions within 100000 m of their origin but got 1e+06 m; subtract a constant"),
         (dict(rôle="x"), "rôle"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_bad_arrays_are_named_at_once(arguments, message):
     with pytest.raises((FrictrackError, TypeError)) as caught:
         ft.Run.from_arrays(**{"t": T, "x": X, "mass": MASS, "name": "slow"} | arguments)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("masses", [(MASS,), (MASS, MASS, 2 * MASS, 2 * MASS)])
+def test_positions_without_noise_give_every_parameter_and_one_sentence(masses):
+    """A slide under Coulomb and viscous friction in closed form; dry friction is that of the load."""
+    runs = []
+    for i, mass in enumerate(masses):
+        stop, rate = F_C / MASS * mass / 0.4, 0.4 / mass
+        x = (3 + i + stop) / rate * (1 - np.exp(-rate * T)) - stop * T
+        runs.append(ft.Run.from_arrays(T, x, mass=mass, name=f"run{i}"))
+    fit = ft.fit("coulomb,viscous", runs)
+    assert {name: e.value for name, e in fit.parameters.items()} == pytest.approx(
+        {"coulomb.F_c": F_C, "viscous.F_v": 0.4}, rel=1e-6
+    )
+    assert all(e.std > 0 for e in fit.parameters.values())
+    assert fit.parameters["viscous.F_v"].std > 1e-9
+    assert "have no noise, as if they were computed" in fit.summary()["remarks"][0]
+
+
+def test_noise_of_a_nanometre_is_noise():
+    fit = ft.fit("coulomb", [ft.Run.from_arrays(T, noisy(sigma=1e-9), mass=MASS)])
+    assert not any("no noise" in remark for remark in fit.summary()["remarks"])
 
 
 def test_a_missing_column_names_those_that_are_there():
