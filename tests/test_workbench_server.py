@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shutil
 import socket
+import tracemalloc
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from browser import Server
 from conftest import Clients
 from page_client import Client
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application
+from tornado.websocket import websocket_connect
 
 from frictrack.flow import Session, open_study
+from frictrack.workbench import handlers
 from frictrack.workbench.live_study import to_json
 
 ROUTES = ("/api/state", "/api/effects", "/api/film?run=slow", "/api/plots?view=compare", "/api/download?what=repeat.py")
@@ -194,6 +203,48 @@ def test_two_tabs_do_not_overwrite_each_other(study_file: Path, page: Clients) -
     assert (status, "changed meanwhile" in refused["error"]) == (409, True)
     assert client.post("/api/do", do="undo", arguments={}, seen=1)[1]["revision"] == 2
     assert client.hear_state(lambda s: s["revision"] == 2)["history"]["can_redo"]
+
+
+def test_a_tab_that_does_not_read_costs_little_and_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handlers, "MAX_UNREAD_S", 0.3)
+    tabs: list[Callable[[str], None]] = []
+    live = SimpleNamespace(
+        server="s", listen=lambda call: (tabs.append(call), lambda: call in tabs and tabs.remove(call))[1]
+    )
+
+    heard: list[Any] = []
+
+    async def scenario() -> int:
+        server = HTTPServer(Application([("/", handlers.EventsHandler, {"live": live})]))
+        sockets = bind_sockets(0, "127.0.0.1")
+        server.add_sockets(sockets)
+        port = sockets[0].getsockname()[1]
+        reads = await websocket_connect(f"ws://127.0.0.1:{port}/", on_message_callback=heard.append)
+        stuck = socket.socket()
+        stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stuck.connect(("127.0.0.1", port))
+        head = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+        stuck.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        while len(tabs) < 2:
+            await asyncio.sleep(0.01)
+        tracemalloc.start()
+        for i in range(60):
+            for send in tuple(tabs):
+                send(f'{{"type":"state","state":{i},"padding":"{i:01000000d}"}}')
+            await asyncio.sleep(0.01)
+            del heard[:-1]
+        while len(tabs) > 1:
+            await asyncio.sleep(0.01)
+        held = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        while '"state":59,' not in heard[-1]:
+            await asyncio.sleep(0.01)
+        stuck.close()
+        reads.close()
+        server.stop()
+        return held
+
+    assert asyncio.run(asyncio.wait_for(scenario(), 20)) < 40_000_000  # all unread messages: 60 MB and more
 
 
 def test_a_ping_is_answered(study_file: Path, page: Clients) -> None:
