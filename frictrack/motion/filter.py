@@ -413,9 +413,9 @@ def _check_position(x: Array, n: int) -> None:
             f"displacement: expected a moving target but x is {x[0]:g} m in all {len(x)} valid frames; "
             "check which target was tracked"
         )
-    if (far := float(np.max(np.abs(x)))) > MAX_POSITION_M:
+    if (far := float(np.min(np.abs(x)))) > MAX_POSITION_M:
         raise FrictrackError(
-            f"displacement: expected positions within {MAX_POSITION_M:g} m of their origin but got {far:g} m; "
+            f"displacement: expected positions within {MAX_POSITION_M:g} m of their origin but all lie {far:g} m away; "
             "subtract a constant from the positions"
         )
 
