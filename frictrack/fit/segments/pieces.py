@@ -300,7 +300,8 @@ def pieces_of(
 
 def least_noise(run: Run) -> float:
     """Return the least noise of the positions of a run that a fit can use, m: fitted motions are not more accurate."""
-    return MIN_NOISE_OF_TRAVEL * float(np.ptp(run.displacement.x[run.displacement.valid]))
+    x = run.displacement.x[run.displacement.valid]
+    return MIN_NOISE_OF_TRAVEL * float(np.nanmax(x) - np.nanmin(x))
 
 
 def noise_free_remark(runs: Sequence[Run]) -> Iterator[str]:
