@@ -21,6 +21,7 @@ MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
 _HOST = re.sub(r"\W", "", platform.node()) or "here"
+_TEMPORARY = re.compile(r"\..+_([^\W_]\w*)-(\d+)_[^.]+\.part(?:\.\w+)?")  # of `atomic_write`
 DAY_S = 86400.0
 INTERNAL_FOLDER = ".frictrack"  # in a folder of results: what only frictrack reads
 _FORMER_LOCKS = (".lock", ".work")  # of earlier versions, among the results
@@ -49,6 +50,8 @@ def is_file_name(name: str) -> bool:
 def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder of results for a short change; the block may be nested. Readers never wait.
 
+    Temporary files of writers that were killed are removed first.
+
     Parameters
     ----------
     folder
@@ -69,6 +72,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
     except OSError as e:
         raise FrictrackError(f"cannot write results into {folder}: {e.strerror or e}") from e
     try:
+        if lock.lock_counter == 1:
+            _remove_leftovers(folder, inside / "lock")
         yield
     finally:
         lock.release()
@@ -198,7 +203,7 @@ def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
     os.close(handle)
     part = Path(name)
     try:
-        _remove_leftovers(path, part)
+        _remove_leftovers(path.parent, part)
         yield part
         _commit(part, path, mode)
     except OSError as e:
@@ -208,14 +213,13 @@ def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
             part.unlink()
 
 
-def _remove_leftovers(path: Path, mine: Path) -> None:
-    """Remove temporary files of writers of `path` that were killed: those of this host, and of others after a day."""
-    left = re.compile(rf"\.{re.escape(path.stem)}_(\w+)-(\d+)_[^.]+\.part{re.escape(path.suffix)}")
-    for part in path.parent.iterdir():
-        found = left.fullmatch(part.name)
+def _remove_leftovers(folder: Path, mine: Path) -> None:
+    """Remove temporary files of writers that were killed: those of this host, and of others a day older than `mine`."""
+    for part in folder.glob(".*.part*"):
+        found = _TEMPORARY.fullmatch(part.name)
         if found is None or part == mine:
             continue
-        with suppress(OSError):
+        with suppress(OSError):  # times of one file system: the clock of this machine may jump
             old = mine.stat().st_mtime - part.stat().st_mtime > DAY_S
             if old if found[1] != _HOST else not psutil.pid_exists(int(found[2])):
                 part.unlink()

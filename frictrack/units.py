@@ -35,7 +35,7 @@ _WITHOUT_PREFIX = ("deg", "px")
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _POWER = r"([nuµmcdkM]??)(m|g|s|Hz|N|J|Pa|rad|deg|px)(?:\^([1-3]))?"
 _ORDINARY_UNIT = re.compile(rf"{_POWER}(?:/{_POWER})?")
-_MAX_VALUE = 1e30  # in any unit; larger values are no measurements
+_MIN_VALUE, _MAX_VALUE = 1e-20, 1e30  # in any unit; smaller values above zero, and larger ones, are no measurements
 _MAX_UNIT_LENGTH = 60  # characters of a unit
 _QUANTITY = re.compile(
     rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
@@ -98,7 +98,7 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
         value, std = _float(text), 0.0
     else:
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
-    if not abs(value) < _MAX_VALUE:
+    if not (value == 0 or _MIN_VALUE <= abs(value) < _MAX_VALUE):
         raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
     return value, std
 

@@ -138,7 +138,6 @@ class Server:
                 free.bind(("127.0.0.1", 0))
                 self.port = free.getsockname()[1]
         words = [sys.executable, "-m", "frictrack", "app", str(self.study), "--no-browser", "--port", str(self.port)]
-        words += ["--token", self.token] if self.token else []
         with (self.log or Path(os.devnull)).open("ab") as out:
             self.process = subprocess.Popen([*words, *self.more], stderr=out, stdout=out, env=self.environment)
         until = time.monotonic() + LIMIT_S
@@ -156,7 +155,11 @@ class Server:
 
     @property
     def environment(self) -> dict[str, str]:
-        return {**os.environ, "PATH": os.pathsep.join(filter(None, (self.paths, os.environ["PATH"])))}
+        return {
+            **os.environ,
+            "FRICTRACK_TOKEN": self.token,
+            "PATH": os.pathsep.join(filter(None, (self.paths, os.environ["PATH"]))),
+        }
 
     @property
     def study_text(self) -> str:

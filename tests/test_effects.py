@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from dataclasses import replace
 from itertools import pairwise, product
 from types import SimpleNamespace
@@ -113,6 +115,16 @@ def test_columns_are_finite_and_of_the_declared_shape_wherever_a_fit_may_look(ef
             assert made.shape == (len(path.t), 2 if effect.modifies else len(effect.linear))
             assert np.all(np.isfinite(made)), nonlinear
         assert all(np.array_equal(getattr(path, name), value) for name, value in before.items())
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_an_effect_survives_pickle_and_copy(effect):
+    bounded = effect.adjusted(**{p.name: {"bounds": (0.1, 0.9)} for p in effect.parameters})
+    for one in (effect, bounded):
+        for again in (pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+            assert [p.bounds for p in again.parameters] == [p.bounds for p in one.parameters]
+            nonlinear = settings_tried(effect)[0]
+            np.testing.assert_array_equal(columns(again, path_of(), nonlinear), columns(one, path_of(), nonlinear))
 
 
 @pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)

@@ -217,7 +217,7 @@ def test_a_clock_that_jumps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
-    from frictrack.files import _HOST, replace_text  # noqa: PLC0415
+    from frictrack.files import _HOST, INTERNAL_FOLDER, lock_folder, replace_text  # noqa: PLC0415
 
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -227,8 +227,13 @@ def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
     for path in (mine, live, fresh, old):
         path.touch()
     os.utime(old, (time.time() - 1e6,) * 2)
-    replace_text(tmp_path / "a.txt", "a")
-    assert {path.name for path in tmp_path.iterdir()} == {"a.txt", live.name, fresh.name}
+    with lock_folder(tmp_path):  # as any command that writes
+        assert {path.name for path in tmp_path.iterdir()} == {INTERNAL_FOLDER, live.name, fresh.name}
+    for path in (mine, old):
+        path.touch()
+    os.utime(old, (time.time() - 1e6,) * 2)
+    replace_text(tmp_path / "another.h5", "a")
+    assert {path.name for path in tmp_path.iterdir()} == {INTERNAL_FOLDER, "another.h5", live.name, fresh.name}
 
 
 @pytest.mark.slow

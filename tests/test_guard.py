@@ -5,13 +5,17 @@ from __future__ import annotations
 import base64
 import http.client
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import CHROMIUM, TOKEN, Open, Server
+from page_client import wait_for
 from tornado.httputil import HTTPHeaders, HTTPServerRequest, RequestStartLine
 
+from frictrack.cli import main
 from frictrack.workbench.guard import RequestGuard, address_of
 
 PATHS = ("/", "/api/events", "/api/state", "/api/frame?file=a.avi", "/static/tokens.css", "/none")
@@ -151,9 +155,65 @@ def test_addresses_to_open() -> None:
 
 
 def test_a_token_is_made_where_none_is_given(tmp_path: Path) -> None:
-    server = Server(tmp_path, token="").start()
+    server = Server(tmp_path, token="").start()  # an empty variable
     try:
         assert ask(server)[0] == 403
         assert ask(server, "/?token=")[0] == 403
     finally:
         server.stop()
+
+
+BROWSER = """#!/bin/sh
+file="${1#file://}"
+cp -p "$file" "$HOME/page"
+ps -e -o args > "$HOME/commands"
+echo "$1" > "$HOME/command.part" && mv "$HOME/command.part" "$HOME/command"
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a browser that is a shell script")
+def test_no_list_of_processes_shows_the_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = tmp_path / "browser"
+    script.write_text(BROWSER)
+    script.chmod(0o700)
+    monkeypatch.setenv("BROWSER", f"{script} %s")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    server = Server(tmp_path, ("--browser",), token="").start()
+    try:
+        command = wait_for(lambda: (tmp_path / "command").exists() and (tmp_path / "command").read_text().strip())
+        address = (tmp_path / "page").read_text().partition("url=")[2].partition('"')[0]
+        token = address.partition("token=")[2]
+        assert command.startswith("file://")
+        assert stat.S_IMODE((tmp_path / "page").stat().st_mode) == 0o600
+        assert len(token) >= 32
+        assert token not in command + (tmp_path / "commands").read_text()
+        assert address == server.bare_address + "?token=" + token
+        assert ask(server, f"/?token={token}")[0] == 200
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("way", ["variable", "file", "command line", "none"])
+def test_the_token_is_read_from_a_file_or_the_environment(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "secret").write_text("sesame\n")
+    served: dict[str, Any] = {}
+    monkeypatch.setattr("frictrack.workbench.server.serve", lambda study, **more: served.update(more))
+    monkeypatch.setenv("FRICTRACK_TOKEN", "sesame" if way == "variable" else "")
+    words = {"file": ["--token-file", str(tmp_path / "secret")], "command line": ["--token", "sesame"]}.get(way, [])
+    with pytest.raises(SystemExit, match="0"):
+        main(["app", str(tmp_path), *words])
+    assert (served["token"] or None) == (None if way == "none" else "sesame")
+    assert ("can be read by every user" in capsys.readouterr().err) == (way == "command line")
+
+
+@pytest.mark.parametrize(("content", "said"), [(None, "cannot read"), (b"\xff", "cannot read"), (b" \n", "is empty")])
+def test_a_file_without_a_token_is_one_sentence(
+    content: bytes | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / "secret").write_bytes(content)
+    with pytest.raises(SystemExit, match="2"):
+        main(["app", str(tmp_path), "--no-browser", "--token-file", str(tmp_path / "secret")])
+    assert said in capsys.readouterr().err

@@ -27,7 +27,7 @@ from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import HEADER_BYTES, GroupContent
 from frictrack.store.file_header import with_header
 from frictrack.store.signatures import sign
-from frictrack.study import load, parse, read_table, table_files, write_study
+from frictrack.study import load, parse, read_table, table_files, table_headers, write_study
 from frictrack.units import parse_quantity
 from frictrack.version import __version__
 
@@ -226,6 +226,29 @@ def test_a_study_file_without_end(tmp_path: Path) -> None:
         load(path)
 
 
+def test_many_runs_are_read_in_linear_time(study: Path) -> None:
+    text = '[study]\nmass = "1 kg"\n' + "".join(RUN.format(name=f'"run {i}"') for i in range(3000))
+    start = time.process_time()
+    assert len(parse(study, text).runs) == 3000
+    assert time.process_time() - start < 1  # quadratic in the runs: 5 s
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("[table{}]\n", 'unknown table "table0" (line 1); known are study, camera'),
+        ('[[run]]\nname = "a"\nodd{} = 1\n', '[[run]] "a", line 3: unknown key "odd0"; known are'),
+        ("[[run]]\nmass = 1{}.0\n", "[[run]] number 1, line 1: expected either video"),
+        ("key{} = 1\n", 'unknown table "key0" (line 1)'),
+    ],
+)
+def test_many_faults_are_found_in_linear_time_and_the_first_of_them_listed(study: Path, line: str, said: str) -> None:
+    text = "".join(map(line.format, range(12_000)))
+    start = time.process_time()
+    assert said in refused(study, text)
+    assert time.process_time() - start < 1.5  # quadratic: minutes
+
+
 def test_an_error_is_one_line_that_no_terminal_obeys() -> None:
     said = str(FrictrackError("a\x1b[2J\nb\u202ec\ud800" + "x" * 10**6 + "the end"))
     assert said.startswith(r"a\x1b[2J\nb\u202ec\ud800xxx")
@@ -368,6 +391,23 @@ def test_tables_that_are_none(tmp_path: Path, data: bytes, said: str) -> None:
     path.write_bytes(data)
     with pytest.raises(FrictrackError, match=said):
         read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (20_000, "20000 columns, at most 10000 are read; keep time and position"),
+        (300_000, "a line of more than 1048576 characters; keep time and position"),
+    ],
+)
+def test_a_table_of_very_many_columns_is_refused_in_short_time(tmp_path: Path, columns: int, said: str) -> None:
+    names = ("t_s", "x_m", *(f"column{i}" for i in range(columns - 2)))
+    (tmp_path / "t.csv").write_text("\n".join([",".join(names), *[",".join(["0.5"] * columns)] * 2]))
+    start = time.process_time()
+    for read in (read_table, table_headers):
+        with pytest.raises(FrictrackError, match=said):
+            read(tmp_path / "t.csv")
+    assert time.process_time() - start < 1
 
 
 def test_a_factor_cannot_make_a_number_infinite(tmp_path: Path) -> None:

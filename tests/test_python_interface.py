@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import pandas as pd
@@ -72,13 +76,43 @@ def test_a_doubled_sample_is_left_out_of_all_columns():
         (dict(mass=None), "expected a mass but got none"),
         (dict(mass="350 mm"), "mm"),
         (dict(mass=-1), "expected a mass above 0 kg but got -1 kg"),
+        (dict(mass="1e-310 kg"), "expected mass as a quantity in kg but got 1e-310"),
+        (
+            dict(x=0 * X),
+            "expected a moving target but x is 0 m in all 800 valid frames; check which target was tracked",
+        ),
+        (dict(x=0 * X + 0.3), "expected a moving target but x is 0.3 m in all 800 valid frames"),
+        (dict(x=X + 1e6), "expected positions within 100000 m of their origin but all lie 1e+06 m away; subtract"),
         (dict(rôle="x"), "rôle"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_bad_arrays_are_named_at_once(arguments, message):
     with pytest.raises((FrictrackError, TypeError)) as caught:
         ft.Run.from_arrays(**{"t": T, "x": X, "mass": MASS, "name": "slow"} | arguments)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("masses", [(MASS,), (MASS, MASS, 2 * MASS, 2 * MASS)])
+def test_positions_without_noise_give_every_parameter_and_one_sentence(masses):
+    """A slide under Coulomb and viscous friction in closed form; dry friction is that of the load."""
+    runs = []
+    for i, mass in enumerate(masses):
+        stop, rate = F_C / MASS * mass / 0.4, 0.4 / mass
+        x = (3 + i + stop) / rate * (1 - np.exp(-rate * T)) - stop * T
+        runs.append(ft.Run.from_arrays(T, x, mass=mass, name=f"run{i}"))
+    fit = ft.fit("coulomb,viscous", runs)
+    assert {name: e.value for name, e in fit.parameters.items()} == pytest.approx(
+        {"coulomb.F_c": F_C, "viscous.F_v": 0.4}, rel=1e-6
+    )
+    assert all(e.std > 0 for e in fit.parameters.values())
+    assert fit.parameters["viscous.F_v"].std > 1e-9
+    assert "have no noise, as if they were computed" in fit.summary()["remarks"][0]
+
+
+def test_noise_of_a_nanometre_is_noise():
+    fit = ft.fit("coulomb", [ft.Run.from_arrays(T, noisy(sigma=1e-9), mass=MASS)])
+    assert not any("no noise" in remark for remark in fit.summary()["remarks"])
 
 
 def test_a_missing_column_names_those_that_are_there():
@@ -157,6 +191,58 @@ def test_results_turn_into_datasets(slides, fit, diagnosis):
     assert fit.to_xarray()["std"].sel(parameter="coulomb.F_c") == fit.to_dataframe().loc["coulomb.F_c", "std"]
     assert ft.compare(fit).to_xarray().sizes == {"name": 1}
     assert diagnosis.to_xarray()["effect"].values.tolist() == [c.effect for c in diagnosis.candidates]
+
+
+@pytest.fixture(scope="module")
+def results(slides, fit, diagnosis):
+    """Public results, with what may hold functions: a drive, a plausibility check, a friction series, a scale."""
+    push = np.full(len(T), 0.5)
+    driven = [ft.Run.from_arrays(T, noisy(), mass=MASS, drive=push, name="driven")]
+    pulled = [ft.Run.from_arrays(T, noisy(), friction=np.full(len(T), F_C), name="pulled")]
+    scales = [
+        "0.5 mm/px",
+        {"points": [[0, 0], [200, 0]], "length": "100 mm"},
+        {"points": [[0, 0], [100, 0], [100, 90], [0, 100]], "plane": [[0, 0], [1, 0], [1, 1], [0, 1]]},
+    ]
+    return {
+        "patch": ft.fit("coulomb,patch", slides[:1]),
+        "drive": ft.fit("coulomb,drive_error", driven),
+        "measured friction": ft.fit("coulomb", pulled),
+        "acceleration": ft.fit("coulomb", slides[:1], domain="force"),
+        "groups": ft.fit("coulomb", [replace(slides[0], group="a")], per="group"),
+        "comparison": ft.compare(fit),
+        "diagnosis": diagnosis,
+        "profile": ft.profile(fit, "coulomb.F_c"),
+        "prior": fit.to_prior(),
+        "runs": slides,
+        "friction": ft.friction(slides[0]),
+        "events": ft.find_events(slides[0]),
+        **{f"scale {i}": ft.plane_map(scale) for i, scale in enumerate(scales)},
+    }
+
+
+def shown(results):
+    """What is printed of results, and the numbers of scales."""
+    at = np.array([[10.0, 20.0]])
+    return {k: r(at).tolist() if k.startswith("scale") else repr(r) for k, r in results.items()}
+
+
+def test_every_result_survives_pickle_and_copy(results):
+    for again in (pickle.loads(pickle.dumps(results)), copy.deepcopy(results)):
+        assert shown(again) == shown(results)
+        assert again["patch"].summary() == results["patch"].summary()
+
+
+def test_results_survive_another_process(results):
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        assert pool.submit(repr, results["patch"]).result() == repr(results["patch"])
+        assert pool.submit(copy.copy, results["patch"]).result().equation == results["patch"].equation
+
+
+def test_results_survive_joblib(results, tmp_path):
+    joblib = pytest.importorskip("joblib")
+    joblib.dump(results, tmp_path / "results.joblib")
+    assert shown(joblib.load(tmp_path / "results.joblib")) == shown(results)
 
 
 def test_fits_of_groups_are_shown_like_one_fit(slides):

@@ -127,9 +127,13 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path) -> Non
 def test_the_same_content_makes_the_same_bytes_in_another_second(tmp_path: Path) -> None:
     for name in ("one.h5", "two.h5"):
         content = GroupContent(track(), Provenance(key="k"))
-        store.write(tmp_path / name, {"track": content, "a/b": GroupContent({"n": 1})})
+        links = {"runs/v3": "v3.h5", "best/model": "/track"}
+        store.write(tmp_path / name, {"track": content, "a/b": GroupContent({"n": 1})}, links=links)
         time.sleep(1.01)  # HDF5's times are in whole seconds
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
+    with h5py.File(tmp_path / "one.h5") as file:
+        timed = [name for name in ("/", "track", "a", "a/b", "runs", "best") if h5py.h5o.get_info(file[name].id).mtime]
+    assert timed == []
 
 
 def damaged(path: Path, content: bytes) -> Path:

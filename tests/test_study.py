@@ -227,6 +227,10 @@ def test_the_line_is_that_of_the_right_table(folder: Path) -> None:
     assert '[[run]] "b", line 13: expected mass above 0 kg' in sentence(
         folder, f"[study]\nmass = 1\n{CAMERA}{RUN}mass = 2\n{second}"
     )
+    part = "table = 't.csv'\n[run.columns]\nt = 't_s'\n"
+    assert '[[run]] "b", line 14: expected mass above 0 kg' in sentence(
+        folder, f"[study]\nmass = 1\n{CAMERA}[[run]]\nname = 'a'\n{part}{second}"
+    )
 
 
 def test_what_is_no_study_file_is_said(folder: Path) -> None:

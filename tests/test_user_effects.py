@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import time
 
 import numpy as np
@@ -285,6 +287,34 @@ def test_a_declared_effect_is_fitted_and_must_be_declared_again_when_its_fit_com
     DECLARED.clear()
     with pytest.raises(FrictrackError, match=r'"magnet".*must be declared again with @frictrack.effect'):
         restore(runs, saved)
+
+
+DECLARATION = """
+import frictrack as ft
+
+@ft.effect(F="N")
+def pull(path):
+    return path.t
+
+def plain(path):
+    return path.x
+
+renamed = ft.effect(F="N")(plain)
+"""
+
+
+@pytest.mark.usefixtures("_undeclared")
+def test_declared_and_written_effects_survive_pickle_and_copy(tmp_path, monkeypatch):
+    (tmp_path / "my_effects.py").write_text(DECLARATION)
+    monkeypatch.syspath_prepend(tmp_path)
+    import my_effects  # noqa: PLC0415
+
+    path, twice = path_of(), lambda one: pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(one))))
+    for one in (my_effects.pull, my_effects.pull.called("pull:2"), my_effects.renamed, formula("pull", "F * t")):
+        for again in (twice(one), copy.deepcopy(one)):
+            np.testing.assert_array_equal(again.columns(path, {}), one.columns(path, {}))
+    local = declare()
+    assert copy.deepcopy(local).columns == local.columns
 
 
 @pytest.mark.usefixtures("_undeclared")

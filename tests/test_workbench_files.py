@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import socket
 import struct
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -90,10 +92,13 @@ def test_plots_are_packed(fitted: Path, page: Clients) -> None:
 
 def test_downloads(fitted: Path, page: Clients) -> None:
     client = page(fitted)
+    (fitted.parent / "study_results" / ".slow_elsewhere-1_x.part.h5").write_bytes(b"half")
     for what, start in (("tables.zip", b"PK"), ("hdf5.zip", b"PK"), ("figures.zip", b"PK"), ("repeat.py", b'"""')):
         status, headers, body = client.ask("GET", f"/api/download?what={what}")
         assert (status, headers["Content-Disposition"]) == (200, f'attachment; filename="{what}"')
         assert body.startswith(start), what
+        if what == "hdf5.zip":  # nothing that a killed writer left
+            assert zipfile.ZipFile(io.BytesIO(body)).namelist() == ["fast.h5", "middle.h5", "slow.h5", "study.h5"]
     assert client.get("/api/figure", name="history")[1].lstrip().startswith(b"<?xml")
 
 

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shutil
 import socket
+import tracemalloc
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from browser import Server
 from conftest import Clients
 from page_client import Client
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application
+from tornado.websocket import websocket_connect
 
 from frictrack.flow import Session, open_study
+from frictrack.workbench import handlers
 from frictrack.workbench.live_study import to_json
 
 ROUTES = ("/api/state", "/api/effects", "/api/film?run=slow", "/api/plots?view=compare", "/api/download?what=repeat.py")
@@ -74,6 +83,9 @@ def test_numbers_that_are_not_finite_are_null() -> None:
         ("/api/do", {"do": "undo", "seen": 7}, 409, "changed meanwhile"),
         ("/api/do", {"do": "undo", "seen": "x"}, 400, "expected the revision"),
         ("/api/job", {"do": "rm"}, 400, "expected one of the jobs"),
+        ("/api/job", {"do": []}, 400, "expected one of the jobs"),
+        ("/api/job", {"do": {"a": 1}}, 400, "expected one of the jobs"),
+        ("/api/do", {"do": {"a": 1}}, 400, "expected one of the changes"),
         ("/api/job", {"do": "attempt", "arguments": {"effect": "drag", "path": "/etc/x"}}, 400, "but got path"),
         ("/api/job", {"do": "fit", "seen": 9}, 409, "changed meanwhile"),
         ("/api/study", {"recordings": []}, 400, "expected the names of recordings"),
@@ -98,6 +110,8 @@ def test_a_refused_command_is_one_sentence(
         ("/api/film?file=none.avi", 404, "is gone"),
         ("/api/film?file=slow.csv", 400, "expected a film"),
         ("/api/frame?file=slow.avi&n=x", 400, "expected the number of a frame"),
+        ("/api/frame?file=slow.avi&n=--5", 400, "expected the number of a frame"),
+        (f"/api/frame?file=slow.avi&n={'9' * 5000}", 400, "expected the number of a frame"),
         ("/api/plots?view=compare", 404, "expected a fitted model"),
         ("/api/plots?view=motion&run=none", 404, "measured run"),
         ("/api/candidate?name=texture", 404, "expected a fitted model"),
@@ -112,6 +126,31 @@ def test_what_is_not_there_is_said_in_one_sentence(path: str, status: int, words
     found = shared.get(path)
     assert found[0] == status, found
     assert words in found[1]["error"]
+
+
+@pytest.mark.parametrize("path", ["/static/%00", "/static/a%00b", "/static/%ff", "/%00"])
+def test_addresses_that_are_no_file_names(path: str, shared: Client) -> None:
+    status, body = shared.get(path)
+    assert status in (400, 404)
+    assert "expected " in str(body).lower()
+
+
+def send_raw(client: Client, head: str) -> bytes:
+    """First part of the answer to a request with the cookie, without checks of its header."""
+    own = f"127.0.0.1:{client.server.port}"
+    with socket.create_connection(("127.0.0.1", client.server.port), timeout=20) as link:
+        link.sendall(f"{head}\r\nHost: {own}\r\nCookie: {client.cookie}\r\n\r\n".encode())
+        return link.recv(65536)
+
+
+@pytest.mark.parametrize("length", ["abc", "", "0x10", "5, 6", "²", "9" * 5000])
+@pytest.mark.parametrize("path", ["/api/do", "/api/upload?name=a.avi"])
+def test_a_length_that_is_no_number_is_refused(path: str, length: str, shared: Client) -> None:
+    assert b" 400 " in send_raw(shared, f"POST {path} HTTP/1.1\r\nContent-Length: {length}")
+
+
+def test_an_origin_that_is_no_address_is_refused(shared: Client) -> None:
+    assert b" 403 " in send_raw(shared, "GET /api/state HTTP/1.1\r\nOrigin: http://[")
 
 
 def test_a_body_that_is_no_json_or_too_large_is_refused(shared: Client) -> None:
@@ -166,6 +205,48 @@ def test_two_tabs_do_not_overwrite_each_other(study_file: Path, page: Clients) -
     assert (status, "changed meanwhile" in refused["error"]) == (409, True)
     assert client.post("/api/do", do="undo", arguments={}, seen=1)[1]["revision"] == 2
     assert client.hear_state(lambda s: s["revision"] == 2)["history"]["can_redo"]
+
+
+def test_a_tab_that_does_not_read_costs_little_and_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handlers, "MAX_UNREAD_S", 0.3)
+    tabs: list[Callable[[str], None]] = []
+    live = SimpleNamespace(
+        server="s", listen=lambda call: (tabs.append(call), lambda: call in tabs and tabs.remove(call))[1]
+    )
+
+    heard: list[Any] = []
+
+    async def scenario() -> int:
+        server = HTTPServer(Application([("/", handlers.EventsHandler, {"live": live})]))
+        sockets = bind_sockets(0, "127.0.0.1")
+        server.add_sockets(sockets)
+        port = sockets[0].getsockname()[1]
+        reads = await websocket_connect(f"ws://127.0.0.1:{port}/", on_message_callback=heard.append)
+        stuck = socket.socket()
+        stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stuck.connect(("127.0.0.1", port))
+        head = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+        stuck.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        while len(tabs) < 2:
+            await asyncio.sleep(0.01)
+        tracemalloc.start()
+        for i in range(60):
+            for send in tuple(tabs):
+                send(f'{{"type":"state","state":{i},"padding":"{i:01000000d}"}}')
+            await asyncio.sleep(0.01)
+            del heard[:-1]
+        while len(tabs) > 1:
+            await asyncio.sleep(0.01)
+        held = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        while '"state":59,' not in heard[-1]:
+            await asyncio.sleep(0.01)
+        stuck.close()
+        reads.close()
+        server.stop()
+        return held
+
+    assert asyncio.run(asyncio.wait_for(scenario(), 20)) < 40_000_000  # all unread messages: 60 MB and more
 
 
 def test_a_ping_is_answered(study_file: Path, page: Clients) -> None:

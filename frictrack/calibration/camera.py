@@ -8,6 +8,7 @@ of all corners. One view determines a homography, and one radial coefficient if 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -194,6 +195,10 @@ def _points_on_plane(values: Array, points: Array) -> Array:
     return _on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
+def _on_plane_through(lens: Lens, pose: Array, points: Array) -> Array:
+    return _on_plane(lens.rays(points), pose)
+
+
 def _on_plane(rays: Array, pose: Array) -> Array:
     """Intersect directions (n, 2) with the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
     turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
@@ -227,9 +232,7 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"
     )
-    return PlaneMap(
-        pose, covariance, lambda p, points: _on_plane(lens.rays(points), p), used=used, notes=_reprojection_note(rms)
-    )
+    return PlaneMap(pose, covariance, partial(_on_plane_through, lens), used=used, notes=_reprojection_note(rms))
 
 
 def _reprojection_note(rms: float) -> tuple[str, ...]:

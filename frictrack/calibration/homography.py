@@ -108,19 +108,20 @@ def fit_view(
     values, covariance, misfit = _fit(
         start, (plane_norm, picture, distortion), (points if distortion else straightened, places), sigma
     )
-    undo_distortion: Callable[[float, Array], Array] = (
-        (lambda k, p: p) if lens is None else partial(_undistort, lens=lens)
-    )
-
-    def place(given: Array, at: Array) -> Array:
-        flat = straight(at) if lens is None else undo_distortion(float(given[N_PARAMETERS]), at)
-        return plane_norm.restore(project(_inverse(given), picture(flat)))
-
+    place = partial(_place, (plane_norm, picture), straight if lens is None else lens)
     middle = points.mean(axis=0)
     centre, reach = (float(middle[0]), float(middle[1])), float(np.hypot(*np.ptp(points, axis=0)))
     plane = PlaneMap(values, covariance, place, centre=centre, zero=(0.0, 0.0), reach=reach)
     rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
     return Homography(plane, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
+
+
+def _place(
+    frames: tuple[Normalisation, Normalisation], lens: Straight | Normalisation, values: Array, at: Array
+) -> Array:
+    """Points of the plane, m, of picture points whose distortion a known lens or a fitted coefficient removes."""
+    flat = _undistort(float(values[N_PARAMETERS]), at, lens) if isinstance(lens, Normalisation) else lens(at)
+    return frames[0].restore(project(_inverse(values), frames[1](flat)))
 
 
 def _fit(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -137,7 +138,7 @@ class PlaneMap:
             With the factor as one more value.
 
         """
-        k, place = len(self.values), self.place
+        k = len(self.values)
         covariance = np.zeros((k + 1, k + 1))
         covariance[:k, :k], covariance[k, k] = self.covariance, (relative * factor) ** 2
         zero = None if self.zero is None else (self.zero[0] * factor, self.zero[1] * factor)
@@ -145,9 +146,13 @@ class PlaneMap:
             self,
             values=np.append(self.values, factor),
             covariance=covariance,
-            place=lambda values, points: values[k] * place(values[:k], points),
+            place=partial(_times_last_value, self.place),
             zero=zero,
         )
+
+
+def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
+    return np.asarray(values[-1] * place(values[:-1], points))
 
 
 def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
@@ -176,8 +181,12 @@ def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], f
     return PlaneMap(
         np.asarray(values, dtype=np.float64),
         np.asarray(covariance, dtype=np.float64),
-        lambda given, points: pitch(given) * straight(points),
+        partial(_uniform, pitch, straight),
     )
+
+
+def _uniform(pitch: Callable[[Array], float], straight: Straight, values: Array, points: Array) -> Array:
+    return pitch(values) * straight(points)
 
 
 Straight = Callable[[Array], Array]  # picture points (n, 2) px -> where a lens without distortion shows them

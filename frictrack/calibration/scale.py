@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -149,7 +151,7 @@ def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
 
     """
     value, std = _parse_number(scale)
-    return uniform([value], [[std**2]], lambda values: float(values[0]), straight)
+    return uniform([value], [[std**2]], itemgetter(0), straight)
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
@@ -175,14 +177,16 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
     if not distance > 0:
         raise FrictrackError(f"expected two different points for the scale but got {scale['points']!r}")
 
-    def pitch(values: Array) -> float:
-        ends = straight(values[1:].reshape(2, 2))
-        return float(values[0] / np.hypot(*(ends[1] - ends[0])))
-
+    pitch = partial(_pitch_of_ruler, straight)
     made = uniform([length, *points.ravel()], np.diag([std**2] + 4 * [click**2]), pitch, straight)
     used = f"scale by a ruler of {1e3 * length:g} mm over {distance:.0f} px, clicked to {click:g} px"
     middle = points.mean(axis=0)
     return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
+
+
+def _pitch_of_ruler(straight: Straight, values: Array) -> float:
+    ends = straight(values[1:].reshape(2, 2))
+    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
 
 
 def _picture_points(raw: Any, min_count: int) -> Array:

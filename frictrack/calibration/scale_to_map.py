@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -147,14 +148,15 @@ def _map_by_target(
         raise FrictrackError("expected a track for a scale by the target's size but got none")
     width = target_width(track, direction, film)
 
-    def pitch(values: Array) -> float:
-        reach = direction * values[1] / 2
-        middle = width.ends.mean(axis=0)
-        ends = straight(np.stack([middle - reach, middle + reach]))
-        return float(values[0] / np.hypot(*(ends[1] - ends[0])))
-
+    pitch = partial(_pitch_of_target, straight, direction, width.ends.mean(axis=0))
     plane = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
     return replace(plane, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
+
+
+def _pitch_of_target(straight: Straight, direction: Array, middle: Array, values: Array) -> float:
+    reach = direction * values[1] / 2
+    ends = straight(np.stack([middle - reach, middle + reach]))
+    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
 
 
 def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:

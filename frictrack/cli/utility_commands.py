@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import webbrowser
 from importlib import import_module
@@ -14,6 +15,8 @@ from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
 from frictrack.cli.examples import EXAMPLES, format_examples
 from frictrack.cli.look_at import look_at
 from frictrack.errors import FrictrackError
+
+TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
 
 @command()
@@ -62,13 +65,17 @@ def render(
 
 
 @command("app")
-def workbench(
+def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
     host: Annotated[
         str, typer.Option(help="address of the server; 0.0.0.0 makes it reachable from other machines")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="port of the server")] = 5006,
-    token: Annotated[str | None, typer.Option(help="password of the page (default: a new one each time)")] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(help=f"file with the password of the page (default: ${TOKEN_VARIABLE}, else a new one each time)"),
+    ] = None,
+    token: Annotated[str | None, typer.Option(hidden=True)] = None,  # of earlier versions
     name: Annotated[
         list[str] | None, typer.Option(help="additional host name of the page, for example behind a proxy")
     ] = None,
@@ -83,7 +90,24 @@ def workbench(
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
     except ModuleNotFoundError as e:
         raise FrictrackError(f'the workbench needs {e.name}; pip install "frictrack[app]"') from e
+    token = _page_token(token, token_file)
     server.serve(study, host=host, port=port, token=token, names=name or (), show=browser)
+
+
+def _page_token(written: str | None, file: Path | None) -> str | None:
+    """Password of the page: of a file or the environment, because every user can read a command line."""
+    if written is not None:
+        sys.stderr.write(f"--token can be read by every user of this machine; use --token-file or {TOKEN_VARIABLE}\n")
+        return written
+    if file is None:
+        return os.environ.get(TOKEN_VARIABLE)
+    try:
+        found = file.read_text(encoding="utf-8").strip()
+    except (OSError, ValueError) as e:
+        raise FrictrackError(f"expected a file with a password but cannot read {file} ({e})", usage=True) from e
+    if not found:
+        raise FrictrackError(f"expected the password of the page in {file} but it is empty; write one", usage=True)
+    return found
 
 
 @command()

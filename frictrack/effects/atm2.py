@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -32,8 +32,12 @@ def _static(path: Path, nonlinear: Nonlinear) -> Array:
     return (path.load * path.s * _decay(path, nonlinear))[:, None]
 
 
-def _sine(path: Path, own: Nonlinear) -> Array:
-    return wave(own["frequency"] * path.t, own["phase"])
+def _sliding_sine(path: Path, own: Nonlinear) -> Array:
+    return wave(own["frequency"] * path.t, own["phase"]) * _sliding(path, own)[:, None]
+
+
+def _viscous_sine(path: Path, own: Nonlinear) -> Array:
+    return wave(own["frequency"] * path.t, own["phase"]) * path.v[:, None]
 
 
 SINE = (
@@ -46,14 +50,14 @@ SLIDING = Effect(
     acts_on="force",
     equation="f_c sin(2 pi frequency t + phase) (1 - exp(-|v|/v_s))",
     parameters=(replace(F_C, role="amplitude"), V_S, *SINE),
-    columns=lambda path, own: _sine(path, own) * _sliding(path, own)[:, None],
+    columns=_sliding_sine,
 )
 VISCOUS = Effect(
     name="viscous",
     acts_on="force",
     equation="f_v sin(2 pi frequency t + phase) v",
     parameters=(replace(F_V, role="amplitude"), *SINE),
-    columns=lambda path, own: _sine(path, own) * path.v[:, None],
+    columns=_viscous_sine,
 )
 
 
@@ -61,6 +65,18 @@ def _part(effect: Effect, i: int) -> RelaxedPart:
     """One sine of a sum, its amplitude its own."""
     names = (f"{effect.name}_{p.name}_{i}" if p in SINE else p.name for p in effect.parameters)
     return RelaxedPart(effect.called(f"{effect.name}:{i}"), tuple(names))
+
+
+def _columns(order: int, path: Path, nonlinear: Nonlinear) -> Array:
+    """f_c, f_s and f_v columns, shape (n, 3)."""
+    sliding, viscous = (
+        sum(
+            wave(nonlinear[f"{kind}_frequency_{i}"] * path.t, nonlinear[f"{kind}_phase_{i}"])[:, 0]
+            for i in range(1, order + 1)
+        )
+        for kind in ("sliding", "viscous")
+    )
+    return np.column_stack([sliding * _sliding(path, nonlinear), _static(path, nonlinear), viscous * path.v])
 
 
 @cache
@@ -73,18 +89,6 @@ def atm2(order: int) -> Effect:
     lines = [(kind, i) for kind in ("sliding", "viscous") for i in range(1, order + 1)]
     waves = [_part(effect, i) for effect in (SLIDING, VISCOUS) for i in range(1, order + 1)]
 
-    def total(path: Path, nonlinear: Nonlinear, kind: str) -> Array:
-        sines = (
-            wave(nonlinear[f"{kind}_frequency_{i}"] * path.t, nonlinear[f"{kind}_phase_{i}"])[:, 0]
-            for i in range(1, order + 1)
-        )
-        return np.sum(list(sines), axis=0)
-
-    def columns(path: Path, nonlinear: Nonlinear) -> Array:
-        """f_c, f_s and f_v columns, shape (n, 3)."""
-        sliding = total(path, nonlinear, "sliding") * _sliding(path, nonlinear)
-        return np.column_stack([sliding, _static(path, nonlinear), total(path, nonlinear, "viscous") * path.v])
-
     return Effect(
         name=f"atm2:{order}",
         acts_on="force",
@@ -93,7 +97,7 @@ def atm2(order: int) -> Effect:
             f"S = sum of {order} sines sin(2 pi frequency t + phase)"
         ),
         parameters=(F_C, F_S, F_V, V_S, *(replace(p, name=f"{k}_{p.name}_{i}") for k, i in lines for p in SINE)),
-        columns=columns,
+        columns=partial(_columns, order),
         varies_with="v",
         relaxed=(RelaxedPart(STATIC, ("f_s", "v_s")), *waves),
         replaces=frozenset({"coulomb", "stribeck", "viscous"}),

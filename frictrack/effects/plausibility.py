@@ -2,12 +2,14 @@
 
 Every effect declares its own check in its own file, built from the functions below. A check takes the values of the
 effect's parameters in one run and how far that run reaches, and returns an objection in words, or "" where there is
-none. An effect that fails imitates the misfit; it is never named as the cause.
+none. An effect that fails imitates the misfit; it is never named as the cause. Checks are functions of a module with
+given arguments (`functools.partial`), so that a fit can be pickled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 Check = Callable[[Mapping[str, float], Any], str]  # (values by parameter, Span) -> objection or ""
@@ -24,7 +26,11 @@ WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole n
 
 def all_of(*checks: Check) -> Check:
     """Return the check that raises the first objection of several."""
-    return lambda values, span: next(filter(None, (check(values, span) for check in checks)), "")
+    return partial(_first_objection, checks)
+
+
+def _first_objection(checks: Iterable[Check], values: Mapping[str, float], span: Any) -> str:
+    return next(filter(None, (check(values, span) for check in checks)), "")
 
 
 def oscillates(values: Mapping[str, float], span: Any) -> str:
@@ -42,7 +48,11 @@ def oscillates(values: Mapping[str, float], span: Any) -> str:
 
 def is_periodic_in(parameter: str) -> Check:
     """Return the check that the travelled span holds `MIN_PERIODS` of a period in space (m)."""
-    return lambda values, span: _periods((span.x_max - span.x_min) / abs(values[parameter] or 1e-300))
+    return partial(_periodic, parameter)
+
+
+def _periodic(parameter: str, values: Mapping[str, float], span: Any) -> str:
+    return _periods((span.x_max - span.x_min) / abs(values[parameter] or 1e-300))
 
 
 def _periods(count: float) -> str:
@@ -67,36 +77,36 @@ def modulates(values: Mapping[str, float], span: Any) -> str:
 
 def within_picture(shift: Callable[[Mapping[str, float], Any], float]) -> Check:
     """Return the check that a picture error `shift` (m) stays below `MAX_PICTURE_SHARE` of the travelled span."""
+    return partial(_within_picture, shift)
 
-    def check(values: Mapping[str, float], span: Any) -> str:
-        share = abs(shift(values, span)) / max(span.x_max - span.x_min, 1e-300)
-        if share <= MAX_PICTURE_SHARE:
-            return ""
-        return f"a picture error of {100 * share:.2g} % of the span, expected at most {100 * MAX_PICTURE_SHARE:g} %"
 
-    return check
+def _within_picture(shift: Callable[..., float], values: Mapping[str, float], span: Any) -> str:
+    share = abs(shift(values, span)) / max(span.x_max - span.x_min, 1e-300)
+    if share <= MAX_PICTURE_SHARE:
+        return ""
+    return f"a picture error of {100 * share:.2g} % of the span, expected at most {100 * MAX_PICTURE_SHARE:g} %"
 
 
 def shorter_than_record(parameter: str, share: float = 1.0) -> Check:
     """Return the check that a time (s) is shorter than a share of the record."""
+    return partial(_shorter_than_record, parameter, share)
 
-    def check(values: Mapping[str, float], span: Any) -> str:
-        if values[parameter] <= share * span.duration:
-            return ""
-        return f"{parameter} {values[parameter]:.2g} s is longer than {share:g} of the record ({span.duration:.2g} s)"
 
-    return check
+def _shorter_than_record(parameter: str, share: float, values: Mapping[str, float], span: Any) -> str:
+    if values[parameter] <= share * span.duration:
+        return ""
+    return f"{parameter} {values[parameter]:.2g} s is longer than {share:g} of the record ({span.duration:.2g} s)"
 
 
 def within_course(centre: str, width: str) -> Check:
     """Return the check that a local force (m) is narrower than the course and lies on it."""
+    return partial(_within_course, centre, width)
 
-    def check(values: Mapping[str, float], span: Any) -> str:
-        travel = span.x_max - span.x_min
-        if not span.x_min <= values[centre] <= span.x_max:
-            return f"its centre {values[centre]:.3g} m lies off the course"
-        if values[width] > travel / 2:
-            return f"it is wider ({values[width]:.2g} m) than half of the course ({travel:.2g} m)"
-        return ""
 
-    return check
+def _within_course(centre: str, width: str, values: Mapping[str, float], span: Any) -> str:
+    travel = span.x_max - span.x_min
+    if not span.x_min <= values[centre] <= span.x_max:
+        return f"its centre {values[centre]:.3g} m lies off the course"
+    if values[width] > travel / 2:
+        return f"it is wider ({values[width]:.2g} m) than half of the course ({travel:.2g} m)"
+    return ""

@@ -27,6 +27,17 @@ class Span:
     earlier: EarlierRuns = ()  # the longest series before a run, where it is known
 
 
+@dataclass(frozen=True)
+class ScanValues:
+    """A scan of the same values for all runs."""
+
+    values: tuple[float, ...]
+
+    def __call__(self, span: Span) -> Array:
+        """Values worth trying."""
+        return np.array(self.values)
+
+
 MIN_SCAN_VALUES = 9  # of a scan between bounds
 
 

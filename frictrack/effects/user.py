@@ -11,6 +11,7 @@ Parameters that the function takes are non-linear. The others (F) are the coeffi
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
@@ -35,6 +36,13 @@ class Columns:
     function: Callable[..., Array]
     taken: tuple[str, ...]
     count: int
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Pickle the function by the place where it is found: in its module the effect has taken its name."""
+        function = self.function
+        if isinstance(getattr(sys.modules.get(function.__module__), function.__qualname__, None), Effect):
+            function.__qualname__ += ".columns.function"
+        return super().__reduce_ex__(protocol)
 
     def __call__(self, path: Path, nonlinear: Nonlinear) -> Array:
         """One column per coefficient."""

@@ -36,6 +36,16 @@ class ScanWave:
         return 1.0 / values if self.is_period else values
 
 
+def over_time(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in time, s."""
+    return path.t
+
+
+def over_position(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in space, m."""
+    return path.x
+
+
 def wave(cycles: Array, phase: float) -> Array:
     """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
     # sin z = 2 u/(1 + u^2) with u = tan(z/2): numpy's tangent takes many numbers at once, its sine one by one

@@ -15,6 +15,7 @@ from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.objectives import FittedRuns, Objective, objective_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.prior_transfer import prior_of
+from frictrack.fit.segments import noise_free_remark
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
@@ -260,6 +261,7 @@ class Fit(FittedRuns, StorableFit):
                 "correlations": [list(c) for c in self.estimates.correlations],
                 "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": [
+                    *(() if self.measured else noise_free_remark(self.runs)),
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
                     *(() if agreement is None else agreement.remarks()),

@@ -64,7 +64,7 @@ def make_attempts_folder(output: Path) -> Path:
 
     """
     folder = make_subfolder(make_internal_folder(output), FOLDER)
-    files = sorted(folder.glob("*.h5"), key=lambda path: path.stat().st_mtime_ns)
+    files = sorted(folder.glob("[!.]*.h5"), key=lambda path: path.stat().st_mtime_ns)
     for path in files[: max(len(files) - MAX_KEPT + 1, 0)]:
         with suppress(OSError):
             path.unlink()

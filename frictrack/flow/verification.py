@@ -94,7 +94,7 @@ def _result_files(path: Path) -> list[Path]:
     if path.suffix == ".toml" and path.is_file():
         path = _output_folder(path) or path
     if path.is_dir():
-        return sorted(p for p in path.rglob("*.h5") if not p.name.startswith("."))
+        return sorted(path.rglob("[!.]*.h5"))
     return [path] if path.suffix == ".h5" and path.exists() else []
 
 

@@ -46,6 +46,7 @@ MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
 MAX_CORRELATED = 0.999  # largest share and correlation of coloured noise
 MAX_COLOUR_TRIALS = 40  # evaluations to fit correlation and share
 MIN_FRAMES = 8  # valid frames from which noise can be estimated
+MAX_POSITION_M = 1e5  # beyond it the digits of a position no longer hold the motion to the accuracy of its integration
 MIN_TRAVEL_M = 1e-15  # of a moving target
 
 
@@ -411,6 +412,11 @@ def _check_position(x: Array, n: int) -> None:
         raise FrictrackError(
             f"displacement: expected a moving target but x is {x[0]:g} m in all {len(x)} valid frames; "
             "check which target was tracked"
+        )
+    if (far := float(np.min(np.abs(x)))) > MAX_POSITION_M:
+        raise FrictrackError(
+            f"displacement: expected positions within {MAX_POSITION_M:g} m of their origin but all lie {far:g} m away; "
+            "subtract a constant from the positions"
         )
 
 

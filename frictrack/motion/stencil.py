@@ -61,15 +61,21 @@ def stencil_derivatives(y: Array, interval: float) -> Array:
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
 
     """
-    start, table = stencils(len(y), interval)
-    out: Array = np.sum(table * y[start[:, None] + np.arange(STENCIL_FRAMES)], axis=-1)
-    return out
+    return np.stack([stencil_derivative(y, order) / interval**order for order in range(3)])
 
 
 def stencil_derivative(y: Array, order: int) -> Array:
     """Derivative of one order of columns (n, ...), per frame."""
-    start, table = stencils(len(y), 1.0)
-    out: Array = np.einsum("nk,nk...->n...", table[order], y[start[:, None] + np.arange(STENCIL_FRAMES)])
+    weights, n = _table()[order], len(y)
+    out = np.empty(y.shape)
+    inner = out[STENCIL_REACH : n - STENCIL_REACH - 1]
+    np.multiply(weights[STENCIL_REACH, 0], y[: len(inner)], out=inner)
+    for k in range(1, STENCIL_FRAMES - 1):  # without a copy of the frames of every stencil
+        inner += weights[STENCIL_REACH, k] * y[k : k + len(inner)]
+    for place in range(STENCIL_FRAMES):
+        if place != STENCIL_REACH:
+            first = 0 if place < STENCIL_REACH else n - STENCIL_FRAMES
+            out[first + place] = np.tensordot(weights[place], y[first : first + STENCIL_FRAMES], 1)
     return out
 
 

@@ -154,6 +154,8 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     relative = sigma / np.median(sigma)
     digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
     noise = max(_level(x / relative, frames), floor, digits)
+    if not noise > 0:  # all positions are zero
+        return NO_OUTLIERS
     series = _Positions(frames, x, noise * relative)
     parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > MAX_GAP_FRAMES) + 1)
     found = [(part[rows], off) for part in parts for rows, off in [_outliers_of_stretch(series.part(part))]]

@@ -77,7 +77,9 @@ def write(
         for name, entry in groups.items():
             encoding.write_group(encoding.new_group(file, name), entry.content, vars(entry.provenance))
         for name, target in links.items():
-            inside = target.startswith("/")
+            inside, above = target.startswith("/"), name.rpartition("/")[0]
+            if above and above not in file:  # HDF5 would make it with its time
+                encoding.new_group(file, above)
             file[name] = h5py.SoftLink(target) if inside else h5py.ExternalLink(target, "/")
         for name, attributes in attribute_updates.items():
             file[name].attrs.update(attributes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,9 @@ ARRAY_TABLES = ("run", "effect")  # written with two brackets
 RESERVED_NAME = "study"  # name of the file with the results of all runs
 MAX_STUDY_BYTES = 1 << 19  # a study file of a thousand runs has 100 kB
 MAX_DOTS_PER_LINE = 50  # outside of texts and numbers; the time to parse a dotted key grows with the square of them
+MAX_FAULTS = 50  # that are listed
+_HEADER = re.compile(r"""\s*\[+\s*["']?([\w-]+)["']?\s*([.\]])""")  # of a table, or with a dot of a part of it
+_KEY = re.compile(r"""\s*["']?([\w-]+)["']?\s*[.=]""")
 _NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 
@@ -145,7 +149,8 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
     if not allow_incomplete:
         reader.faults += reader.lacks
     if reader.faults or study is None:
-        raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
+        more = ["there may be more faults"] if len(reader.faults) >= MAX_FAULTS else []
+        raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults[:MAX_FAULTS] + more), usage=True)
     return study
 
 
@@ -232,7 +237,7 @@ class _Reader:
     """Read the tables of a study file one after the other and collect their faults."""
 
     def __init__(self, text: str, context: dict[str, Any], *, allow_no_runs: bool = False) -> None:
-        self.lines = text.splitlines()
+        self.lines = _lines_of_keys(text)
         self.context = context
         self.allow_no_runs = allow_no_runs
         self.faults: list[str] = []
@@ -242,7 +247,8 @@ class _Reader:
 
     def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
         for name, value in raw.items():
-            self._check_table(name, value)
+            if len(self.faults) < MAX_FAULTS:
+                self._check_table(name, value)
         head = self._table("study", 0, raw.get("study", {}))
         camera = self._table("camera", 0, raw.get("camera", {}))
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
@@ -299,7 +305,7 @@ class _Reader:
             seen: set[Any] = set()
             for fault in e.errors(include_url=False):
                 key = fault["loc"][0] if fault["loc"] else ""
-                if key not in seen:
+                if key not in seen and len(self.faults) < MAX_FAULTS:
                     self.faults.append(self._sentence(table, index, raw, fault))
                 seen.add(key)
             return None
@@ -341,11 +347,12 @@ class _Reader:
         return run
 
     def _check_names(self, runs: tuple[RunTable, ...]) -> None:
-        names = [run.name.casefold() for run in runs]
+        names: set[str] = set()
         for i, run in enumerate(runs):
-            if run.name.casefold() in names[:i]:
+            if run.name.casefold() in names:
                 line = self._line("run", i, "name")
                 self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
+            names.add(run.name.casefold())
 
     def _check_prior(self, head: StudyTable, runs: tuple[RunTable, ...]) -> None:
         where = f"[study], {self._line('study', 0, 'prior')}"
@@ -359,16 +366,24 @@ class _Reader:
 
     def _line(self, table: str, index: int, key: str) -> str:
         """Return the line of a key, as ``line 12``; that of the table's header if the key is not found."""
-        header = re.compile(r"\s*\[+\s*(\w+)")
-        at, count, inside = 0, -1, not table
-        for number, line in enumerate(self.lines, 1):
-            if opened := header.match(line):
-                count += opened[1] == table
-                inside = opened[1] == (table or key) and (count == index or not table)
-                at = number if inside and not at else at
-            if inside and key and re.match(rf'\s*["\']?{re.escape(key)}["\']?\s*[.=]', line):
-                return f"line {number}"
-        return f"line {at or 1}"
+        places = [(table, index, key), (table, index, "")] if table else [(key, 0, ""), ("", 0, key)]
+        return f"line {next((self.lines[place] for place in places if place in self.lines), 1)}"
+
+
+def _lines_of_keys(text: str) -> dict[tuple[str, int, str], int]:
+    """Return the lines of tables and their keys in a study file, by table, its index and key ("" for its header)."""
+    found: dict[tuple[str, int, str], int] = {}
+    counts: Counter[str] = Counter()
+    table, index = "", 0
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            table, part = header[1], header[2] == "."
+            index = max(counts[table] - part, 0)
+            counts[table] += not part
+            found.setdefault((table, index, ""), number)
+        elif key := _KEY.match(line):
+            found.setdefault((table, index, key[1]), number)
+    return found
 
 
 def _prior(head: StudyTable) -> Prior | None:

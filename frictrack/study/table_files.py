@@ -78,8 +78,8 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
         if path.suffix.lower() == ".xml":
             return _table_of_rows(_xml_rows(path), wanted)
         with path.open(encoding=text_encoding(path)) as file:
-            if file.readline().startswith(KINOVEA_TEXT):
-                return _kinovea_text(file.read())
+            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
+                return _kinovea_text(KINOVEA_TEXT + file.read())
         return _text_table(path, wanted)
     except ImportError as e:
         raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
@@ -108,7 +108,7 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
         return tuple(map(str, open_table(path, wanted).frame.columns))
     try:
         with path.open(encoding=text_encoding(path)) as file:
-            if file.readline().startswith(KINOVEA_TEXT):
+            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
                 return KINOVEA_COLUMNS
         return find_layout(path, wanted).header
     except (OSError, ValueError) as e:

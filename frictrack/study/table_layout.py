@@ -6,14 +6,16 @@ import codecs
 import csv
 import itertools
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from frictrack.units import is_ordinary_unit
 
 MAX_HEAD_LINES = 200  # lines in which the header is searched: titles and settings of an instrument may stand before it
 MAX_BYTES_DECODED = 1 << 20  # from which the encoding is found
+MAX_TEXT_COLUMNS, MAX_LINE_CHARACTERS = 10_000, 1 << 20  # the time to read a column does not depend on its rows alone
 WHITESPACE = r"\s+"  # separator of columns that only spaces separate
 SEPARATORS = "\t;,"
 MIN_COLUMNS = 2
@@ -68,7 +70,7 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
     """
     encoding = text_encoding(path)
     with path.open(encoding=encoding) as file:
-        lines = ((i, line) for i, line in enumerate(file) if line.strip() and not line.startswith("#"))
+        lines = ((i, line) for i, line in enumerate(_lines(file)) if line.strip() and not line.startswith("#"))
         head = list(itertools.islice(lines, MAX_HEAD_LINES))
         at = find_header([line for _, line in head], wanted)
         separator = _separator([line for _, line in head[at : at + 3]])
@@ -77,6 +79,8 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         first = at + 2 if below else at + 1
         rest = itertools.chain(head[first:], lines)
         decimal = "." if separator == "," else _decimal((line for _, line in rest), separator)
+    if rows and len(rows[0]) > MAX_TEXT_COLUMNS:
+        raise ValueError(f"{len(rows[0])} columns, at most {MAX_TEXT_COLUMNS} are read; keep time and position")
     number = head[at][0] if head else 0
     return TableLayout(
         separator,
@@ -87,6 +91,14 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         (*range(number), *([head[at + 1][0]] if below else [])),
         encoding,
     )
+
+
+def _lines(file: TextIO) -> Iterator[str]:
+    """Yield lines of limited length; a text without line ends is not read to its end."""
+    while line := file.readline(MAX_LINE_CHARACTERS):
+        if len(line) == MAX_LINE_CHARACTERS:
+            raise ValueError(f"a line of more than {MAX_LINE_CHARACTERS} characters; keep time and position")
+        yield line
 
 
 def text_encoding(path: Path) -> str:

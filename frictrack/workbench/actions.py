@@ -160,7 +160,7 @@ def start_job(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, 
         "job", the started job.
 
     """
-    if do not in JOBS:
+    if do not in tuple(JOBS):  # a list or an object cannot be looked up in a dictionary
         raise FrictrackError(f"expected one of the jobs {', '.join(JOBS)} but got {do!r}", usage=True)
     _need_study(live)
     given = _mapping(arguments, "arguments")

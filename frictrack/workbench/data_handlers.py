@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,8 +63,8 @@ class FrameHandler(FilmApi):
     async def get(self) -> None:
         """Answer with the picture; the browser keeps it if the address has the version of the film."""
         number = self.get_query_argument("n", "0")
-        if not number.lstrip("-").isdecimal():
-            raise FrictrackError(f'expected the number of a frame but got "{number}"', usage=True)
+        if not re.fullmatch(r"-?[0-9]{1,18}", number):
+            raise FrictrackError(f'expected the number of a frame but got "{number[:40]}"', usage=True)
         file = await self.film()
         picture = await asyncio.wrap_future(self.live.films.open(file).frame(int(number)))
         if self.get_query_argument("v", "") == file.version:

@@ -92,7 +92,7 @@ def _tables(study: Study, results: Results, form: str) -> Content:
 
 
 def _hdf5_files(study: Study, results: Results, form: str) -> Content:
-    return zip_files((path.name, path) for path in sorted(results.output.glob("*.h5")))
+    return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
 
 
 def _script(study: Study, results: Results | None, form: str) -> Content:

@@ -74,7 +74,7 @@ class RequestGuard:
                 "start `frictrack app --name NAME` to accept another name."
             )
         origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
+        if origin is not None and origin.lower().partition("://")[2] != request.host.lower():
             return f'Expected a request from the page itself but got one from "{origin}".'
         if not self.has_token(request) and not _same(self._cookie_value(request), self.secret):
             return "Expected the address with its token; copy it from the terminal where frictrack app was started."

@@ -5,6 +5,7 @@ Films, plots and downloads are in `data_handlers`.
 
 from __future__ import annotations
 
+import asyncio
 import json
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from frictrack.workbench.actions import cancel, change, check, copy_sample, list
 from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.live_study import LiveStudy, to_json
 
+MAX_UNREAD_S = 20.0  # that a tab may leave a message unread
 STATIC = Path(__file__).parent / "static"
 SECURITY = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
@@ -45,6 +47,12 @@ class PageFiles(StaticFileHandler):
         assert self.absolute_path is not None
         stat = Path(self.absolute_path).stat()
         return f'"{stat.st_mtime_ns:x}-{stat.st_size:x}"'
+
+    def parse_url_path(self, url_path: str) -> str:
+        """Path of the file (Tornado's interface); a NUL stands in none."""
+        if "\0" in url_path:
+            raise HTTPError(404)
+        return super().parse_url_path(url_path)
 
     def write_error(self, status_code: int, **more: Any) -> None:
         """Answer that there is no such file."""
@@ -153,6 +161,8 @@ class EventsHandler(WebSocketHandler):
         """Store the study."""
         self.live = live
         self.end = lambda: None
+        self._waiting: dict[str, str] = {}  # newest message of each kind, until the tab has read the one before
+        self._sending: asyncio.Future[None] | None = None
 
     def open(self, *arguments: str, **more: str) -> None:
         """Say which server this is, then send every change."""
@@ -161,11 +171,20 @@ class EventsHandler(WebSocketHandler):
         self.end = self.live.listen(self.send)
 
     def send(self, message: str) -> None:
-        """Send a message, unless the tab has been closed."""
+        """Send a message; a tab that does not read gets the newest of each kind when it reads again."""
+        self._waiting[message.partition(",")[0]] = message
+        if self._sending is None or self._sending.done():
+            self._sending = asyncio.ensure_future(self._send_waiting())
+
+    async def _send_waiting(self) -> None:
+        """Send one message after the other; a tab that is closed, or does not read for long, is forgotten."""
         try:
-            self.write_message(message)
-        except WebSocketClosedError:
+            while self._waiting:
+                message = self._waiting.pop(next(iter(self._waiting)))
+                await asyncio.wait_for(self.write_message(message), MAX_UNREAD_S)
+        except (WebSocketClosedError, TimeoutError):
             self.end()
+            self.close()
 
     def on_message(self, message: str | bytes) -> None:
         """Answer a ping."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import secrets
 import sys
+import tempfile
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,11 +20,12 @@ from tornado.web import Application
 
 from frictrack.errors import FrictrackError
 from frictrack.workbench.actions import resume_background
-from frictrack.workbench.guard import LOOPBACK, RequestGuard, address_of, clean_names, protect
+from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, clean_names, protect
 from frictrack.workbench.live_study import LiveStudy
 from frictrack.workbench.routes import routes
 
 MAX_BODY_BYTES = 4_000_000  # of a request that is no upload
+SHOWN_S = 60.0  # that a browser has to read the file which forwards it to the page
 PING_INTERVAL_S = 20.0  # of WebSockets: a tab that does not answer is forgotten
 
 
@@ -46,7 +49,8 @@ def serve(
     port : int
         Port; 0 for any free one.
     token : str, optional
-        Token in the address of the page; a new one by default.
+        Token in the address of the page; a new one by default. Other users do not see it: the browser is started with
+        a file that only its owner can read, not with the address.
     names : sequence of str
         Further host names that are accepted.
     show : bool
@@ -77,13 +81,36 @@ async def _serve(path: Path, guard: RequestGuard, port: int, show: bool) -> None
     server.add_sockets(sockets)
     address = address_of(guard.host, sockets[0].getsockname()[1], quote(guard.token, safe=""))
     sys.stderr.write(f"frictrack workbench of {path}\n  {address}\n  press Ctrl-C to stop; running jobs continue\n")
-    if show:
-        asyncio.get_running_loop().run_in_executor(None, webbrowser.open, address)
+    shown = asyncio.create_task(open_browser(address) if show else asyncio.sleep(0))
     try:
         await live.watch()
     finally:
+        shown.cancel()
         server.stop()
         live.close()
+
+
+async def open_browser(address: str) -> None:
+    """Open an address in the browser by a file that forwards to it: every user can see with what programs are started.
+
+    Only its owner can read the file, which is removed after `SHOWN_S`.
+
+    Parameters
+    ----------
+    address : str
+        Address of the page, with the token.
+
+    """
+    sandboxed = Path("/snap").is_dir()  # browsers of Snap read neither /tmp nor hidden folders
+    with suppress(OSError):  # the address stands in the terminal
+        handle, name = tempfile.mkstemp(prefix="frictrack-", suffix=".html", dir=Path.home() if sandboxed else None)
+        try:
+            with os.fdopen(handle, "w", encoding="ascii") as file:
+                file.write(REDIRECT_PAGE.format(address))
+            await asyncio.to_thread(webbrowser.open, Path(name).as_uri())
+            await asyncio.sleep(SHOWN_S)
+        finally:
+            Path(name).unlink(missing_ok=True)
 
 
 def application(live: LiveStudy, guard: RequestGuard) -> Application:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import filecmp
+import re
 import shutil
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -115,7 +116,10 @@ class UploadHandler(Api):
         if self.request.method != "POST":
             return
         self.request.connection.set_max_body_size(MAX_UPLOAD_BYTES + 1)  # type: ignore[union-attr]
-        folder, size = self.live.path.parent, int(self.request.headers.get("Content-Length", "0"))
+        folder, length = self.live.path.parent, self.request.headers.get("Content-Length", "0")
+        if not re.fullmatch(r"[0-9]{1,18}", length):
+            raise FrictrackError(f'expected the number of bytes as Content-Length but got "{length[:40]}"', usage=True)
+        size = int(length)
         free = await asyncio.to_thread(lambda: shutil.disk_usage(folder).free)
         name = stored_name(self.get_query_argument("name", ""))
         if size > MAX_UPLOAD_BYTES:

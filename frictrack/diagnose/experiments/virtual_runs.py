@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -332,7 +333,7 @@ def _conditions_at_nodes(
     mass = conditions.mass * design.mass
     known = np.full_like(nodes, -GRAVITY * np.sin(incline))
     start_time = 0.0 if reference_piece is None else float(reference_piece.t[0])
-    drive_at = None if old.drive_at is None else _scaled(old.drive_at, design.drive, start_time)
+    drive_at = None if old.drive_at is None else partial(_scaled, old.drive_at, design.drive, start_time)
     drive = None if drive_at is None else drive_at(nodes)
     if drive is not None:
         known = known + drive / mass
@@ -365,13 +366,9 @@ def incline_of(reference_piece: Piece) -> float:
     return float(-np.arcsin(np.clip(np.median(reference_piece.known - drive) / GRAVITY, -1.0, 1.0)))
 
 
-def _scaled(drive_at: Callable[[Array], Array], factor: float, start_time: float) -> Callable[[Array], Array]:
+def _scaled(drive_at: Callable[[Array], Array], factor: float, start_time: float, t: Array) -> Array:
     """The same drive times a factor, from the start of the piece."""
-
-    def at(t: Array) -> Array:
-        return factor * np.asarray(drive_at(t + start_time))
-
-    return at
+    return factor * np.asarray(drive_at(t + start_time))
 
 
 def _repeat_series(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -23,6 +24,11 @@ MIN_RATIOS = 4  # that are tried in any case
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """sin(integral of omega(x(t)) dt since release + phase), shape (n, 1): N per N of amplitude."""
     return wave(_cycles(path, nonlinear), nonlinear["phase"])
+
+
+def cycles_at_1_hz(path: Path, nonlinear: Nonlinear) -> Array:
+    """Cycles (n,) since release of a beam of 1 Hz."""
+    return _cycles(path, {**nonlinear, "frequency": 1.0})
 
 
 def shape(x: Array, length: Array) -> tuple[Array, Array]:
@@ -136,11 +142,11 @@ beam_vibration = Effect(
         Parameter("amplitude", "N", linear=True, role="amplitude"),
         Parameter("frequency", "Hz", scan=frequencies),
         Parameter("r", "1", scan=ratios),
-        Parameter("beam_length", "m", scan=lengths, known=lambda span: span.beam_length),
+        Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: _cycles(path, {**nonlinear, "frequency": 1.0})),
+    scan_wave=ScanWave("frequency", cycles_at_1_hz),
     counts_from_release=True,
     what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
     looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",

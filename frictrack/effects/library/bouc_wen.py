@@ -17,13 +17,13 @@ from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, breakaway_lengths
+from frictrack.effects.scans import ScanValues, Span, breakaway_lengths
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law
 MAX_BENDING_M = 1e3  # m, likewise
-DELTA_RATIOS = np.array([-1.5, -0.75, 0.0, 0.75])  # of delta to gamma worth trying
+DELTA_RATIOS = (-1.5, -0.75, 0.0, 0.75)  # of delta to gamma worth trying
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -118,7 +118,7 @@ bouc_wen = Effect(
     parameters=(
         Parameter("alpha", "N/m", (0.0, np.inf), linear=True),
         Parameter("gamma", "1/m", (1e-6, np.inf), scan=rates),
-        Parameter("delta", "1/m", (-5.0, 5.0), scan=lambda span: DELTA_RATIOS, signed=True),
+        Parameter("delta", "1/m", (-5.0, 5.0), scan=ScanValues(DELTA_RATIOS), signed=True),
     ),
     columns=columns,
     state=state,

@@ -6,8 +6,8 @@ from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import DirectCheck, EffectInStudy, oscillation, picture_shift_signal
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, within_picture
-from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.scans import Span, frequencies
+from frictrack.effects.waves import ScanWave, over_time, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
@@ -15,6 +15,11 @@ from frictrack.records import Array
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """sin(2 pi f t + phase), shape (n, 1): m per m of amplitude."""
     return wave(nonlinear["frequency"] * path.t, nonlinear["phase"])
+
+
+def amplitude(values: Nonlinear, span: Span) -> float:
+    """Error of the picture, m."""
+    return values["amplitude"]
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -34,12 +39,12 @@ camera_shake = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    scan_wave=ScanWave("frequency", over_time),
     what="The camera or its stand vibrates.",
     looks_like="a line in time of the same size in x whatever the mass; the background moves too",
     mistaken_for="vibration of the course (same shape in one run)",
     confirm="Track a fixed mark in the same film and give it as `reference`.",
-    plausible=all_of(oscillates, within_picture(lambda own, span: own["amplitude"])),
+    plausible=all_of(oscillates, within_picture(amplitude)),
     invariant="a shaking camera moves the picture equally far whatever slides",
     direct_check=DirectCheck(
         "reference",

@@ -9,7 +9,7 @@ from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, rings
 from frictrack.effects.scans import Span, frequency_range
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.waves import ScanWave, over_time, wave
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -46,7 +46,7 @@ decaying_vibration = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    scan_wave=ScanWave("frequency", over_time),
     varies_with="",
     special_cases={"vibration": {"tau": np.inf}},
     what="The blow or push that starts the run sets the beam or course ringing; damping takes it away.",

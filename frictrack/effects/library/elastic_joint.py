@@ -9,11 +9,11 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import Complexes, follow_target, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import Span, frequency_range
+from frictrack.effects.scans import ScanValues, Span, frequency_range
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
-DAMPINGS = np.array([0.04, 0.2])  # damping ratios worth trying
+DAMPINGS = (0.04, 0.2)  # damping ratios worth trying
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -79,7 +79,7 @@ elastic_joint = Effect(
     parameters=(
         Parameter("mass", "kg", (0.0, np.inf), linear=True),
         Parameter("frequency", "Hz", (1e-3, np.inf), scan=frequencies),
-        Parameter("damping", "1", (0.0, 0.99), scan=lambda span: DAMPINGS),
+        Parameter("damping", "1", (0.0, 0.99), scan=ScanValues(DAMPINGS)),
     ),
     columns=columns,
     state=state,

@@ -12,7 +12,7 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
 from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import breakaway_lengths
+from frictrack.effects.scans import ScanValues, breakaway_lengths
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MAX_YIELDED = 40.0  # logarithm of the way to full bending that is left, beyond which the contact slides
 N_TABLE = 2001  # values of the way that belongs to a bending
-SHARES = np.array([0.3, 0.6, 0.9])
+SHARES = (0.3, 0.6, 0.9)
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -98,7 +98,7 @@ elasto_plastic = Effect(
     "share, then rising to 1 as (1 + cos(pi (1 - w sgn v)/(1 - share)))/2",
     parameters=(
         Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("share", "1", (0.0, 0.99), scan=lambda span: SHARES),
+        Parameter("share", "1", (0.0, 0.99), scan=ScanValues(SHARES)),
     ),
     columns=columns,
     state=state,

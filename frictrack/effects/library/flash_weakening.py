@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter
@@ -30,7 +32,7 @@ flash_weakening = Effect(
     equation="-dF L s (|v|/v_w)/(1 + |v|/v_w)",
     parameters=(
         Parameter("dF", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("v_w", "m/s", (1e-9, np.inf), scan=lambda span: bend_velocities(span, 3.0)),
+        Parameter("v_w", "m/s", (1e-9, np.inf), scan=partial(bend_velocities, above=3.0)),
     ),
     columns=columns,
     varies_with="v",

@@ -9,7 +9,7 @@ from frictrack.effects.in_study import ACCELEROMETER_STD, DirectCheck, EffectInS
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.waves import ScanWave, over_time, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array
 
@@ -45,7 +45,7 @@ load_modulation = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    scan_wave=ScanWave("frequency", over_time),
     varies_with="",
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",

@@ -15,7 +15,7 @@ from frictrack.effects.memory import (
     state_at_beginning,
 )
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, breakaway_lengths, stribeck_velocities
+from frictrack.effects.scans import ScanValues, Span, breakaway_lengths, stribeck_velocities
 from frictrack.records import Array
 
 
@@ -59,6 +59,11 @@ def speeds(span: Span) -> Array:
     return stribeck_velocities(span, low=1e-3, per_decade=4)
 
 
+def lengths(span: Span) -> Array:
+    """Breakaway lengths worth trying, m."""
+    return breakaway_lengths(span)[::2]
+
+
 def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     """F_s in N and sigma_0 in N/m, both from F_c."""
     level = own["F_c"] if "F_c" in own else float("nan")
@@ -73,8 +78,8 @@ lugre = Effect(
     parameters=(
         Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
         Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lambda span: breakaway_lengths(span)[::2]),
-        Parameter("F_s", "N", (1.0, 10.0), scan=lambda span: np.array([1.2, 1.6, 2.5])),
+        Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lengths),
+        Parameter("F_s", "N", (1.0, 10.0), scan=ScanValues((1.2, 1.6, 2.5))),
         Parameter("v_s", "m/s", scan=speeds),
         Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
     ),

@@ -9,12 +9,12 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import breakaway_lengths
+from frictrack.effects.scans import ScanValues, breakaway_lengths
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
 N_ELEMENTS = 8  # springs, each with the same share of the level
-SPREADS = np.array([3.0, 30.0])
+SPREADS = (3.0, 30.0)
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -71,7 +71,7 @@ maxwell_slip = Effect(
     "constant ratios from the first to the last, which is spread times it, together of the stiffness given",
     parameters=(
         Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("spread", "1", (1.0, 1e4), scan=lambda span: SPREADS),
+        Parameter("spread", "1", (1.0, 1e4), scan=ScanValues(SPREADS)),
     ),
     columns=columns,
     state=state,

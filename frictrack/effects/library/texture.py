@@ -7,7 +7,7 @@ from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import is_periodic_in
 from frictrack.effects.scans import spatial_periods
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.waves import ScanWave, over_position, wave
 from frictrack.number_format import format_length
 from frictrack.records import Array
 
@@ -34,7 +34,7 @@ texture = Effect(
         Parameter("phase", "rad", role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("period", lambda path, nonlinear: path.x, is_period=True),
+    scan_wave=ScanWave("period", over_position, is_period=True),
     varies_with="x",
     scales_with="load",
     what="Machining marks, joints or waviness of the course.",

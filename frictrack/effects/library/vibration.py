@@ -9,7 +9,7 @@ from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.waves import ScanWave, over_time, wave
 from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
@@ -38,7 +38,7 @@ vibration = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    scan_wave=ScanWave("frequency", over_time),
     varies_with="",
     what="The beam or course vibrates and pushes the mass to and fro at a fixed frequency.",
     looks_like="a line at the same frequency in every run, whatever the speed",

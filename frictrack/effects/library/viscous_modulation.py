@@ -7,7 +7,7 @@ from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.waves import ScanWave, over_time, wave
 from frictrack.number_format import format_number
 from frictrack.records import Array
 
@@ -33,7 +33,7 @@ viscous_modulation = Effect(
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,
-    scan_wave=ScanWave("frequency", lambda path, nonlinear: path.t),
+    scan_wave=ScanWave("frequency", over_time),
     varies_with="",
     modifies=frozenset({"viscous"}),
     what="The gap between the surfaces breathes, and the film in it resists more and less in turn.",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from frictrack.simulate.dynamics import Panels
 
 Rows = NDArray[np.int_]
 
+MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
 
 
@@ -276,10 +277,8 @@ def pieces_of(
     disp = run.displacement
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
-    # rounding error of doubles: no table is more accurate
-    digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))
     white = float(noise_level(disp.x, use, noise)[0])
-    noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
+    noise = noise * (run.noise or max(white, least_noise(run), disp.resolution / float(np.sqrt(12.0))))
     context = run_context(run, reference)
     sections = moving_sections(run)
     if through_reversals and run.drive is not None and _stops_or_reverses(sections):
@@ -297,6 +296,27 @@ def pieces_of(
             "look at its velocity, or give free = [t0, t1]"
         )
     return made
+
+
+def least_noise(run: Run) -> float:
+    """Return the least noise of the positions of a run that a fit can use, m: fitted motions are not more accurate."""
+    x = run.displacement.x[run.displacement.valid]
+    return MIN_NOISE_OF_TRAVEL * float(np.nanmax(x) - np.nanmin(x))
+
+
+def noise_free_remark(runs: Sequence[Run]) -> Iterator[str]:
+    """Yield a sentence about runs whose positions have no noise, as computed ones."""
+    free = [
+        run.name
+        for run in runs
+        if run.noise is None and noise_level(run.displacement.x, run.displacement.valid)[0] < least_noise(run)
+    ]
+    if free:
+        yield (
+            f"the positions of {', '.join(free)} have no noise, as if they were computed; a noise of "
+            f"{MIN_NOISE_OF_TRAVEL:g} of the travel is assumed, and the standard deviations do not tell how well a "
+            "measurement determines the parameters"
+        )
 
 
 def _stops_or_reverses(sections: Sequence[slice]) -> bool:
@@ -355,7 +375,11 @@ def _with_time_scaled(way: Array, by: float) -> Array:
 
 def _series_with_time_scaled(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
     """A function of time with its times multiplied by `by`."""
-    return None if series is None else lambda t: series(t / by)
+    return None if series is None else partial(_at_scaled_time, series, by)
+
+
+def _at_scaled_time(series: Callable[[Array], Array], by: float, t: Array) -> Array:
+    return series(t / by)
 
 
 def _motion_before(way: Array, t: float) -> Array:
@@ -428,7 +452,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
     """
     motion = run.motion
     times = motion.t - context.release
-    drive_at = None if run.drive is None else _clamped_interpolant(CubicSpline(times, run.drive), times)
+    drive_at = None if run.drive is None else partial(_clamped, CubicSpline(times, run.drive))
     still = np.zeros_like(nodes)
     before = _motion_before(context.way, run.displacement.t[rows[0]] - context.release)
     row = max(before.shape[1] - 1, 0)
@@ -455,13 +479,9 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
     )
 
 
-def _clamped_interpolant(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
-    """An interpolant that keeps its first and last value outside the known times."""
-
-    def at(t: Array) -> Array:
-        return np.asarray(series(np.clip(t, times[0], times[-1])))
-
-    return at
+def _clamped(series: CubicSpline, t: Array) -> Array:
+    """Values of an interpolant that keeps its first and last value outside the known times."""
+    return np.asarray(series(np.clip(t, series.x[0], series.x[-1])))
 
 
 def _interpolated(times: Array, series: Array | None, t: Array) -> Array | None:

@@ -98,12 +98,15 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
         return np.ones((3, n))
     once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), N_PROBES))
-    twice = factor.smooth(once)
+    kept = factor.smooth(once)
+    lost = np.subtract(once, kept, out=once)
     residual = x - weighted_cubic(x, factor.data.w)
     taken = stencil_derivatives(residual - factor.smooth(residual), interval) ** 2
-    kept, lost = (np.stack([stencil_derivative(m, k) / interval**k for k in range(3)]) for m in (twice, once - twice))
-    noise = np.mean(lost**2, axis=2)
-    expected = np.mean(kept * lost, axis=2)
+    noise, expected = np.empty((2, 3, n))
+    for k in range(3):
+        lost_k = stencil_derivative(lost, k)
+        noise[k] = np.einsum("np,np->n", lost_k, lost_k) / (N_PROBES * interval ** (2 * k))
+        expected[k] = np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / (N_PROBES * interval ** (2 * k))
     window: NDArray[np.float64] = np.ones(n // MIN_PARTS | 1)
     observed, expected_sum = (np.maximum(_moving_sum(m, window), 0.0) for m in (taken - noise, expected))
     expected_sum += _moving_sum(

@@ -30,31 +30,23 @@ class BlockEquations:
         self.padded[:, :, : equations.shape[2]] = equations
         self.before, self.after = self._corners()
 
-    def _diagonals(self) -> Array:
-        """Equations (F, blocks, block, block) within every block."""
-        row, column = np.indices((self.block, self.block))
-        place = np.clip(self.band + row - column, 0, 2 * self.band)
-        of_block = self.block * np.arange(self.many)[:, None, None] + column
-        return np.where(np.abs(row - column) <= self.band, self.padded[:, place, of_block], 0.0)
-
-    def _links(self) -> Array:
-        """Equations (F, blocks - 1, band, band) of the first unknowns of a block with the last ones before it."""
-        row, column = np.indices((self.band, self.band))
-        place = np.minimum(2 * self.band + row - column, 2 * self.band)
-        before = self.block * np.arange(1, self.many)[:, None, None] - self.band + column
-        return np.where(row <= column, self.padded[:, place, before], 0.0)
-
     def _corners(self) -> tuple[Array, Array]:
         """Contributions of all blocks before and after each pair to its corners, two (F, pairs, band, band)."""
         b, pairs, f = self.band, self.many - 1, len(self.padded)
         before, after = np.zeros((2, f, pairs, b, b))
         known = np.zeros((2 * f, self.block, b))
-        diagonals, links = self._diagonals(), self._links()
+        # equations within a block, and of the first unknowns of a block with the last ones before it, block by block:
+        # those of all blocks would take far more memory
+        row, column = np.indices((self.block, self.block))
+        inside, place = np.abs(row - column) <= b, np.clip(b + row - column, 0, 2 * b)
+        near, far = row[:b, :b] <= column[:b, :b], np.minimum(2 * b + row - column, 2 * b)[:b, :b]
         for k in range(1, pairs):
-            both = np.concatenate([diagonals[:, k - 1], diagonals[:, self.many - k]])
+            blocks = (self.padded[:, place, self.block * i + column] for i in (k - 1, self.many - k))
+            both = np.concatenate([np.where(inside, one, 0.0) for one in blocks])
             both[:f, :b, :b] += before[:, k - 1]
             both[f:, -b:, -b:] += after[:, pairs - k]
-            up, down = links[:, k - 1], links[:, pairs - k]
+            ends = (self.block * i - b + column[:b, :b] for i in (k, pairs - k + 1))
+            up, down = (np.where(near, self.padded[:, far, end], 0.0) for end in ends)
             known[:f, -b:], known[f:, :b] = up.swapaxes(1, 2), down
             found = _solve_symmetric(both, known)
             before[:, k] = -up @ found[:f, -b:]

@@ -179,7 +179,8 @@ def first_paint(browser: Browser, study: Path, count: int) -> dict[str, Any]:
         copy = Path(folder) / "study"
         shutil.copytree(study.parent if study.is_file() else study, copy)
         paints, drawn = [], []
-        with served("-m", "frictrack", "app", str(copy), "--no-browser", "--port", "PORT", "--token", "timed") as port:
+        os.environ["FRICTRACK_TOKEN"] = "timed"
+        with served("-m", "frictrack", "app", str(copy), "--no-browser", "--port", "PORT") as port:
             for _ in range(6):
                 page = browser.new_page(viewport={"width": 1440, "height": 900})
                 page.goto(f"http://127.0.0.1:{port}/?token=timed")
