@@ -64,7 +64,6 @@ def test_a_doubled_sample_is_left_out_of_all_columns():
     assert "1 sample repeats the one before" in run.displacement.notes[0]
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
