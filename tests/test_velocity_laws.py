@@ -130,3 +130,14 @@ def test_an_inclined_course_bends_the_picture_by_an_eighth():
     assert np.max(np.abs(left)) == pytest.approx(0.1 * 0.5**2 / 8)
     assert inclined.plausible({"k": 0.4}, SPAN) == ""
     assert "of the span, expected at most 3 %" in inclined.plausible({"k": 0.6}, SPAN)
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("name", ["eddy_brake", "lugre", "hydrodynamic_hump", "rate_state_slip", "rate_state_ageing"])
+def test_a_law_is_fitted_beside_those_in_whose_place_it_may_stand(name):
+    law = {"coulomb": {"F_c": 4.0}, "stribeck": {"F_s": 2.0, "v_s": 0.4, "delta": 1.0}, "viscous": {"F_v": 0.5}}
+    runs = study(models.of(law), law, [Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.06)], sigma=1e-5)[0]
+    model = [*law, name]
+    found = fit(model, runs)
+    assert found.model.names == model
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)

@@ -126,9 +126,7 @@ def _by_variable_projection(
         state = problem.refine(problem.at(np.array([start_values[n] for n in layout.names])))
     law = LeastSquaresProblem(first, layout, ready)
     solution = _with_free_amplitudes(_refine_shrunk(law, separable.law(state.nonlinear_values, state.coefficients)))
-    for effect in later:
-        solution = add_effect(solution, effect)
-    return refine_to_end(reorder_effects(solution, model)) if later else solution
+    return _add_later(solution, model, later) if later else solution
 
 
 def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
@@ -234,9 +232,13 @@ def _fit_and_add(
     model: Model, problem: LeastSquaresProblem, guess: Callable[[LeastSquaresProblem], Array], later: list[Effect]
 ) -> Solution:
     """Fit from a guess of the unknowns (P,), add the later effects one by one, and refine to convergence."""
-    solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
-    for effect in later:
-        solution = add_effect(solution, effect)
+    return _add_later(fit_with_scatter(problem, guess(problem), problem.first_starts()), model, later)
+
+
+def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
+    """Add the later effects of a model to the fit of the others, and refine to convergence."""
+    for effect in later:  # also beside one that it would replace: the model names both
+        solution = add_effect(solution, replace(effect, replaces=frozenset()))
     return refine_to_end(reorder_effects(solution, model))
 
 
