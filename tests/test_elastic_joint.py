@@ -125,7 +125,7 @@ def test_a_joint_is_named_and_its_values_are_found(joint):
         assert estimate.std < 0.1 * value
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 def test_a_vibration_with_a_phase_of_its_own_in_every_run_is_no_joint():
     law = {"coulomb": {"F_c": F_C}, "viscous": {"F_v": F_V}}
     law["decaying_vibration"] = {"amplitude": 1.0, "frequency": 90.0, "tau": 0.06, "phase": 0.0}

@@ -270,6 +270,7 @@ def test_an_outdated_report_is_not_downloaded_unseen(sample: Server, tab: Open) 
     page.page.locator(".ui-banner", has_text="outdated").wait_for(state="detached")
 
 
+@pytest.mark.slow
 def test_outdated_results_are_grey_and_can_be_updated(sample: Server, tab: Open) -> None:
     before, page = sample.study_text, tab().open(sample).to("Compare")
     page.page.locator(".fp-plot").first.wait_for()
@@ -282,6 +283,7 @@ def test_outdated_results_are_grey_and_can_be_updated(sample: Server, tab: Open)
     page.page.locator(".ui-work.stale").wait_for(state="detached")
 
 
+@pytest.mark.slow
 def test_a_message_never_covers_the_view(sample: Server, tab: Open) -> None:
     page = tab().open(sample).to("Compare")
     page.page.locator(".fp-plot").first.wait_for()

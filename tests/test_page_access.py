@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from browser import CHROMIUM, Open, Serve, Server, Tab
+from page_client import Client
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 TABS = ("Film", "Compare", "Motion", "Model", "History")
@@ -101,8 +102,8 @@ def test_axe_finds_nothing_serious(theme: str, sample: Server, empty: Server, ch
     page.page.context.close()
 
 
-def test_the_theme_can_be_chosen_and_stays(sample: Server, tab: Open) -> None:
-    page = tab().open(sample)
+def test_the_theme_can_be_chosen_and_stays(shared: Client, tab: Open) -> None:
+    page = tab().open(shared.server)
     background = "getComputedStyle(document.body).backgroundColor"
     before = page.page.evaluate(background)
     page.click("Dark colours")
@@ -112,8 +113,8 @@ def test_the_theme_can_be_chosen_and_stays(sample: Server, tab: Open) -> None:
     assert page.page.evaluate("document.documentElement.dataset.theme") == "dark"
 
 
-def test_tabs_are_tabs(sample: Server, tab: Open) -> None:
-    page = tab().open(sample)
+def test_tabs_are_tabs(shared: Client, tab: Open) -> None:
+    page = tab().open(shared.server)
     tabs = page.page.get_by_role("tablist").get_by_role("tab")
     assert tabs.all_inner_texts() == [*TABS]
     tabs.first.click()
@@ -138,8 +139,8 @@ def test_every_stop_of_the_keyboard_has_a_visible_ring(sample: Server, tab: Open
     assert weak == []
 
 
-def test_shortcuts_reach_every_view_and_the_help(sample: Server, tab: Open) -> None:
-    page = tab().open(sample)
+def test_shortcuts_reach_every_view_and_the_help(shared: Client, tab: Open) -> None:
+    page = tab().open(shared.server)
     for k, title in enumerate(TABS):
         page.page.keyboard.press(str(k + 1))
         page.page.get_by_role("tabpanel", name=title).wait_for()
@@ -188,7 +189,7 @@ def _tab_to(page: Tab, name: str | re.Pattern[str]) -> None:
     raise AssertionError(f"the keyboard does not reach {name}")
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(800, 900), (1024, 768), (1440, 900), (2560, 1300)])
 def test_nothing_overlaps_or_leaves_the_screen(width: int, height: int, sample: Server, chromium: Any) -> None:
     page = themed(chromium, "light", width, height)

@@ -10,7 +10,10 @@ import re
 import pytest
 from browser import CHROMIUM, Open, Server
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
+]
 
 
 # --- runs, legend, film
@@ -50,7 +53,6 @@ def test_a_selection_is_drawn_without_asking_the_server(sample: Server, tab: Ope
     assert asked == []
 
 
-@pytest.mark.slow
 def test_a_study_of_tables_has_no_film_and_no_fault(tables: Server, tab: Open) -> None:
     page = tab().open(tables)
     page.sees("Recordings")
@@ -71,7 +73,6 @@ def test_only_the_best_candidate_has_the_strong_button(sample: Server, tab: Open
 # --- repair
 
 
-@pytest.mark.slow
 def test_frames_are_mended_in_three_clicks_and_the_bytes_come_back(sample: Server, tab: Open) -> None:
     before, page = sample.study_text, tab().open(sample)
     page.page.locator(".fp-label", has_text=re.compile(r"frame \d+ of 150")).wait_for()

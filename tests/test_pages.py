@@ -29,7 +29,7 @@ WITH_CODE = [p for p in PAGES if any(b.language in ("console", "python") for b i
 NAMES = [p.stem for p in WITH_CODE]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("page", WITH_CODE, ids=NAMES)
 def test_the_blocks_of_a_page_print_what_it_shows(page, tmp_path):
     assert "\n".join(map(str, run_page(page, tmp_path, quick=True))) == ""

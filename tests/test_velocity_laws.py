@@ -36,7 +36,7 @@ def group(found):
     return {found.missing[0], *found.candidates[0].indistinguishable_from}
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"]
 )
