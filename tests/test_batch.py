@@ -296,6 +296,22 @@ def test_a_force_that_drifts_over_a_campaign_is_found() -> None:
     assert not found["noise of the displacement"].holds
 
 
+def test_the_p_value_of_a_trend_counts_all_trends_of_the_batch() -> None:
+    """Bonferroni: three quantities are tested, so each p-value is three times that of its line alone."""
+    rng, names = np.random.default_rng(3), ("coulomb.F_c", "viscous.F_v")
+    done = []
+    for k in range(12):
+        row = {"role": "fit", "verdict": "complete", "noise_um": rng.standard_normal() + 0.35 * k}
+        row |= {name: rng.standard_normal() + 0.35 * k for name in names}
+        done.append(StudyOutcome(str(k), {}, [row], units=dict.fromkeys(names, "N")))
+    found = find_trends(done)
+    assert len(found) == 3
+    for trend in found:
+        alone = stats.linregress(trend.at, trend.value).pvalue
+        assert trend.p == pytest.approx(min(1.0, 3 * alone), rel=1e-4)
+        assert trend.holds == (3 * alone < 0.01)
+
+
 # --- who does it
 
 
