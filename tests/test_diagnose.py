@@ -19,6 +19,8 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.null_distribution import N_DRAWS
 from frictrack.diagnose.power import Undetermined
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
@@ -119,6 +121,33 @@ def test_the_verdict_follows_from_what_was_found_and_what_is_open(ratio, gaps, c
     told, left_open = Conclusion(None, search)._judge(listed, change["misfit"], gaps)
     assert told == verdict
     assert left_open == (gaps if verdict == "undetermined" else [])
+
+
+def solution_that_leaves(chi2_per_frame):
+    """A fit of 200 frames whose residual is white."""
+    response = SimpleNamespace(r=np.sqrt(chi2_per_frame) * np.tile([1.0, -1.0], 100))
+    chi2 = chi2_per_frame * (200 - 2 - 2)  # two parameters and a start
+    return SimpleNamespace(problem=SimpleNamespace(n_frames=200), p=np.zeros(2), responses=[response], chi2=chi2)
+
+
+@pytest.mark.parametrize(("chi2_per_frame", "unit"), [(1.0, 1.0), (4.0, 4.0)])
+def test_evidence_that_makes_a_rival_is_counted_in_units_of_the_misfit_that_is_left(chi2_per_frame, unit):
+    """BIC within 6 of the best one, and four times that while chi-squared is four times what noise leaves."""
+
+    def candidate(name, behind, **more):
+        return RefinedCandidate(effects.LIBRARY[name], None, 100.0 - behind * unit, 0.001, **more)
+
+    best = RefinedCandidate(effects.LIBRARY["drag"], solution_that_leaves(chi2_per_frame), 100.0, 0.001)
+    others = [
+        best,
+        candidate("drift", 5.9),
+        candidate("spring", 6.1),
+        candidate("thermal", -1.0),
+        candidate("slope", 0.0, objection="more than the weight"),
+        candidate("power_law_viscosity", 0.0),  # drag is a special case of it
+        candidate("texture", 50.0, is_unrefined=True),
+    ]
+    assert find_rivals(best, others) == ("drift", "thermal", "texture")
 
 
 def test_anything_but_a_fit_is_refused():
