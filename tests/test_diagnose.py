@@ -118,8 +118,8 @@ def test_the_verdict_follows_from_what_was_found_and_what_is_open(ratio, gaps, c
     last = SimpleNamespace(leaves_misfit=change["left"])
     search = FinishedSearch(None, first, last, [one] * change["found"], [], None, change.get("alternatives", ()))
     listed = [SimpleNamespace(heldout_before=1.0, heldout_after=ratio)]
-    told, left_open = Conclusion(None, search)._judge(listed, change["misfit"], gaps)
-    assert told == verdict
+    judged, left_open = Conclusion(None, search)._judge(listed, change["misfit"], gaps)
+    assert judged == verdict
     assert left_open == (gaps if verdict == "undetermined" else [])
 
 
