@@ -297,6 +297,22 @@ def test_a_force_that_drifts_over_a_campaign_is_found() -> None:
     assert not found["noise of the displacement"].holds
 
 
+def test_the_p_value_of_a_trend_counts_all_trends_of_the_batch() -> None:
+    """Bonferroni: three quantities are tested, so each p-value is three times that of its line alone."""
+    rng, names = np.random.default_rng(3), ("coulomb.F_c", "viscous.F_v")
+    done = []
+    for k in range(12):
+        row = {"role": "fit", "verdict": "complete", "noise_um": rng.standard_normal() + 0.35 * k}
+        row |= {name: rng.standard_normal() + 0.35 * k for name in names}
+        done.append(StudyOutcome(str(k), {}, [row], units=dict.fromkeys(names, "N")))
+    found = find_trends(done)
+    assert len(found) == 3
+    for trend in found:
+        alone = stats.linregress(trend.at, trend.value).pvalue
+        assert trend.p == pytest.approx(min(1.0, 3 * alone), rel=1e-4)
+        assert trend.holds == (3 * alone < 0.01)
+
+
 # --- who does it
 
 
@@ -339,6 +355,46 @@ def test_processes_that_cannot_start() -> None:
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert str(error) == "cannot start a process: Too many open files; try fewer --workers"
+
+
+class _DyingPool:
+    """A process pool in place of pebble's; the process of a task dies so many times, then the task ends."""
+
+    deaths = 0
+
+    def __init__(self, *settings: Any, **named: Any) -> None:
+        self.begun = 0
+
+    def schedule(self, call: Callable[..., Any], args: tuple[Any, ...]) -> Future[Any]:
+        self.begun += 1
+        future: Future[Any] = Future()
+        if self.begun <= self.deaths:
+            died = OSError("abnormal termination")
+            died.exitcode = -9  # type: ignore[attr-defined]
+            future.set_exception(died)
+        else:
+            future.set_result((0.0, self.begun))
+        return future
+
+    def close(self) -> None:
+        pass
+
+    join = stop = close
+
+
+@pytest.mark.parametrize(("deaths", "attempt"), [(0, 1), (1, 2), (2, 3), (3, None)])
+def test_a_task_whose_process_dies_is_tried_three_times(
+    deaths: int, attempt: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pebble.ProcessPool", _DyingPool)
+    monkeypatch.setattr(_DyingPool, "deaths", deaths)
+    with workers.local_workers(1) as pool:
+        future = pool.submit(_fail)
+    if attempt is None:
+        with pytest.raises(FrictrackError, match="ended by signal 9, 3 times; was memory short"):
+            future.result(0)
+    else:
+        assert future.result(0) == attempt
 
 
 @pytest.mark.slow

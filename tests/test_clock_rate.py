@@ -18,7 +18,7 @@ from frictrack.fit.segments.pieces import pieces_of
 from frictrack.flow.contradictions import withhold_verdict
 from frictrack.friction import free_section
 from frictrack.plausibility import Finding
-from frictrack.simulate import Conditions, simulate
+from frictrack.simulate import Conditions, Start, simulate, simulate_displacement
 
 CLOCK = LIBRARY["clock_rate"]
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
@@ -138,6 +138,14 @@ def test_the_simulator_moves_the_mass_in_true_time():
     truth = integrate(LAW, Slider(), 1.1 * t, (0.0, 4.0))
     np.testing.assert_allclose(slide.x + slide.shift, truth, atol=1e-11)
     np.testing.assert_array_equal(slide.t, t)
+
+
+def test_a_long_motion_is_simulated_in_true_time_too():
+    """Viscous friction alone: x = v m/c (1 - exp(-c t/m)) at the true time t = 1.3 times the recorded one."""
+    t, c, speed = np.arange(60) / FPS, 2.0, 3.0
+    values = {"viscous": {"F_v": c}, "clock_rate": {"rate": log(1.3)}}
+    made = simulate_displacement(models.of(values), values, Conditions(MASS), t, Start(0.0, speed), 1e-9)
+    np.testing.assert_allclose(made, speed * MASS / c * -np.expm1(-c * 1.3 * t / MASS), rtol=0, atol=1e-8)
 
 
 def test_a_piece_has_one_clock_at_a_time():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +17,13 @@ from frictrack import effects, study
 from frictrack.cli import plan_output
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import EvidenceForecast, combined_experiments
+from frictrack.diagnose.experiments import EvidenceForecast, Experiment, RunDesign, combined_experiments
 from frictrack.diagnose.experiments.rating import RatedExperiment, _rank
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.flow.predictions import Predictions, resolve_prediction
-from frictrack.plan import choose_runs, default_setup, next_run
+from frictrack.plan import choose_runs, default_setup, next_run, selection
 from frictrack.verdicts import describe_predictions
 
 LAST = RunSettings(4.0, 0.35, 0.0, 4000.0)
@@ -108,6 +109,30 @@ def test_a_plan_leaves_out_what_is_not_possible_and_prefers_what_is_cheap():
             assert design.mass == 1
             assert design.rate == 1
             assert 1.9 <= abs(design.start[1]) <= 8.2
+
+
+def test_a_plan_takes_the_run_that_separates_most_pairs_for_its_cost(monkeypatch):
+    """Two pairs for a cost of 1 come before three for a cost of 5."""
+
+    def run(key, speed, mass):
+        return SimpleNamespace(experiment=Experiment(key, "", RunDesign((0.0, speed), (0.0, 0.4), mass)))
+
+    class Tables:
+        names = ("a", "b", "c", "d")
+        runs = (run("filmed", 4.0, 1.0), run("cheap", 6.0, 1.0), run("dear", 4.0, 2.0))
+
+        def evidence(self, chosen, *, reference):
+            out = np.zeros((4, 5))
+            out[:, 4] = 1e6  # every effect is detected
+            for pairs in ({0: (), 1: ((0, 1), (0, 2)), 2: ((1, 2), (1, 3), (2, 3))}[run] for run in chosen):
+                for a, b in pairs:
+                    out[a, b] = out[b, a] = 1e6
+            return out
+
+    monkeypatch.setattr(selection, "tabulate_evidence", lambda setup, notify: (Tables(), {}))
+    filmed = (Tables.runs[0].experiment,)
+    steps = choose_runs(replace(default_setup(MASS, FPS, PITCH), costs=Costs(mass=4.0), completed=filmed)).steps
+    assert [(s.experiment.key, s.cost, len(s.separated)) for s in steps] == [("cheap", 1.0, 2), ("dear", 5.0, 3)]
 
 
 @pytest.fixture(scope="module")

@@ -80,6 +80,18 @@ def test_without_scatter_it_is_weighted_least_squares():
     assert found.scatter_interval[0] == 0.0
 
 
+def test_scatter_and_its_deviation_are_those_of_the_closed_form_for_equal_deviations():
+    """REML of a line with equal s: s^2 + tau^2 = sum of squares / (n - 2), known to sqrt(2 / (n - 2)) of itself."""
+    at, s, n = np.arange(9.0), 0.05, 9
+    y = 2.0 + 0.5 * at + 0.2 * np.random.default_rng(0).standard_normal(n)
+    laws = [ft.Prior(("drag.c",), (v,), ((s**2,),), ("N s^2/m^2",), (False,)) for v in y]
+    found = ft.trend(laws, list(at))["drag.c"]
+    variance = np.sum((y - np.polyval(np.polyfit(at, y, 1), at)) ** 2) / (n - 2)
+    tau = np.sqrt(variance - s**2)
+    assert found.scatter == pytest.approx(tau, rel=1e-3)
+    assert found.scatter_std == pytest.approx(np.sqrt(2 / (n - 2)) * variance / (2 * tau), rel=1e-3)
+
+
 def test_forces_are_converted_to_one_load():
     laws = [law([0.3 * w + 0.0001 * i, 0.5 + 0.001 * i], np.diag([1e-4, 1e-4]), w) for i, w in enumerate((2, 3, 4, 6))]
     found = ft.trend(laws, [2.0, 3.0, 4.0, 6.0], "load")

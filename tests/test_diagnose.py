@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,11 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.null_distribution import N_DRAWS
+from frictrack.diagnose.power import Undetermined
+from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
@@ -78,6 +83,71 @@ def test_a_stricter_level_demands_a_larger_effect(nothing_missing):
         assert strict.detection_limits[name]["value"] > nothing_missing.detection_limits[name]["value"]
     with pytest.raises(FrictrackError, match="between 0 and 1 but got alpha = 0"):
         diagnose(fitted, alpha=0.0)
+
+
+OPEN = Undetermined("viscous", "its standard deviation is large", "film faster", uncertainty=0.3)
+NOT_SHOWN = Undetermined("stribeck", "these runs do not show it", "film to a stop", limit=0.2)  # the law is determined
+
+
+@pytest.mark.parametrize(
+    ("ratio", "gaps", "change", "verdict"),
+    [
+        (0.5, [], {}, "missing"),
+        (1.001, [], {}, "missing"),
+        (1.003, [], {}, "unexplained"),  # the effect predicts no better
+        (0.5, [], {"indistinguishable_from": ("drift",)}, "ambiguous"),
+        (0.5, [], {"objection": "more than the weight"}, "unexplained"),
+        (0.5, [], {"alternatives": ["drift with spring"]}, "ambiguous"),
+        (0.5, [], {"left": True}, "unexplained"),
+        (0.5, [], {"found": 0}, "unexplained"),
+        (0.89, [OPEN], {}, "missing"),  # a tenth less error is decisive whatever is open
+        (0.91, [OPEN], {}, "undetermined"),
+        (0.91, [NOT_SHOWN], {}, "missing"),  # the law itself is determined
+        (0.91, [NOT_SHOWN, OPEN], {}, "undetermined"),
+        (0.5, [OPEN], {"left": True, "misfit": 0.99}, "undetermined"),
+        (0.5, [OPEN], {"left": True, "misfit": 1.01}, "unexplained"),
+        (0.5, [], {"complete": True}, "complete"),
+        (0.5, [NOT_SHOWN], {"complete": True}, "undetermined"),
+    ],
+)
+def test_the_verdict_follows_from_what_was_found_and_what_is_open(ratio, gaps, change, verdict):
+    change = {"found": 1, "left": False, "misfit": 2.0, "complete": False, **change}
+    parts = {"objection": "", "indistinguishable_from": (), **change}
+    one = SimpleNamespace(**{name: parts[name] for name in ("objection", "indistinguishable_from")})
+    first = SimpleNamespace(leaves_misfit=not change["complete"], passing=[])
+    last = SimpleNamespace(leaves_misfit=change["left"])
+    search = FinishedSearch(None, first, last, [one] * change["found"], [], None, change.get("alternatives", ()))
+    listed = [SimpleNamespace(heldout_before=1.0, heldout_after=ratio)]
+    judged, left_open = Conclusion(None, search)._judge(listed, change["misfit"], gaps)
+    assert judged == verdict
+    assert left_open == (gaps if verdict == "undetermined" else [])
+
+
+def solution_that_leaves(chi2_per_frame):
+    """A fit of 200 frames whose residual is white."""
+    response = SimpleNamespace(r=np.sqrt(chi2_per_frame) * np.tile([1.0, -1.0], 100))
+    chi2 = chi2_per_frame * (200 - 2 - 2)  # two parameters and a start
+    return SimpleNamespace(problem=SimpleNamespace(n_frames=200), p=np.zeros(2), responses=[response], chi2=chi2)
+
+
+@pytest.mark.parametrize(("chi2_per_frame", "unit"), [(1.0, 1.0), (4.0, 4.0)])
+def test_evidence_that_makes_a_rival_is_counted_in_units_of_the_misfit_that_is_left(chi2_per_frame, unit):
+    """BIC within 6 of the best one, and four times that while chi-squared is four times what noise leaves."""
+
+    def candidate(name, behind, **more):
+        return RefinedCandidate(effects.LIBRARY[name], None, 100.0 - behind * unit, 0.001, **more)
+
+    best = RefinedCandidate(effects.LIBRARY["drag"], solution_that_leaves(chi2_per_frame), 100.0, 0.001)
+    others = [
+        best,
+        candidate("drift", 5.9),
+        candidate("spring", 6.1),
+        candidate("thermal", -1.0),
+        candidate("slope", 0.0, objection="more than the weight"),
+        candidate("power_law_viscosity", 0.0),  # drag is a special case of it
+        candidate("texture", 50.0, is_unrefined=True),
+    ]
+    assert find_rivals(best, others) == ("drift", "thermal", "texture")
 
 
 def test_anything_but_a_fit_is_refused():

@@ -213,6 +213,14 @@ def test_load_modulation_multiplies_what_it_is_given():
     np.testing.assert_allclose(made, inner * (1 + 0.1 * sine(q, "frequency", path.t))[:, None], rtol=1e-14)
 
 
+@pytest.mark.parametrize("name", FACTORS)
+def test_a_modifier_multiplies_by_the_factor_of_the_table(name):
+    path, q = path_of(load=1.3, mass_ratio=2.0), SETTINGS[name]  # twice the mass shows the sign of an exponent
+    inner = np.column_stack([path.v, 1 + path.x])
+    factor = FACTORS[name](q, path.t, Slider(load=1.3, mass_ratio=2.0)) + 0 * path.t
+    np.testing.assert_allclose(LIBRARY[name].columns(path, q, inner), inner * factor[:, None], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     "effect", [e for e in ALL if any(p.role == "phase" for p in e.parameters)], ids=lambda e: e.name
 )

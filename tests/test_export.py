@@ -379,6 +379,13 @@ def test_axes_of_tracker_give_the_displacement(angle: float, mirrored: bool) -> 
     np.testing.assert_allclose(world_positions(coords, points), np.c_[displacement.x, y], atol=1e-12)
 
 
+def test_tracker_counts_pixels_from_the_corner_of_the_picture() -> None:
+    """The mass is at x = y = 0 in the middle of pixel (100, 200), which is half a pixel further from the corner."""
+    axes = tracker_axes(*moved(0.5, 5e-4))
+    assert axes is not None
+    assert axes.origin == pytest.approx((100.5, 200.5), abs=1e-6)
+
+
 def test_axes_say_how_far_off_they_are_and_need_motion() -> None:
     axes = tracker_axes(*moved(0.3, 5e-4, bend=2000.0))
     assert axes is not None

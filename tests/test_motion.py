@@ -353,6 +353,18 @@ def test_an_event_is_found_and_not_smeared(rng, made, row):
     assert rms(((motion.a - a) / motion.sigma_a)[away]) < 2.0
 
 
+def test_the_acceleration_at_an_event_lies_anywhere_between_both_sides():
+    """A value anywhere between a and b has the standard deviation abs(b - a) / sqrt(12), besides that of the noise."""
+    t = np.arange(60) / FPS
+    quiet = low_pass(displacement(t, 2.0 * t - 900.0 * t**3, sigma=np.full(60, 1e-7)), 800.0)
+    plain, jumped = (differentiate(replace(quiet, events=events)) for events in ((), ((30, 31),)))
+    more = np.sqrt(np.maximum(jumped.sigma_a**2 - plain.sigma_a**2, 0.0))
+    change = 4 / FPS * 6 * 900.0  # of the acceleration from two frames before to two after, m/s^2
+    np.testing.assert_allclose(more[28:34], change / np.sqrt(12.0), rtol=1e-3)
+    assert np.all(more[:28] == 0.0)
+    assert np.all(more[34:] == 0.0)
+
+
 def test_lines_are_followed_as_far_as_they_wander(rng):
     """A ring-down and two tones, one of them beyond what any low-pass of a slide would let through."""
     t = np.arange(800) / FPS

@@ -89,6 +89,14 @@ def test_width_of_a_body(look):
     assert ("diameter" in width.used) == look.get("disc", False)
 
 
+def test_both_edges_of_a_noiseless_picture_have_the_error_of_light_and_focus():
+    """Each edge may be off by 0.15 px however clear it is, and the width has two of them."""
+    columns = np.exp(-0.5 * (np.arange(90) - 44.5) ** 8 / 25.0**8)  # the same profile in every row
+    track = filmed(50.0, 30.0, n=2)[1]
+    drawn = replace(track, target=(0.0, 0.0, 50.0, 30.0), picture=np.tile(60 + 100 * columns, (50, 1)))
+    assert target_width(drawn, RIGHT).std == pytest.approx(np.hypot(0.15, 0.15), rel=1e-6)
+
+
 @pytest.mark.slow
 def test_the_stated_deviation_is_that_of_many_bodies():
     z = []

@@ -299,6 +299,20 @@ def test_a_model_of_measured_forces_leaves_a_force():
     assert figure.get_suptitle() == "Tustin fails: force error 5.0 %"
 
 
+def test_loops_are_drawn_about_the_middle_of_the_travel():
+    run = run_results()
+    m = model("1_tustin", 36.0, [run])
+    left, right = plots.loops(m, [run]).axes
+    x, v = m.curves[0].x, m.curves[0].v_model
+    assert x.min() > 0.01  # m: all of the travel lies on one side of the origin
+    assert (left.get_xlabel(), right.get_xlabel()) == ("displacement x from the middle / mm", "velocity v / (mm/s)")
+    measured, modelled, *_ = left.lines
+    np.testing.assert_allclose(measured.get_xdata(), 1e3 * (x - (x.min() + x.max()) / 2), atol=1e-9)
+    np.testing.assert_array_equal(modelled.get_xdata(), measured.get_xdata())
+    np.testing.assert_allclose(measured.get_ydata(), FORCE)
+    np.testing.assert_allclose(right.lines[0].get_xdata(), 1e3 * v)
+
+
 def test_segments_of_a_run_share_a_panel():
     run = run_results()
     m = model("1_tustin", 36.0, [run])

@@ -87,6 +87,15 @@ def test_rounded_stamps_still_give_the_rate():
     assert not read.uneven
 
 
+def test_stamps_rounded_to_a_quarter_of_the_interval_still_tell_frames_apart():
+    """Hundredths of a second at 24 frames per second; the difference of two of them has an error of 0.1 frames rms."""
+    ticks = np.delete(np.arange(240), [50, 51, 120])
+    read = read_stamps(stamps_of(ticks, fps=24.0, rounded=0.01, start=0))
+    assert read is not None
+    np.testing.assert_array_equal(read.ticks, ticks)
+    assert 1 / read.step == pytest.approx(24.0, rel=1e-4)
+
+
 def test_stamps_too_coarse_to_tell_frames_apart_are_not_used():
     found = judge(stamps_of(np.arange(400), rounded=1e-3))
     assert found.notes == ()

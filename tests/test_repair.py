@@ -380,6 +380,18 @@ def test_interpolated_positions_are_calibrated_over_many_gaps():
         assert np.mean(np.abs(z[:, z.shape[1] // 2]) > 3) <= 0.05
 
 
+def test_the_slow_error_of_a_track_is_in_its_interpolated_positions_too():
+    """No smoother averages it out: it adds to the variance of every bridged position, along x and y."""
+    n, gap = 100, slice(50, 56)
+    noise, one = 0.0013 * np.random.default_rng(0).standard_normal((2, n)), np.ones(n)
+    exact = Track(T[:n], X[:n] + noise[0], 60 + noise[1], 0 * one, 0.0013 * one, 0.0013 * one, one, np.full(n, ""))
+    bridge = [{"from": gap.start, "to": gap.stop - 1, "how": "interpolate"}]
+    plain, slow = (ft.repair(replace(exact, systematic=error), None, bridge) for error in (0.0, 0.02))
+    for name in ("sigma_px", "sigma_y_px"):
+        more = getattr(slow, name)[gap] ** 2 - getattr(plain, name)[gap] ** 2
+        np.testing.assert_allclose(more, 0.02**2, rtol=1e-6)
+
+
 def test_a_mark_says_how_a_frame_was_repaired():
     assert [Repair(1, 2, how).code for how in ("track", "interpolate", "leave_out")] == [1, 2, 3]
     assert Motion.__dataclass_fields__["repaired"].default is None

@@ -216,6 +216,22 @@ def test_papers_route_stands_beside_the_default(quick):
     assert "force domain, sga" in page.words
 
 
+def test_errors_of_every_model_stand_in_the_unit_of_their_column():
+    errors = {"rms_displacement_um": 12.34, "free_run_relative": 0.012, "relative_force_error": 0.0341}
+    first, last = model("1_coulomb", 20.0, [], current=False), model("2_tustin", 10.0, [], found=diagnosis("missing"))
+    tried = [
+        replace(first, summary=first.summary | {"errors": {"rms_displacement_um": 20.0}}),
+        replace(last, summary=last.summary | {"errors": errors}),
+    ]
+    made = tables.history_table(tried)
+    units = ("displacement, rms / µm", "free run, relative / %", "relative force error / %")
+    assert made.heads == ("model", *units, "verdict")
+    assert made.rows == (
+        ("1. Coulomb", "20.0", "–", "–", ""),
+        ("2. Tustin (current)", "12.3", "1.20", "3.41", "missing"),
+    )
+
+
 def test_parameters_of_single_runs_stand_with_their_run():
     r = results()
     m = r.models[-1]

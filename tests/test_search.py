@@ -296,6 +296,27 @@ def test_costs_that_are_not_numbers_lose(method: str) -> None:
     np.testing.assert_allclose(found.x, 0.3, atol=0.02)
 
 
+@pytest.mark.parametrize("name", ["ga", "mga"])
+def test_children_replace_the_worst_and_the_best_takes_over(name: str) -> None:
+    """Children that are copies of their parents: in the end all are copies of the best of the first population."""
+    asked: list[Array] = []
+    copying: dict[str, dict[str, Any]] = {
+        "ga": {"crossover": 0.0, "mutation": 0.0},
+        "mga": {"a": 1e9, "b": 0.0, "p_const": 0.0, "bits": 20},
+    }
+    settings = {"population": 20, "gap": 0.1, **copying[name]}  # two children per generation
+    minimise(
+        lambda x: (asked.append(sphere(x)), sphere(x))[1],
+        [[-1, 1]] * 2,
+        method=name,
+        rng=rng(),
+        max_evaluations=500,
+        **settings,
+    )
+    assert len(asked[0]) == 20
+    np.testing.assert_array_equal(np.concatenate(asked[-10:]), asked[0].min())
+
+
 # ---- settings, results, errors
 
 

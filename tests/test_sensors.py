@@ -278,6 +278,15 @@ def test_an_average_takes_away_what_the_frames_cannot_hold() -> None:
     np.testing.assert_allclose(slow.average(at, 1 / FPS), np.sin(2 * np.pi * 50 * at), atol=1e-3)
 
 
+def test_integrals_go_on_outside_the_record_with_its_end_value() -> None:
+    """A record 2 + 3 t over one second: before it the value is 2, after it 5."""
+    ts = np.linspace(0.0, 1.0, 11)
+    series, at = SensorRecord(ts, 2 + 3 * ts), np.array([-0.5, 0.5, 1.0, 1.5])
+    np.testing.assert_allclose(series.integral(at, 0), [2.0, 3.5, 5.0, 5.0], rtol=1e-12)
+    np.testing.assert_allclose(series.integral(at, 1), [-1.0, 1.375, 3.5, 3.5 + 2.5], rtol=1e-12)
+    np.testing.assert_allclose(series.integral(at, 2), [0.25, 0.3125, 1.5, 1.5 + 1.75 + 0.625], rtol=1e-12)
+
+
 def test_where_the_sensor_was_not_running_nothing_is_known() -> None:
     ts = np.arange(0, 0.1, 1e-4)
     values = np.cos(40 * ts)

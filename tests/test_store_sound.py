@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import multiprocessing
 import os
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -26,7 +28,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow import schema as written
 from frictrack.store import GroupContent, Provenance, sandbox, signatures
-from frictrack.store.checksums import wrong_checksums
+from frictrack.store.checksums import array_checksum, wrong_checksums
 from frictrack.store.file_header import with_header
 from frictrack.version import __version__
 
@@ -80,6 +82,23 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_sound_file_has_no_faults(sound: Path) -> None:
     assert store.check(sound) == []
     assert [name for name, _ in wrong_checksums(h5py.File(sound, locking=False))] == []
+
+
+def test_a_checksum_stays_the_one_of_files_written_before() -> None:
+    """SHA-256 over type and shape, values, and attributes by name; 8 bytes of length, lowest first, before each."""
+    parts = (
+        b"<f8 (2,)",
+        struct.pack("<2d", 1.0, -2.5),
+        b"unit",
+        b"text",
+        b"m/s",
+        b"version",
+        b"<i8 ()",
+        b"\x02" + bytes(7),
+    )
+    wanted = hashlib.sha256(b"".join(struct.pack("<Q", len(part)) + part for part in parts)).hexdigest()
+    attributes = {"version": np.int64(2), "unit": "m/s", "sha256": "of an earlier content"}
+    assert array_checksum(np.array([1.0, -2.5]), attributes) == wanted
 
 
 def test_every_flipped_bit_of_the_first_bytes_is_found(sound: Path) -> None:

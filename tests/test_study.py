@@ -217,6 +217,14 @@ def test_every_fault_is_one_sentence(folder: Path, text: str, expected: str) -> 
     assert expected in sentence(folder, text)
 
 
+@pytest.mark.parametrize("value", ["0", "-0.5"])
+@pytest.mark.parametrize("key", ["fps", "cutoff", "mass", "normal_load", "pause", "beam_length", "impact_energy"])
+def test_a_quantity_that_is_positive_by_nature_is_refused_at_zero_and_below(folder: Path, key: str, value: str) -> None:
+    message = sentence(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{key} = {value}\n")
+    assert f"line 9: expected {key} above 0 " in message
+    assert message.endswith(f"but got {value}")
+
+
 def test_all_faults_come_at_once(folder: Path) -> None:
     said = sentence(folder, f"[study]\nmas = 1\n[camera]\nfsp = 3\n{RUN}roll = 'a'\n")
     assert all(word in said for word in ('"mas"', '"fsp"', '"roll"'))

@@ -102,6 +102,22 @@ def test_shift_gain_and_offset_of_exact_pictures():
     np.testing.assert_allclose(fit.score, 1.0, atol=1e-3)
 
 
+def test_a_target_that_rotates_about_its_own_centre_keeps_its_place():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - (np.array(SHAPE)[:, None, None] - 1) / 2
+
+    def drawn(at, angle):
+        dx, dy = x - at[0], y - at[1]
+        u, v = dx * np.cos(angle) + dy * np.sin(angle), dy * np.cos(angle) - dx * np.sin(angle)
+        return 128 + 60 * np.sin(0.5 * u + 0.2) * np.cos(0.4 * v + 0.1) * np.exp(-((u / 18) ** 4) - (v / 12) ** 4)
+
+    at, angles = np.array([0.7, -0.4]), [-0.02, 0.0, 0.02]
+    template = template_from_frame(drawn((0.0, 0.0), 0.0))
+    cuts = np.stack([drawn(at, angle) for angle in angles])
+    fit = refine_positions(template_products(cuts, template), np.zeros((3, 2)), template)
+    np.testing.assert_allclose(fit.angle, angles, atol=2e-4)
+    np.testing.assert_allclose(fit.position, np.broadcast_to(at, (3, 2)), atol=5e-4)  # about the cut-out: 0.014 px
+
+
 def test_learnt_template_reaches_the_bound_and_says_so():
     truth = spread(400)
     _, fit, template = taught(truth)
