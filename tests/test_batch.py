@@ -357,46 +357,6 @@ def test_processes_that_cannot_start() -> None:
     assert str(error) == "cannot start a process: Too many open files; try fewer --workers"
 
 
-class _DyingPool:
-    """A process pool in place of pebble's; the process of a task dies so many times, then the task ends."""
-
-    deaths = 0
-
-    def __init__(self, *settings: Any, **named: Any) -> None:
-        self.begun = 0
-
-    def schedule(self, call: Callable[..., Any], args: tuple[Any, ...]) -> Future[Any]:
-        self.begun += 1
-        future: Future[Any] = Future()
-        if self.begun <= self.deaths:
-            died = OSError("abnormal termination")
-            died.exitcode = -9  # type: ignore[attr-defined]
-            future.set_exception(died)
-        else:
-            future.set_result((0.0, self.begun))
-        return future
-
-    def close(self) -> None:
-        pass
-
-    join = stop = close
-
-
-@pytest.mark.parametrize(("deaths", "attempt"), [(0, 1), (1, 2), (2, 3), (3, None)])
-def test_a_task_whose_process_dies_is_tried_three_times(
-    deaths: int, attempt: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pebble.ProcessPool", _DyingPool)
-    monkeypatch.setattr(_DyingPool, "deaths", deaths)
-    with workers.local_workers(1) as pool:
-        future = pool.submit(_fail)
-    if attempt is None:
-        with pytest.raises(FrictrackError, match="ended by signal 9, 3 times; was memory short"):
-            future.result(0)
-    else:
-        assert future.result(0) == attempt
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_workers_of_a_batch_killed_at_100_moments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,7 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
 from frictrack.diagnose.null_distribution import N_DRAWS
-from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
@@ -83,44 +81,6 @@ def test_a_stricter_level_demands_a_larger_effect(nothing_missing):
         assert strict.detection_limits[name]["value"] > nothing_missing.detection_limits[name]["value"]
     with pytest.raises(FrictrackError, match="between 0 and 1 but got alpha = 0"):
         diagnose(fitted, alpha=0.0)
-
-
-OPEN = Undetermined("viscous", "its standard deviation is large", "film faster", uncertainty=0.3)
-NOT_SHOWN = Undetermined("stribeck", "these runs do not show it", "film to a stop", limit=0.2)  # the law is determined
-
-
-@pytest.mark.parametrize(
-    ("ratio", "gaps", "change", "verdict"),
-    [
-        (0.5, [], {}, "missing"),
-        (1.001, [], {}, "missing"),
-        (1.003, [], {}, "unexplained"),  # the effect predicts no better
-        (0.5, [], {"indistinguishable_from": ("drift",)}, "ambiguous"),
-        (0.5, [], {"objection": "more than the weight"}, "unexplained"),
-        (0.5, [], {"alternatives": ["drift with spring"]}, "ambiguous"),
-        (0.5, [], {"left": True}, "unexplained"),
-        (0.5, [], {"found": 0}, "unexplained"),
-        (0.89, [OPEN], {}, "missing"),  # a tenth less error is decisive whatever is open
-        (0.91, [OPEN], {}, "undetermined"),
-        (0.91, [NOT_SHOWN], {}, "missing"),  # the law itself is determined
-        (0.91, [NOT_SHOWN, OPEN], {}, "undetermined"),
-        (0.5, [OPEN], {"left": True, "misfit": 0.99}, "undetermined"),
-        (0.5, [OPEN], {"left": True, "misfit": 1.01}, "unexplained"),
-        (0.5, [], {"complete": True}, "complete"),
-        (0.5, [NOT_SHOWN], {"complete": True}, "undetermined"),
-    ],
-)
-def test_the_verdict_follows_from_what_was_found_and_what_is_open(ratio, gaps, change, verdict):
-    change = {"found": 1, "left": False, "misfit": 2.0, "complete": False, **change}
-    parts = {"objection": "", "indistinguishable_from": (), **change}
-    one = SimpleNamespace(**{name: parts[name] for name in ("objection", "indistinguishable_from")})
-    first = SimpleNamespace(leaves_misfit=not change["complete"], passing=[])
-    last = SimpleNamespace(leaves_misfit=change["left"])
-    search = FinishedSearch(None, first, last, [one] * change["found"], [], None, change.get("alternatives", ()))
-    listed = [SimpleNamespace(heldout_before=1.0, heldout_after=ratio)]
-    judged, left_open = Conclusion(None, search)._judge(listed, change["misfit"], gaps)
-    assert judged == verdict
-    assert left_open == (gaps if verdict == "undetermined" else [])
 
 
 def solution_that_leaves(chi2_per_frame):

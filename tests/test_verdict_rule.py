@@ -31,8 +31,8 @@ EXPLAINED = Grounds(something_missing=True, n_found=1, error_ratio=0.5, reduced_
         # what the runs leave open counts unless the evidence is decisive
         (replace(EXPLAINED, gaps=[COULD_HIDE]), "missing"),
         (replace(EXPLAINED, gaps=[COULD_HIDE], error_ratio=0.95), "missing"),
-        (replace(EXPLAINED, gaps=[NOT_DETERMINED]), "missing"),
-        (replace(EXPLAINED, gaps=[COULD_HIDE, NOT_DETERMINED], error_ratio=0.95), "undetermined"),
+        (replace(EXPLAINED, gaps=[NOT_DETERMINED], error_ratio=0.89), "missing"),
+        (replace(EXPLAINED, gaps=[COULD_HIDE, NOT_DETERMINED], error_ratio=0.91), "undetermined"),
         (replace(EXPLAINED, n_found=0, gaps=[NOT_DETERMINED]), "unexplained"),
         (replace(EXPLAINED, n_found=0, gaps=[COULD_HIDE], reduced_chi2=0.9), "undetermined"),
     ],
