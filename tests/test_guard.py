@@ -208,6 +208,7 @@ def test_the_token_is_read_from_a_file_or_the_environment(
     assert ("can be read by every user" in capsys.readouterr().err) == (way == "command line")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("content", "said"), [(None, "cannot read"), (b"\xff", "cannot read"), (b" \n", "is empty")])
 def test_a_file_without_a_token_is_one_sentence(
     content: bytes | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
