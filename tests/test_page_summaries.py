@@ -235,7 +235,6 @@ def diagnosed(textured: Path, tmp_path: Path) -> Path:
     return tmp_path / "study.toml"
 
 
-@pytest.mark.slow
 def test_the_verdict_is_told_as_in_the_report(diagnosed: Path) -> None:
     found = state(diagnosed)
     diagnosis = found["diagnosis"]
