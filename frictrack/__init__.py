@@ -14,6 +14,8 @@ or from a film:
 Names are imported when they are first used, so that `frictrack --help` starts quickly.
 """
 
+# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
+
 from __future__ import annotations
 
 import sys
@@ -21,6 +23,8 @@ import warnings
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from frictrack.lazy import module_of
 
 if TYPE_CHECKING:
     from frictrack import effects, models, samples, search, simulate
@@ -43,96 +47,32 @@ if TYPE_CHECKING:
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
-_MODULE_OF = {
-    "open_recording": "recording",
-    "track": "tracking",
-    "learn_target": "tracking",
-    "align_track": "tracking",
-    "contact_sheet": "tracking",
-    "repair": "repairing",
-    "suspect_spans": "repairing",
-    "calibrate": "calibration",
-    "plane_map": "calibration",
-    "low_pass": "motion",
-    "differentiate": "motion",
-    "covariance": "motion",
-    "KnownAcceleration": "motion",
-    "cutoff_tradeoff": "motion",
-    "free_section": "friction",
-    "friction": "friction",
-    "find_events": "events",
-    "budget": "budget",
-    "fit": "fit",
-    "profile": "fit",
-    "bootstrap": "fit",
-    "compare": "compare",
-    "history": "compare",
-    "diagnose": "diagnose",
-    "Comparison": "compare",
-    "Diagnosis": "diagnose",
-    "Displacement": "records",
-    "Fit": "fit",
-    "GroupFits": "fit",
-    "Motion": "records",
-    "Prior": "priors",
-    "trend": "covariates",
-    "CovariateTrends": "covariates",
-    "Track": "records",
-    "effect": "effects",
-    "Run": "records",
-    "with_earlier_runs": "run_history",
-    "FrictrackError": "errors",
-    "__version__": "version",
-}
+_MODULE_OF = module_of(
+    {
+        "recording": "open_recording",
+        "tracking": "track learn_target align_track contact_sheet",
+        "repairing": "repair suspect_spans",
+        "calibration": "calibrate plane_map",
+        "motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
+        "friction": "free_section friction",
+        "events": "find_events",
+        "budget": "budget",
+        "fit": "fit profile bootstrap Fit GroupFits",
+        "compare": "compare history Comparison",
+        "diagnose": "diagnose Diagnosis",
+        "records": "Displacement Motion Track Run",
+        "priors": "Prior",
+        "covariates": "trend CovariateTrends",
+        "effects": "effect",
+        "run_history": "with_earlier_runs",
+        "errors": "FrictrackError",
+        "version": "__version__",
+    }
+)
 _RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
 _MODULES = ("models", "effects", "samples", "search", "simulate")
 
-__all__ = [
-    "Comparison",
-    "CovariateTrends",
-    "Diagnosis",
-    "Displacement",
-    "Fit",
-    "FrictrackError",
-    "GroupFits",
-    "KnownAcceleration",
-    "Motion",
-    "Prior",
-    "Run",
-    "Track",
-    "__version__",
-    "align_track",
-    "bootstrap",
-    "budget",
-    "calibrate",
-    "compare",
-    "contact_sheet",
-    "covariance",
-    "cutoff_tradeoff",
-    "diagnose",
-    "differentiate",
-    "effect",
-    "effects",
-    "find_events",
-    "fit",
-    "free_section",
-    "friction",
-    "history",
-    "learn_target",
-    "low_pass",
-    "models",
-    "open_recording",
-    "plane_map",
-    "profile",
-    "repair",
-    "samples",
-    "search",
-    "simulate",
-    "suspect_spans",
-    "track",
-    "trend",
-    "with_earlier_runs",
-]
+__all__ = sorted([*_MODULE_OF, *_MODULES])  # noqa: PLE0605 - a list of strings
 
 
 class _Package(ModuleType):

@@ -29,22 +29,39 @@ def imported(path: str) -> Any:
     return getattr(import_module(module), name)
 
 
-def lazy_names(package: str, module_of: Mapping[str, str]) -> Callable[[str], Any]:
+def module_of(exports: Mapping[str, str]) -> dict[str, str]:
+    """Return the module of every name that a package exports.
+
+    Parameters
+    ----------
+    exports
+        Names, separated by spaces, by their module.
+
+    Examples
+    --------
+    >>> module_of({"motion": "low_pass differentiate"})
+    {'low_pass': 'motion', 'differentiate': 'motion'}
+
+    """
+    return {name: module for module, names in exports.items() for name in names.split()}
+
+
+def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
     """Return the `__getattr__` of a package that imports its names on first use.
 
     Parameters
     ----------
     package
         Name of the package, as ``__name__`` has it.
-    module_of
+    modules
         The module of the package that defines a name, by name. No name may be that of a module.
 
     """
 
     def find(name: str) -> Any:
-        if name not in module_of:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{module_of[name]}"), name)
+        value = getattr(import_module(f"{package}.{modules[name]}"), name)
         setattr(sys.modules[package], name, value)
         return value
 

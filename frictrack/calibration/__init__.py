@@ -7,7 +7,7 @@ Every kind of scale yields a `PlaneMap` from the picture to the plane of the cou
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names
+from frictrack.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.calibration.displacement import calibrate
@@ -17,18 +17,16 @@ if TYPE_CHECKING:
     from frictrack.calibration.scale_to_map import plane_map
     from frictrack.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake
 
-_MODULE_OF = {
-    "calibrate": "displacement",
-    "estimate_shake": "shake",
-    "MIN_ROTATION": "rotating_target",
-    "parse_scale": "scale",
-    "plane_map": "scale_to_map",
-    "PlaneMap": "plane",
-    "Scale": "scale",
-    "Shake": "shake",
-    "significant_motion": "shake",
-    "subtract_shake": "shake",
-}
+_MODULE_OF = module_of(
+    {
+        "displacement": "calibrate",
+        "shake": "estimate_shake Shake significant_motion subtract_shake",
+        "rotating_target": "MIN_ROTATION",
+        "scale": "parse_scale Scale",
+        "scale_to_map": "plane_map",
+        "plane": "PlaneMap",
+    }
+)
 
 __all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
 __getattr__ = lazy_names(__name__, _MODULE_OF)

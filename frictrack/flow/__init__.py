@@ -24,7 +24,7 @@
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names
+from frictrack.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
@@ -54,48 +54,30 @@ if TYPE_CHECKING:
     from frictrack.flow.verdict_first import change_and_diagnose, conclude, run_study
     from frictrack.flow.verification import verify
 
-_MODULE_OF = {
-    "EXCLUDED": "result_values",
-    "AttemptsReader": "stored_results",
-    "Change": "command_history",
-    "change_and_diagnose": "verdict_first",
-    "check_entered": "new_study",
-    "CommandHistory": "command_history",
-    "contact_sheet_path": "film_stages",
-    "conclude": "verdict_first",
-    "demo": "sample_demo",
-    "describe_keys": "new_study",
-    "effect_of_formula": "formula_effects",
-    "Findings": "plausibility_checks",
-    "FitRequest": "fit_request",
-    "hash_path": "pipeline",
-    "no_progress": "pipeline",
-    "open_study": "opening",
-    "plan": "run_plan",
-    "preview_motion": "stored_results",
-    "Progress": "pipeline",
-    "propose_study": "new_study",
-    "read_attempt": "stored_results",
-    "read_results": "stored_results",
-    "recorded_models": "replay",
-    "repeat_models": "replay",
-    "replay_script": "replay",
-    "ResultsReader": "stored_results",
-    "run_pipeline": "stages",
-    "RunPipeline": "pipeline",
-    "run_study": "verdict_first",
-    "Session": "session",
-    "SignificanceBudget": "significance_budget",
-    "start_study": "new_study",
-    "stored_values": "result_values",
-    "survey_recording": "survey",
-    "Surveyed": "survey",
-    "table_needs_mass": "input_checks",
-    "undo_stacks": "command_history",
-    "user_effects": "fit_request",
-    "Values": "result_values",
-    "verify": "verification",
-}
+_MODULE_OF = module_of(
+    {
+        "result_values": "EXCLUDED stored_values Values",
+        "stored_results": "AttemptsReader preview_motion read_attempt read_results ResultsReader",
+        "command_history": "Change CommandHistory undo_stacks",
+        "verdict_first": "change_and_diagnose conclude run_study",
+        "new_study": "check_entered describe_keys propose_study start_study",
+        "film_stages": "contact_sheet_path",
+        "sample_demo": "demo",
+        "formula_effects": "effect_of_formula",
+        "plausibility_checks": "Findings",
+        "fit_request": "FitRequest user_effects",
+        "pipeline": "hash_path no_progress Progress RunPipeline",
+        "opening": "open_study",
+        "run_plan": "plan",
+        "replay": "recorded_models repeat_models replay_script",
+        "stages": "run_pipeline",
+        "session": "Session",
+        "significance_budget": "SignificanceBudget",
+        "survey": "survey_recording Surveyed",
+        "input_checks": "table_needs_mass",
+        "verification": "verify",
+    }
+)
 
 __all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
 __getattr__ = lazy_names(__name__, _MODULE_OF)

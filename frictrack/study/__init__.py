@@ -16,7 +16,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names
+from frictrack.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, has_units
@@ -43,43 +43,18 @@ if TYPE_CHECKING:
         write_study,
     )
 
-_MODULE_OF = {
-    "COLUMNS": "schema",
-    "columns_line": "column_names",
-    "EffectTable": "schema",
-    "find_header": "column_names",
-    "find_recordings": "writing",
-    "has_units": "column_names",
-    "is_picture_folder": "writing",
-    "is_table": "writing",
-    "list_files": "writing",
-    "load": "loading",
-    "needs_film": "schema",
-    "NewRun": "writing",
-    "open_table": "table_files",
-    "parse": "loading",
-    "propose_columns": "reading_tables",
-    "read_frame_rate": "schema",
-    "read_frame": "reading_tables",
-    "read_run_table": "reading_tables",
-    "read_sensor_table": "reading_tables",
-    "read_table": "reading_tables",
-    "read_toml": "loading",
-    "refuse_existing": "writing",
-    "results_folder": "loading",
-    "RunTable": "schema",
-    "Study": "loading",
-    "suggest": "schema",
-    "TableData": "reading_tables",
-    "table_headers": "table_files",
-    "TableFile": "table_cells",
-    "to_si": "schema",
-    "with_effect": "editing",
-    "with_key": "editing",
-    "with_runs": "editing",
-    "without_run": "editing",
-    "write_study": "writing",
-}
+_MODULE_OF = module_of(
+    {
+        "schema": "COLUMNS EffectTable needs_film read_frame_rate RunTable suggest to_si",
+        "column_names": "columns_line find_header has_units",
+        "writing": "find_recordings is_picture_folder is_table list_files NewRun refuse_existing write_study",
+        "loading": "load parse read_toml results_folder Study",
+        "table_files": "open_table table_headers",
+        "reading_tables": "propose_columns read_frame read_run_table read_sensor_table read_table TableData",
+        "table_cells": "TableFile",
+        "editing": "with_effect with_key with_runs without_run",
+    }
+)
 
 __all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
 __getattr__ = lazy_names(__name__, _MODULE_OF)
