@@ -117,8 +117,8 @@ def test_what_is_killed_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turn", range(20))
-def test_200_kills(tmp_path: Path, turn: int) -> None:
+@pytest.mark.parametrize("turn", range(10))
+def test_100_kills(tmp_path: Path, turn: int) -> None:
     """Five at a time, of run and batch, of tables and of a film."""
     make = filmed if turn % 2 else campaign_of_two
     survives(make, tmp_path / "run", run, 5, turn)
