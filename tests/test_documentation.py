@@ -194,6 +194,7 @@ def built(tmp_path_factory):
     return out
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings_and_loads_nothing_from_outside(built):
     pages = list(built.rglob("*.html"))
@@ -202,6 +203,7 @@ def test_the_documentation_builds_without_warnings_and_loads_nothing_from_outsid
     assert {page for page, found in loading.items() if found} == set()
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_links_inside_the_documentation_lead_somewhere(built):
     broken = []

@@ -60,6 +60,7 @@ def test_the_offset_of_a_drive_and_the_mass_are_found(rate: float) -> None:
     assert abs(1 / found.gain - MASS) < 4 * (found.sigma_gain or 0.0) * MASS**2
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_z_scores_of_the_drives_offset_are_standard() -> None:
     z = []

@@ -158,6 +158,7 @@ def z_scores(seeds):
     return {address: np.array(z) for address, z in out.items()}
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_stated_intervals_cover_the_truth_over_200_seeds():
     z = z_scores(range(200))

@@ -152,6 +152,7 @@ def test_forty_thousand_frames_are_followed_in_seconds():
     np.testing.assert_allclose(made[:n], oscillator(t[:n])[0], atol=1e-6)
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_what_a_swinging_spring_lacks_is_named_as_hysteresis():
     found = diagnose(fit("viscous,spring", [swinging(1500, sigma=8e-6, lead=300)]))

@@ -62,6 +62,7 @@ def test_a_long_record_is_parted_as_a_short_one_is():
     assert 0.4 < ratio < 1.3
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_forty_thousand_samples_take_seconds():
     begin = time.process_time()

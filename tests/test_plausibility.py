@@ -495,6 +495,7 @@ def test_no_rendered_study_is_doubted(tmp_path: Path, caplog: pytest.LogCaptureF
     assert caplog.messages == []
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["none", "one", "two", "foreign", "fault"])
 def test_no_rendered_study_of_many_is_doubted(kind: str, tmp_path: Path) -> None:

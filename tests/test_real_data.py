@@ -74,6 +74,7 @@ def carriage():
     return Run(seen, differentiate(low_pass(seen, method="kalman")), drive=drive[:n], name="carriage")
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_carriage_names_friction_that_depends_on_the_direction(carriage):
     found = diagnose(fit("coulomb,viscous", [carriage]))

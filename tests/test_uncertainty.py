@@ -507,6 +507,7 @@ def test_intervals_cover_the_truth_in_a_few_seeds():
     assert 0.8 <= np.mean(list(found.values())) <= 1.0
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "seeds", "draws"),
