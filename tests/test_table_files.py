@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from frictrack.errors import FrictrackError
-from frictrack.study import find_recordings, load, read_run_table, read_table
+from frictrack.study import find_recordings, load, propose_columns, read_run_table, read_table
 
 # What Tracker 6 writes: the name of the track, the names of the columns, numbers as Java prints them.
 TRACKER = """mass_A\t\t
@@ -241,3 +241,8 @@ def test_letters_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> N
     (tmp_path / "run.csv").write_bytes("Zeit (ms);Weg (µm);Prüfer\n0;1500;Müller\n500;2250;\n".encode(encoding))
     expected = ([0, 0.5], [0.0015, 0.00225])
     assert columns(tmp_path / "run.csv", {"t": "Zeit (ms)", "x": "Weg (µm)"}) == expected
+
+
+def test_a_header_that_is_there_twice_ends_no_proposal() -> None:
+    table = pd.DataFrame([[0.0, 0.1, 1.0], [0.1, 0.2, 2.0]], columns=["a", "a", "b"])
+    assert propose_columns(table) == {"t": "a", "x": "b"}

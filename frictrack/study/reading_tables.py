@@ -322,7 +322,11 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
     found = guess_columns([header for header in present if header not in standard.values()]) | standard | dict(columns)
     for key in REQUIRED:
-        others = (header for header in present if header not in found.values() and _are_numbers(frame[header]))
+        others = (  # by place: a header may be there twice
+            header
+            for i, header in enumerate(present)
+            if header not in found.values() and _are_numbers(frame.iloc[:, i])
+        )
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
     return {key: found[key] for key in COLUMNS if key in found and found[key] != COLUMNS[key][0]}
