@@ -193,7 +193,8 @@ def _follow_known_target(film: Recording, drawn: Areas, template: int, known: Ta
     blocked = drawn.obstacle_mask(film.shape)
     target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
     raw_track = follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
-    rows = np.flatnonzero(raw_track.found & (target_model.pattern is not None) & ~target_model.rotates)
+    can_follow = target_model.pattern is not None and not target_model.rotates
+    rows = np.flatnonzero(raw_track.found & can_follow)
     return Followed(rectangle, template, raw_track, target_model, rows)
 
 
