@@ -84,7 +84,7 @@ def reproduce_crate(
     with only_listed(known):
         repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
-    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("*.h5"))}
+    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
     groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
     return _summary(crate, versions, groups) | {
         "crate": str(path),
