@@ -65,7 +65,7 @@ def track_frames(
         )
     at = frame - frames.start
     raw_track = follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
-    rows = np.flatnonzero(raw_track.found & ~known.rotates)
+    rows = np.flatnonzero(raw_track.found & (not known.rotates))
     h, w = known.template.weight.shape
     rectangle = (round(float(start[0])), round(float(start[1])), w, h)
     return measure_track(part, part, Areas(), Followed(rectangle, at, raw_track, known, rows), "target", Work())
