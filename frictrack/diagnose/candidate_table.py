@@ -4,54 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.diagnose.parsimony import explained_shares, nested_models
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
-from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import Round
 from frictrack.diagnose.verdict import Candidate, Importance
 from frictrack.fit.least_squares import Solution
+
+if TYPE_CHECKING:
+    from frictrack.diagnose.conclusion import FinishedSearch
 
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
 MAX_OTHERS_LISTED = 6  # further effects in the table of importance
-N_CANDIDATES_WITH_RIVALS = 3  # the best ones
 
 
 def importance_of_effects(
-    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: HeldOutErrors
+    search: FinishedSearch, named: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: HeldOutErrors
 ) -> list[Importance]:
-    """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
-    alone = explained_shares(first, first.tried)
-    unit = residual_kind(first.solution.problem).unit
-    excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
+    """Return the share of the misfit that each named effect, and each plausible other one that passed, explains."""
+    alone = {t.effect.name: t.share for t in search.tried}
+    bare = search.first.solution
+    unit = residual_kind(bare.problem).unit
+    excess = max(bare.chi2 - bare.problem.n_frames, 1e-300)
     out: list[Importance] = []
-    chi2, error = first.solution.chi2, None
-    for t, law in zip(found, nested_models(found), strict=True):
-        share = heldout_error = None
-        if law is not None:
-            before, heldout_error, _ = heldout(law)
-            share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
-            improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
-            out, error = (_without_stop(out) if improves else out), heldout_error
-        out.append(
-            Importance(
-                t.effect.name,
-                alone.get(t.effect.name),
-                share,
-                heldout_error,
-                unit,
-                stop=heldout_error is not None and improves,
-            )
-        )
-    names = {t.effect.name for t in found}
-    level = first.tests.level
+    chi2, error = bare.chi2, None
+    for t in named:
+        before, heldout_error, _ = heldout(t.law)
+        share, chi2 = float(np.clip((chi2 - t.law.chi2) / excess, -1.0, 1.0)), t.law.chi2
+        improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
+        out, error = (_without_stop(out) if improves else out), heldout_error
+        out.append(Importance(t.effect.name, alone.get(t.effect.name), share, heldout_error, unit, stop=improves))
+    names = {t.effect.name for t in named}
+    level = search.first.tests.level
     others = [c.effect for c in listed if c.p < level and c.effect not in names and not c.implausible]
-    shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
+    shown = [name for name in others if (alone.get(name) or 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
     return out + [Importance(name, alone[name], None, None, unit) for name in shown]
 
 
@@ -60,26 +49,17 @@ def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
     return [replace(row, stop=False) for row in rows]
 
 
-def tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: HeldOutErrors) -> list[Candidate]:
-    """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
-    chosen = {t.effect.name: t for t in found}
-    rivals = {
-        t.effect.name: find_rivals(t, first.tried)
-        for t in first.passing[:N_CANDIDATES_WITH_RIVALS]
-        if t.effect.name not in chosen
-    }
-    simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
-    passing = {t.effect.name for t in first.passing} | chosen.keys()
+def tabulate_candidates(search: FinishedSearch, heldout: HeldOutErrors) -> list[Candidate]:
+    """Return all candidates with their evidence: those found first, then the others alone, best first."""
+    kind, level = residual_kind(search.first.solution.problem), search.first.tests.level
+    alone, found = {t.effect.name: t for t in search.tried}, {t.effect.name for t in search.found}
     out = []
-    for t in [*found, *(t for t in first.tried if t.effect.name not in chosen)]:
-        name = t.effect.name
-        shown = simulated.get(name, t)
-        refined = chosen.get(name, t)
-        indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
-        shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
-        held = heldout if first.is_significant(t) else None
-        listed = _candidate(shown, held, residual_kind(first.solution.problem))
-        out.append(replace(listed, passes=name in passing and not listed.implausible))
+    for t in [*search.found, *(t for t in search.tried if t.effect.name not in found)]:
+        own = alone.get(t.effect.name, t)
+        shown = t if own.solution is None else own
+        shown = replace(shown, indistinguishable_from=t.indistinguishable_from, objection=t.objection)
+        listed = _candidate(shown, heldout if t.p < level else None, kind)
+        out.append(replace(listed, passes=t.passes and not t.objection))
     return out
 
 

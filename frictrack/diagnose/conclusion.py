@@ -18,19 +18,18 @@ from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.detection_limits import detection_limit
+from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
-from frictrack.diagnose.joint_search import AlternativeSet
-from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.power import find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.rounds import Round
+from frictrack.diagnose.rivals import AlternativeSet
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
@@ -44,19 +43,26 @@ NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failu
 
 @dataclass(frozen=True, eq=False)
 class FinishedSearch:
-    """Result of a search: start, first and last round, effects found, and random generators for the later steps.
+    """Result of a search.
 
-    `cut` says what was left out because the budget of evaluations was spent; None if nothing was. `alternatives` are
+    `first` and `last` are the examinations of the model and of that with the effects found, `tried` all effects alone
+    beside the model, best first, and `generators` the random numbers of the later steps. `cut` says what was left out because the budget of evaluations was spent; None if nothing was. `alternatives` are
     other sets of effects that explain as much as those found.
     """
 
     start: Solution
-    first: Round
-    last: Round
+    first: Examination
+    last: Examination
+    tried: list[RefinedCandidate]
     found: list[RefinedCandidate]
     generators: list[np.random.Generator]
     cut: str | None = None
     alternatives: Sequence[AlternativeSet] = ()
+
+    @property
+    def passing(self) -> list[RefinedCandidate]:
+        """Effects that pass alone, best first."""
+        return [t for t in self.tried if t.passes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +115,7 @@ class Conclusion:
             self.verdict,
             complete=True,
             fails_at=[] if self._nothing_missing else self._fails_at,
-            importance=importance_of_effects(self.search.first, self._named, self.verdict.candidates, self._heldout),
+            importance=importance_of_effects(self.search, self._named, self.verdict.candidates, self._heldout),
             figures=self.verdict.figures | {"residual": self._residual},
         )
         if found.verdict in NOTHING_TO_EXPLAIN:
@@ -137,7 +143,7 @@ class Conclusion:
 
     @property
     def _nothing_missing(self) -> bool:
-        return not self.search.first.leaves_misfit and not self.search.first.passing
+        return not self.search.first.leaves_misfit and not self.search.passing
 
     @cached_property
     def _named(self) -> list[RefinedCandidate]:
@@ -148,7 +154,7 @@ class Conclusion:
     def _before_formulas(self) -> Diagnosis:
         """The verdict from effects alone, with the evidence of every candidate and detection limits."""
         first, found = self.search.first, self.search.found
-        listed = tabulate_candidates(first, found, self._heldout)
+        listed = tabulate_candidates(self.search, self._heldout)
         limits, curves = _limits(first)
         kind = residual_kind(self.fit.solution.problem)
         noise, misfit = kind.noise(self.fit)
@@ -160,7 +166,7 @@ class Conclusion:
                 n_found=len(found),
                 misfit_left=self.search.last.leaves_misfit,
                 has_objection=any(t.objection for t in found),
-                has_rivals=any(t.indistinguishable_from for t in found) or bool(self._sets_in_place_of_one),
+                has_rivals=any(t.indistinguishable_from for t in found),
                 error_ratio=0.0 if self._nothing_missing else self._error_ratio(listed),
                 reduced_chi2=misfit,
                 gaps=gaps,
@@ -190,11 +196,6 @@ class Conclusion:
             complete=False,
             alpha=2 * first.tests.level,
         )
-
-    @property
-    def _sets_in_place_of_one(self) -> list[AlternativeSet]:
-        """Sets of effects that explain as much as the one effect found."""
-        return list(self.search.alternatives) if len(self.search.found) == 1 else []
 
     def _error_ratio(self, listed: Sequence[Candidate]) -> float:
         """Held-out error with all effects found over that of the model without them; 0 if it was not computed.
@@ -273,11 +274,9 @@ class Conclusion:
             solution = last.solution if found.missing or not effects else first.solution
             return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.name for t in effects[:1]]
-        order = sorted(first.passing, key=lambda t: t.effect.name not in best)
-        bare = information_criterion(first.solution)
-        sets = [(one.name, one.law, bare - information_criterion(one.law)) for one in self._sets_in_place_of_one]
-        passing = [*((t.effect.name, t.law, t.delta_bic) for t in order), *sets]
-        rivals = (*(name for name, *_ in sets), *(effects[0].indistinguishable_from if best else ()))
+        order = sorted(self.search.passing, key=lambda t: t.effect.name not in best)
+        passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
+        rivals = effects[0].indistinguishable_from if best else ()
         compared = self._compared
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
@@ -285,7 +284,7 @@ class Conclusion:
         return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
 
 
-def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+def _limits(first: Examination) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
     """Return the detection limit of every scanned effect, and its curve over all settings."""
     limits, curves = {}, {}
     for s in first.tests.scanned:

@@ -88,10 +88,14 @@ class SearchTests:
         """Whether the lack of fit or any candidate is significant."""
         return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
 
+    @cached_property
+    def quantiles(self) -> dict[str, float]:
+        """Quantile of every candidate's own null distribution."""
+        return {s.effect.name: s.quantile for s in self.scanned}
+
     def p_of_gain(self, name: str, gain: float) -> float:
-        """p-value of a gain of chi-squared by the candidate of a name."""
-        quantile = next(s.quantile for s in self.scanned if s.effect.name == name)
-        return _p_value(self.null, gain - quantile)
+        """p-value of a gain of chi-squared by an effect; one that was not scanned gains by chance what any does."""
+        return _p_value(self.null, gain - self.quantiles.get(name, max(self.quantiles.values(), default=0.0)))
 
 
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:

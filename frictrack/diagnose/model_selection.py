@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from math import comb, log
 
-from frictrack.effects import LIBRARY
+from frictrack.effects import LIBRARY, Effect
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
-from frictrack.fit.stepwise import bic_penalty
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
@@ -90,6 +90,25 @@ def likelihood_gain(bare: Solution, fitted: Solution) -> float:
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
     """Penalty of BIC for the parameters of a model without its friction levels."""
     return bic_penalty(len(layout.slots) - len(layout.levels), problem.n_frames)
+
+
+def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect: Effect) -> float:
+    """Return the penalty that a scan subtracts for the events of an effect in single runs.
+
+    Parameters
+    ----------
+    problem
+        The runs.
+    layout
+        A model of them with the effect.
+    effect
+        The effect.
+
+    """
+    if not effect.single:
+        return 0.0
+    events = sum((effect.name, run) not in layout.absent for run in {p.run for p in problem.pieces})
+    return bic_penalty(events * EVENT_PARAMETERS, problem.n_frames)
 
 
 def log_prior_of_set(count: int) -> float:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
+from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
-from frictrack.diagnose.rounds import Round
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import LinearisedPiece
@@ -58,7 +58,7 @@ class Undetermined:
 
 
 def find_undetermined(
-    fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]], grown: Solution | None = None
+    fit: Fit, first: Examination, curves: Mapping[str, Mapping[str, Array]], grown: Solution | None = None
 ) -> list[Undetermined]:
     """List what the runs of a fit leave open.
 
@@ -67,7 +67,7 @@ def find_undetermined(
     fit
         The fit.
     first
-        First round of the search.
+        Examination of the model.
     curves
         Detection limits over all settings, by effect.
     grown
@@ -95,7 +95,7 @@ def find_undetermined(
     return found
 
 
-def mean_friction(first: Round) -> float:
+def mean_friction(first: Examination) -> float:
     """Mean size of the friction force of a fitted model over its frames, N."""
     forces = []
     for strip in first.draws.law.pieces:
@@ -103,13 +103,13 @@ def mean_friction(first: Round) -> float:
     return max(float(np.mean(np.concatenate(forces))), 1e-300)
 
 
-def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> float:
+def limit_as_force(first: Examination, scanned: ScannedCandidate, limits: Array) -> float:
     """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms.
 
     Parameters
     ----------
     first
-        First round of the search.
+        Examination of the model.
     scanned
         The effect's scans.
     limits
@@ -163,7 +163,9 @@ def _significant_effects(fit: Fit) -> set[str]:
     return {name for name, found in estimates if name and found.is_significant(MIN_SIGNIFICANCE)}
 
 
-def _uncertain_coefficients(known: Mapping[str, Estimate], first: Round, friction: float) -> Iterator[Undetermined]:
+def _uncertain_coefficients(
+    known: Mapping[str, Estimate], first: Examination, friction: float
+) -> Iterator[Undetermined]:
     """Coefficients of the friction law whose standard deviation is a tenth of the mean friction or more."""
     for effect in first.solution.problem.model.effects:
         for k, p in enumerate(effect.linear):

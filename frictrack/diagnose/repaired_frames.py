@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.rounds import Round
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.number_format import format_number
 from frictrack.records import Array, Mask, Run
@@ -38,7 +38,7 @@ class _Counts:
 
 
 def rests_on_repairs(
-    runs: Sequence[Run], verdict: str, first: Round, last: Solution, found: Sequence[RefinedCandidate]
+    runs: Sequence[Run], verdict: str, first: Examination, last: Solution, found: Sequence[RefinedCandidate]
 ) -> str | None:
     """Return a sentence if the verdict would change without the frames that were tracked again.
 
@@ -49,7 +49,7 @@ def rests_on_repairs(
     verdict
         The verdict.
     first
-        First round of the search: the model that is diagnosed.
+        Examination of the model that is diagnosed.
     last
         The model with all effects found.
     found
@@ -96,10 +96,10 @@ def _kept(response: PieceResponse, repaired: Sequence[Codes | None]) -> Mask:
 
 
 def _effects_rest(
-    first: Round, found: Sequence[RefinedCandidate], repaired: Sequence[Codes | None], counts: _Counts
+    first: Examination, found: Sequence[RefinedCandidate], repaired: Sequence[Codes | None], counts: _Counts
 ) -> str | None:
     """Name the first effect whose evidence is too small without the repaired frames."""
-    demanded = {s.effect.name: s.quantile + first.tests.critical for s in first.tests.scanned}
+    demanded = {name: quantile + first.tests.critical for name, quantile in first.tests.quantiles.items()}
     before = first.solution
     for t in found:
         if t.solution is None or t.objection:

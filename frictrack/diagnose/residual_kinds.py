@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
 )
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.review import review_found
-from frictrack.diagnose.rounds import RoundOutcome
 from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
@@ -56,16 +53,6 @@ class ResidualKind(ABC):
         findings: KnownFindings,
     ) -> list[Evidence]:
         """Return which auxiliary signals move with the residual."""
-
-    @abstractmethod
-    def review(
-        self,
-        tested: Sequence[RoundOutcome],
-        found: list[RefinedCandidate],
-        own: Sequence[Effect],
-        notify: Callable[[str], None],
-    ) -> list[RefinedCandidate]:
-        """Return the effects that are still needed once the last one is in the model."""
 
     @abstractmethod
     def noise(self, fit: Fit) -> tuple[float, float]:
@@ -119,16 +106,6 @@ class DisplacementResiduals(ResidualKind):
     ) -> list[Evidence]:
         """Return which auxiliary signals move with the residual."""
         return assess_auxiliary_signals(start, runs, rng, auxiliary, findings)
-
-    def review(
-        self,
-        tested: Sequence[RoundOutcome],
-        found: list[RefinedCandidate],
-        own: Sequence[Effect],
-        notify: Callable[[str], None],
-    ) -> list[RefinedCandidate]:
-        """Return the effects that are still needed once the last one is in the model."""
-        return review_found(tested, found, own, notify)
 
     def noise(self, fit: Fit) -> tuple[float, float]:
         """Return the root mean square noise of a frame, m, and the reduced chi-squared of the fit."""
@@ -194,16 +171,6 @@ class FrictionResiduals(ResidualKind):
     ) -> list[Evidence]:
         """Return nothing: no motion is simulated that signals could be compared with."""
         return []
-
-    def review(
-        self,
-        tested: Sequence[RoundOutcome],
-        found: list[RefinedCandidate],
-        own: Sequence[Effect],
-        notify: Callable[[str], None],
-    ) -> list[RefinedCandidate]:
-        """Return all that was found: no pieces of a motion compete for it."""
-        return found
 
     def noise(self, fit: Fit) -> tuple[float, float]:
         """Return the noise of a sample, N, and the reduced chi-squared against it."""

@@ -1,54 +1,74 @@
-"""Find the candidates that a diagnosis cannot distinguish from the best one."""
+"""Find the explanations that a diagnosis cannot distinguish from the best one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
+from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MAX_CHI2_NEAR, MIN_CHI2_SEPARATED, expected_separation
-from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.fit.linearised import LinearisedModel
-from frictrack.fit.stepwise import CandidateTrial, misfit_left_by_other
+from frictrack.fit.stepwise import misfit_left_by_other
 from frictrack.fit.uncertainty import dispersion
 
 
-def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> tuple[str, ...]:
-    """Find the effects that may be the cause in place of the best one.
+@dataclass(frozen=True)
+class AlternativeSet:
+    """A set of effects that explains as much as those named, and its BIC over theirs (with priors of sets)."""
+
+    effects: tuple[str, ...]
+    delta_bic: float
+
+    def summary(self) -> dict[str, Any]:
+        """Return the entry of the JSON of `frictrack diagnose`."""
+        return {"effects": list(self.effects), "delta_bic": self.delta_bic}
+
+
+def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explanation]:
+    """Find the sets of as many effects that may be the cause in place of the best one.
 
     They explain the runs about as well (BIC within `MAX_BIC_EQUAL`), or their best fit to the predictions of `best`
     differs by less than `MIN_CHI2_SEPARATED`. An effect that needs decisively more parameters (an amplitude per run) is
     no equal explanation. Neither is one that contains the best one as a special case: it predicts the same data
     whatever these are, with more parameters. A rival need not be significant by itself: the true cause may be less
-    significant than its imitation. An effect that was promising but not refined, because the budget was spent, counts
-    as a rival: how much it explains is not known.
+    significant than its imitation. A set that was promising but not refined, because the budget was spent, counts as a
+    rival: how much it explains is not known.
 
     Parameters
     ----------
     best
-        The candidate.
+        The explanation.
     others
-        All candidates of its round.
+        Explanations of the same size.
 
     Returns
     -------
-    tuple of str
-        Names of the rivals.
+    list of Explanation
+        The rivals, best first.
 
     """
-    true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
     unit = dispersion(best.law)
-    near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
-    near = [t for t in near if best.effect.kind not in t.effect.special_cases]
-    behind = {t.effect.name: (best.delta_bic - t.delta_bic) / unit for t in near}
-    near = [t for t in near if t.is_unrefined or behind[t.effect.name] < MIN_CHI2_SEPARATED]
-    return tuple(
-        t.effect.name for t in near if behind[t.effect.name] < MAX_BIC_EQUAL or _explains_as_much(t, best, true, unit)
-    )
+    near = [one for one in others if one.names != best.names and not one.objection and not _contains(one, best)]
+    near = [one for one in near if one.is_unrefined or one.criterion - best.criterion < MIN_CHI2_SEPARATED * unit]
+    return [
+        one for one in near if one.criterion - best.criterion < MAX_BIC_EQUAL * unit or _would_explain(one, best, unit)
+    ]
 
 
-def _explains_as_much(
-    other: RefinedCandidate, best: RefinedCandidate, true: tuple[LinearisedModel, CandidateTrial] | None, unit: float
-) -> bool:
-    """Whether another effect explains what the best one does, and would if that were true.
+def names_in_place_of(name: str, best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
+    """Effects that stand in place of one of the best set in its rivals."""
+    others = [e.name for one in rivals if name not in one.names for e in one.effects if e.name not in best.names]
+    return tuple(dict.fromkeys(others))
+
+
+def _contains(other: Explanation, best: Explanation) -> bool:
+    """Whether an effect contains one that it replaces as a special case: it fits whatever the data are."""
+    replaced = {e.kind for e in best.effects if e.name not in other.names}
+    return any(replaced & set(e.special_cases) for e in other.effects if e.name not in best.names)
+
+
+def _would_explain(other: Explanation, best: Explanation, unit: float) -> bool:
+    """Whether a set explains what the best one does, and would if that were true.
 
     `unit` is the dispersion in which chi-squared is counted: above one while misfit remains.
     """
@@ -58,9 +78,20 @@ def _explains_as_much(
         near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
         unknown = unit > 1 or other.law.problem.budget.is_spent
         return near and (unknown or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
-    if true is None or other.linear_trial is None or not best.law.problem.simulates:
+    if best.trial is None or other.trial is None or best.trial[0] is not other.trial[0]:
         return False
-    (law, trial), rival = true, other.linear_trial[1]
-    return rival.misfit - trial.misfit < MAX_CHI2_NEAR * unit and (
-        unit > 1 or misfit_left_by_other(law, trial, rival) < MIN_CHI2_SEPARATED
+    (law, true), rival = best.trial, other.trial[1]
+    return rival.misfit - true.misfit < MAX_CHI2_NEAR * unit and (
+        unit > 1 or misfit_left_by_other(law, true, rival) < MIN_CHI2_SEPARATED
     )
+
+
+def alternatives_of(best: Explanation, rivals: Sequence[Explanation]) -> list[AlternativeSet]:
+    """Return the sets that stand in place of several effects; another single effect is named beside the one found."""
+    if len(best.effects) < 2:
+        return []
+    return [
+        AlternativeSet(tuple(sorted(one.names)), one.criterion - best.criterion)
+        for one in rivals
+        if one.solution is not None
+    ]

@@ -9,23 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
-from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence
-from frictrack.diagnose.compressed import MIN_REDUCED_CHI2_FAR
+from frictrack.diagnose.auxiliary_signals import AuxiliarySignals
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
+from frictrack.diagnose.examination import Examination, examine
+from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
 from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
-from frictrack.diagnose.joint_search import AlternativeSet, exchange_effects, with_rivals_of_sets
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
-from frictrack.diagnose.parsimony import simplest_candidate, stronger_of_smooth_pair
-from frictrack.diagnose.refined_candidates import RefinedCandidate, refine_fully
+from frictrack.diagnose.model_selection import (
+    MAX_CHI2_NEAR,
+    event_penalty,
+    information_criterion,
+    likelihood_gain,
+    log_prior_of_set,
+)
+from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.residual_kinds import residual_kind
-from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import Round, run_later_round, run_round
+from frictrack.diagnose.rivals import alternatives_of, find_rivals, names_in_place_of
 from frictrack.diagnose.search_budget import describe_cut, search_budget
 from frictrack.diagnose.smooth_forces import forces_of
 from frictrack.diagnose.subsampling import subsample_frames
@@ -35,15 +40,14 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import bic_penalty, refine_to_end
+from frictrack.fit.stepwise import baseline_misfit, bic_penalty, refine_to_end
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
+from frictrack.verdicts import join_as_one
 
-MAX_EFFECTS = 4  # that are added
-MAX_ROUNDS = 8  # of testing, adding and reviewing
-MIN_RATIO_BEATEN = 10.0  # of the misfit that effects leave to that which one formula leaves in place of all of them
-MIN_EFFECTS_IMITATING = 3  # effects found, from which on they may imitate one formula
-MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no other set is searched
+N_LISTED = 2  # effects that are listed where nothing is missing
+MIN_SIZE_IMITATING = 2  # of a set of effects that may imitate one formula
+MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no larger set is searched
 MAX_UNKNOWNS_OF_FORMULA = 4
 
 Progress = Callable[[int, int, str], None]
@@ -125,8 +129,8 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
         on_verdict(conclusion.verdict)
     if quick:
         return conclusion.verdict
-    diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_ROUNDS, MAX_ROUNDS, what))
-    notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
+    diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_SIZE, MAX_SIZE, what))
+    notify(MAX_SIZE, MAX_SIZE, "diagnosed")
     return diagnosis
 
 
@@ -154,14 +158,14 @@ def _conclude(
         found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify), shapes)
         conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])), shapes)
         if not found.last.leaves_misfit:
-            notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
+            notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
             if conclusion.verdict.verdict != "unexplained":
                 return conclusion
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
     start, remarks = residual_kind(start.problem).prepare(start)
     found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify), shapes)
-    notify(MAX_ROUNDS, MAX_ROUNDS, "comparing the effects found")
+    notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
     return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])), shapes)
 
 
@@ -172,52 +176,84 @@ def _search(
     means: tuple[np.random.Generator, float, Progress],
     shapes: tuple[Shape, ...],
 ) -> FinishedSearch:
-    """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, level, progress)."""
+    """Search from one model; `signals` is (own, auxiliary), `means` is (rng, level, progress)."""
     (own, auxiliary), (rng, level, notify) = signals, means
-    generators, budget = rng.spawn(2), search_budget(start.problem, MAX_EFFECTS)
+    generators, budget = rng.spawn(2), search_budget(start.problem, MAX_SIZE)
     start = replace(start, problem=start.problem.with_budget(budget))
     kind = residual_kind(start.problem)
     sensor = kind.accelerometer(start, fit.runs, auxiliary)
-    first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what), level)
-    tested, unrefined, found = [first.tested], first.unrefined, list[RefinedCandidate]()
+    notify(0, MAX_SIZE, "testing the model for every effect of the library")
+    first = last = examine(start, own, rng, level)
+    scanned = sorted(first.tests.scanned, key=lambda s: -s.excess[0])
+    space = Explanations(start, own, lambda e: 0.0 if sensor in (None, e.acts_on) else MAX_CHI2_NEAR)
+    best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
     formula = _FormulaInstead(start, shapes, kind.imitates)
-    compared: list[str] = []  # effects of which other sets were compared, and these sets
-    alternatives: list[AlternativeSet] = []
-    for done in range(1, MAX_ROUNDS + 1):
-
-        def notify_round(what: str, done: int = done) -> None:
-            notify(done, MAX_ROUNDS, what)
-
-        if last.passing and len(found) < MAX_EFFECTS:
-            best = refine_fully(_choose_candidate(last, sensor))
-            found.append(
-                replace(best, indistinguishable_from=find_rivals(best, _consistent_with_sensor(last.tried, sensor)))
-            )
-        elif formula.explains_more(found):
+    for size in range(1, MAX_SIZE + 1):
+        if not last.something_is_missing or (size > MIN_SIZE_IMITATING and formula.explains_more(best)):
             break
-        else:
-            before = [t.effect.name for t in found]
-            found = kind.review(tested, found, own, notify_round)
-            if [t.effect.name for t in found] == before != compared and not last.leaves_misfit:
-                notify_round("comparing sets of effects")
-                found, alternatives = exchange_effects(first, tested, found, lambda e: _agrees_with_sensor(e, sensor))
-                compared = [t.effect.name for t in found]
-            if [t.effect.name for t in found] == before:
-                break
-        notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
-        law = found[-1].law if found else start
-        last = run_later_round(kind.before_round(law), own, rng, notify_round, level, formula.beats)
-        tested, unrefined = [*tested, last.tested], unrefined + last.unrefined
-    found = with_rivals_of_sets(found, alternatives)  # at the end: a review names its own rivals
-    found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
-    cut = describe_cut(budget, unrefined, found)
+        notify(size, MAX_SIZE, _describe_step(best, size))
+        space.grow(size)
+        new = space.better(best, last)
+        if new is not None:
+            best = space.refine_fully(new)
+            best = space.rebased(best, kind.before_round(best.law))
+            last = examine(best.law, own, rng, level, few=True)
+        elif size > 1 or not last.leaves_misfit:
+            break
+    tried = [_tried(one, first, space) for one in space.of_size(1)]
+    found = _in_order(space, best, first)
+    rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
+    found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.name, best, rivals)) for t in found]
+    cut = describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    return FinishedSearch(start, first, last, found, generators, cut, alternatives)
+    return FinishedSearch(start, first, last, tried, found, generators, cut, alternatives_of(best, rivals))
+
+
+def _describe_step(best: Explanation, size: int) -> str:
+    if size == 1:
+        return "refining every effect that may explain the misfit"
+    return f"{join_as_one([e.name for e in best.effects]) or 'no effect alone'} leaves misfit: trying sets of {size}"
+
+
+def _tried(one: Explanation, first: Examination, space: Explanations) -> RefinedCandidate:
+    """An effect alone beside the model, with its evidence."""
+    empty = space.known[frozenset()]
+    assert one.trial is not None
+    law, trial = one.trial
+    misfit = baseline_misfit(law)
+    p = first.p_of_trial(trial, misfit)
+    passes = p < first.tests.level and one.is_law and first.confirms(one.law, one.last)
+    share = (misfit - trial.misfit) / max(misfit - first.solution.problem.n_frames, 1e-300)
+    evidence = empty.criterion - one.criterion - 2 * log_prior_of_set(1)
+    return RefinedCandidate(
+        one.last, one.solution, evidence, p, (), one.objection, float(np.clip(share, 0.0, 1.0)), passes
+    )
+
+
+def _in_order(space: Explanations, best: Explanation, first: Examination) -> list[RefinedCandidate]:
+    """The effects of the best explanation, each beside those before it: the strongest first."""
+
+    def chain(order: Sequence[Effect]) -> list[Explanation | None]:
+        return [space.known.get(frozenset(e.name for e in order[:k])) for k in range(len(order) + 1)]
+
+    chains = [(order, chain(order)) for order in permutations(best.effects)]
+    known = [(order, one) for order, one in chains if all(step is not None and step.is_law for step in one)]
+    if not best.effects:
+        return []
+    order, steps = min(known, key=lambda pair: [step.criterion for step in pair[1] if step is not None])
+    found = []
+    for e, before, after in zip(order, steps, steps[1:], strict=False):
+        assert before is not None and after is not None
+        gain = likelihood_gain(before.law, after.law) - event_penalty(after.law.problem, after.law.problem.layout, e)
+        p = min(first.tests.p_of_gain(e.name, gain), first.tests.p.get(e.name, 1.0) if before.effects == () else 1.0)
+        evidence = information_criterion(before.law) - information_criterion(after.law)
+        found.append(RefinedCandidate(e, after.solution, evidence, p, objection=objection(best.law, e), passes=True))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class _FormulaInstead:
-    """One formula in place of all effects: where it explains far more, these are neither completed nor exchanged."""
+    """One formula in place of all effects: where it explains far more, no larger set of effects is searched."""
 
     start: Solution
     shapes: tuple[Shape, ...]
@@ -228,39 +264,10 @@ class _FormulaInstead:
         """Misfit that the best formula of one term leaves in the model without any effect found."""
         return least_misfit(forces_of(self.start), self.shapes)
 
-    def beats(self, misfit: float) -> bool:
-        """Whether it leaves far less than a misfit, which is far above the noise itself."""
-        is_far = misfit > MIN_REDUCED_CHI2_FAR * self.start.problem.n_frames
-        return self.is_comparable and is_far and MIN_RATIO_BEATEN * self.misfit < misfit
-
-    def explains_more(self, found: Sequence[RefinedCandidate]) -> bool:
-        """Whether it leaves only noise, and several effects found explain far less by the BIC: they imitate it.
-
-        Other sets of effects need not be searched then, because the few parameters of a formula suffice.
-        """
+    def explains_more(self, best: Explanation) -> bool:
+        """Whether it leaves only noise, and the effects found explain far less by the BIC: they imitate it."""
         start, n = self.start, self.start.problem.n_frames
-        if not self.is_comparable or len(found) < MIN_EFFECTS_IMITATING or not is_noise(self.misfit - n, n):
+        if not self.is_comparable or not is_noise(self.misfit - n, n):
             return False
         fall = start.objective - self.misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
-        return bool(information_criterion(start) - fall < information_criterion(found[-1].law) - MIN_BIC_BEATEN)
-
-
-def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:
-    """Keep the candidates that agree with the accelerometer, which separates a moving mass from a moving picture."""
-    return [t for t in tried if _agrees_with_sensor(t.effect, sensor)]
-
-
-def _agrees_with_sensor(effect: Effect, sensor: Evidence | None) -> bool:
-    return sensor is None or effect.acts_on == sensor.acts_on
-
-
-def _choose_candidate(tested: Round, sensor: Evidence | None) -> RefinedCandidate:
-    """Return the simplest of the best passing candidates.
-
-    Candidates that agree with the accelerometer come first if they explain nearly as much. While much misfit remains,
-    one of two simple effects comes before a flexible effect that imitates their sum.
-    """
-    passing = tested.passing
-    near = [t for t in _consistent_with_sensor(passing, sensor) if passing[0].delta_bic - t.delta_bic < MAX_CHI2_NEAR]
-    best = simplest_candidate(near or passing)
-    return stronger_of_smooth_pair(tested, best) or best
+        return bool(information_criterion(start) - fall < best.criterion - MIN_BIC_BEATEN)

@@ -36,7 +36,9 @@ def search_budget(problem: LeastSquaresProblem, max_effects: int) -> EvaluationB
     return EvaluationBudget(EVALUATIONS_PER_EFFECT * max_effects * max(1.0, runs / N_RUNS_TYPICAL))
 
 
-def describe_cut(budget: EvaluationBudget, unrefined: Sequence[str], found: Sequence[RefinedCandidate]) -> str | None:
+def describe_cut(
+    budget: EvaluationBudget, unrefined: Sequence[frozenset[str]], found: Sequence[RefinedCandidate]
+) -> str | None:
     """Describe what a search left out because its budget was spent, and how to go on; None if nothing.
 
     Parameters
@@ -44,7 +46,7 @@ def describe_cut(budget: EvaluationBudget, unrefined: Sequence[str], found: Sequ
     budget
         The budget of the search.
     unrefined
-        Names of promising candidates of all rounds that were not simulated to the end.
+        Promising sets of effects that were not simulated.
     found
         Effects found.
 
@@ -55,10 +57,10 @@ def describe_cut(budget: EvaluationBudget, unrefined: Sequence[str], found: Sequ
     """
     if not budget.was_cut:
         return None
-    names = list(dict.fromkeys(unrefined))
+    names = [" with ".join(sorted(one)) for one in unrefined]
     others = f" and {len(names) - N_NAMED} others" if len(names) > N_NAMED else ""
     missed = (
-        f"{', '.join(names[:N_NAMED])}{others} could be refined to the end, which may explain the misfit as well"
+        f"{', '.join(names[:N_NAMED])}{others} could be refined, which may explain the misfit as well"
         if names
         else "every effect found was compared again with all others"
     )

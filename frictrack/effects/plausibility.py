@@ -99,13 +99,13 @@ def _shorter_than_record(parameter: str, share: float, values: Mapping[str, floa
 
 
 def within_course(centre: str, width: str) -> Check:
-    """Return the check that a local force (m) is narrower than the course and lies on it."""
+    """Return the check that a local force (m) is narrower than the course and lies on it, or within its width of it."""
     return partial(_within_course, centre, width)
 
 
 def _within_course(centre: str, width: str, values: Mapping[str, float], span: Any) -> str:
     travel = span.x_max - span.x_min
-    if not span.x_min <= values[centre] <= span.x_max:
+    if not span.x_min - values[width] <= values[centre] <= span.x_max + values[width]:
         return f"its centre {values[centre]:.3g} m lies off the course"
     if values[width] > travel / 2:
         return f"it is wider ({values[width]:.2g} m) than half of the course ({travel:.2g} m)"

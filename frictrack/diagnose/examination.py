@@ -1,0 +1,147 @@
+"""Examine one model: what a complete model of these runs would leave, and what every effect of the library gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.diagnose.hypothesis_tests import SearchTests, lack_of_fit, list_candidates, run_tests
+from frictrack.diagnose.model_selection import event_penalty, information_criterion, likelihood_gain
+from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
+from frictrack.distributions import chi2_isf
+from frictrack.effects import Effect
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.stepwise import CandidateTrial
+
+N_DRAWS_FEW = 199  # which show clearly that nothing is left
+MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
+ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """One model, with draws of the null hypothesis that it is complete, and the tests of these.
+
+    Parameters
+    ----------
+    solution
+        The model.
+    draws
+        Data and draws of the null hypothesis.
+    tests
+        Lack of fit and candidates.
+    excluded
+        Effects that could not be tried, with the reason.
+
+    """
+
+    solution: Solution
+    draws: NullEnsemble
+    tests: SearchTests
+    excluded: dict[str, str]
+
+    @property
+    def leaves_misfit(self) -> bool:
+        """Whether the misfit is significant."""
+        return self.tests.p_lack_of_fit < self.tests.level
+
+    @property
+    def something_is_missing(self) -> bool:
+        """Whether the misfit or the gain of any effect is significant."""
+        return self.tests.something_is_missing
+
+    def p_of_trial(self, trial: CandidateTrial, misfit: float) -> float:
+        """Return the p-value of an effect: of its scan, or of its trial if something is missing and that explains more.
+
+        A scan holds the shape of the law. Where that imitates what is missing (a Stribeck velocity far too large
+        imitates drag), an effect explains nothing until both are fitted. Whether something is missing is decided by
+        scans alone.
+
+        Parameters
+        ----------
+        trial
+            The effect beside the model, along the measured motion.
+        misfit
+            What the model leaves there without it.
+
+        """
+        name = trial.effect.name
+        p = self.tests.p.get(name, 1.0)
+        if not self.something_is_missing:
+            return p
+        penalty = event_penalty(self.solution.problem, trial.layout, trial.effect)
+        return min(p, self.tests.p_of_gain(name, misfit - trial.misfit - penalty))
+
+    def confirms(self, fitted: Solution, effect: Effect) -> bool:
+        """Whether a simulated fit confirms what the scan of an effect promised.
+
+        It does if it lowers the BIC, or if its likelihood ratio reaches the critical value of the search. The second
+        condition matters for small effects with many parameters, such as a wave with a phase in every run: there the
+        penalty of BIC exceeds the critical value, and BIC alone would discard effects that the search detects at its
+        stated level.
+
+        Parameters
+        ----------
+        fitted
+            The model with the effect.
+        effect
+            The effect.
+
+        """
+        if information_criterion(self.solution) > information_criterion(fitted):
+            return True
+        needed = self.tests.quantiles.get(effect.name)
+        if needed is None:
+            return False
+        gain = likelihood_gain(self.solution, fitted) - event_penalty(fitted.problem, fitted.problem.layout, effect)
+        return gain > needed + self.tests.critical - _loss_by_shared_amplitude(fitted, effect)
+
+
+def examine(
+    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float, *, few: bool = False
+) -> Examination:
+    """Test a model for every effect that it may lack.
+
+    Parameters
+    ----------
+    solution
+        The model.
+    own
+        Effects beside the library's.
+    rng
+        Random generator.
+    level
+        Significance level of the test for lack of fit, and of that of all candidates together.
+    few
+        Take few draws where these show clearly that nothing is left: a sequential Monte Carlo test.
+
+    Returns
+    -------
+    Examination
+
+    References
+    ----------
+    Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
+
+    """
+    library, excluded = list_candidates(solution, own)
+    if few:
+        draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
+        if lack_of_fit(draws) >= MIN_P_CLEAR:
+            tests = run_tests(solution, draws, library, level)
+            if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
+                return Examination(solution, draws, tests, excluded)
+    draws = draw_null_ensemble(solution, rng, count_draws(level))
+    return Examination(solution, draws, run_tests(solution, draws, library, level), excluded)
+
+
+def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
+    """Loss of likelihood by chance by one amplitude for all runs, where the scan had one for each run."""
+    layout = fitted.problem.layout
+    slots = [s for s in layout.slots if s.effect == effect.name]
+    phased = any(s.parameter == "phase" and s.run is not None for s in slots)
+    shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
+    more = len(layout.run_names) - 1
+    return float(chi2_isf(ALPHA_LOST, more)) if phased and shared and more else 0.0

@@ -1,0 +1,338 @@
+"""Explanations of a misfit: sets of effects beside one model, compared by one evidence and refined best first.
+
+A set is proposed by the fit along the measured motion, which takes milliseconds, and refined in simulation. It may be
+left unrefined only if the evidence that it promises, with the error of such promises seen so far, cannot reach that of
+the best set refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.diagnose.admissible import objection, physical_objection
+from frictrack.diagnose.examination import Examination
+from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates
+from frictrack.diagnose.model_selection import (
+    MAX_BIC_BARE_MENTION,
+    MIN_CHI2_SEPARATED,
+    event_penalty,
+    information_criterion,
+    likelihood_gain,
+    log_prior_of_set,
+    parameter_penalty,
+)
+from frictrack.effects import Effect, laws_in_place_of
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution, fit_with_scatter
+from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
+from frictrack.fit.stepwise import (
+    CandidateTrial,
+    baseline_misfit,
+    deepen_trials,
+    gain_by_smaller_scatter,
+    refine_to_end,
+    scan_effect,
+    simulate_trial,
+    try_effect,
+)
+from frictrack.fit.uncertainty import dispersion
+
+N_CENTRES = 3  # sets beside which every effect is tried, for sets with one effect more
+MAX_SIZE = 4  # effects
+MIN_ERROR_OF_PROMISE = 0.02  # of a misfit above the noise that is promised, before any error was seen
+Names = frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A set of effects beside the model that is diagnosed.
+
+    Attributes
+    ----------
+    effects
+        The effects, in the order in which they were added.
+    criterion
+        BIC with the prior of such a set; smaller is better. That of the simulated fit, or what the trial promises.
+    trial
+        The model without the last effect, linearised, and the fit with it along the measured motion; None for the
+        model that is diagnosed.
+    solution
+        The simulated fit; None if it was not simulated.
+    objection
+        Why one of the effects cannot be a cause; empty if all can.
+    is_unrefined
+        Whether the budget of the search was spent before it was simulated; it may explain more.
+
+    """
+
+    effects: tuple[Effect, ...]
+    criterion: float
+    trial: tuple[LinearisedModel, CandidateTrial] | None = None
+    solution: Solution | None = None
+    objection: str = ""
+    is_unrefined: bool = False
+
+    @property
+    def names(self) -> Names:
+        """Names of the effects."""
+        return frozenset(e.name for e in self.effects)
+
+    @property
+    def law(self) -> Solution:
+        """The simulated fit."""
+        assert self.solution is not None
+        return self.solution
+
+    @property
+    def is_law(self) -> bool:
+        """Whether it was simulated, and all its effects can be causes."""
+        return self.solution is not None and not self.objection
+
+    @property
+    def last(self) -> Effect:
+        """The effect that was added last."""
+        return self.effects[-1]
+
+
+class Explanations:
+    """All sets of effects tried beside one model, by the names of their effects.
+
+    Parameters
+    ----------
+    start
+        The model.
+    own
+        Effects beside the library's.
+    handicap
+        What an effect adds to the criterion, such as one that an accelerometer contradicts.
+
+    """
+
+    def __init__(
+        self, start: Solution, own: Sequence[Effect] = (), handicap: Callable[[Effect], float] = lambda effect: 0.0
+    ) -> None:
+        self._own, self._handicap, self._budget = own, handicap, start.problem.budget
+        self._expanded: set[Names] = set()
+        self._error = MIN_ERROR_OF_PROMISE
+        self.known = {frozenset[str](): Explanation((), information_criterion(start), solution=start)}
+
+    def of_size(self, size: int) -> list[Explanation]:
+        """All sets of some effects, best first; those with an objection at the end."""
+        own = [one for names, one in self.known.items() if len(names) == size]
+        return sorted(own, key=lambda one: (bool(one.objection), one.criterion))
+
+    def laws(self, size: int) -> list[Explanation]:
+        """Those of a size that were simulated and have no objection, best first."""
+        return [one for one in self.of_size(size) if one.is_law]
+
+    def subsets(self, whole: Explanation) -> Iterator[Explanation]:
+        """The sets without one of its effects that are known."""
+        for name in sorted(whole.names):
+            if (rest := self.known.get(whole.names - {name})) is not None:
+                yield rest
+
+    def begin(self, tested: Examination, scanned: Sequence[ScannedCandidate]) -> Explanation:
+        """Propose some of the effects that the examination of the model scanned, each alone; return the empty set."""
+        empty = self.known[frozenset()]
+        self._expanded.add(empty.names)
+        self._propose(empty, tested.draws.law, [(s.effect, s.scans) for s in scanned])
+        return empty
+
+    def grow(self, size: int) -> None:
+        """Propose and refine the sets of a size beside the best that are one effect smaller.
+
+        The sets that the best of this size contains are expanded too: each of its effects may give way to another.
+        """
+        for centre in self.laws(size - 1)[:N_CENTRES]:
+            self.expand(centre)
+        self.refine(size)
+        self._exchange_law(size)
+        while rests := [
+            rest
+            for best in self.laws(size)[:1]
+            for rest in self.subsets(best)
+            if rest.is_law and rest.names not in self._expanded
+        ]:
+            for rest in rests:
+                self.expand(rest)
+            if self._budget.is_spent:
+                break
+            self.refine(size)
+
+    def better(self, best: Explanation, examined: Examination) -> Explanation | None:
+        """Return the simplest of the sets that explain most, if it explains more than the best so far.
+
+        A set with one effect more must be significant beside the best, in its examination. Any other set must explain
+        decisively more than the best.
+        """
+        for size in range(len(best.effects) + 1, MAX_SIZE + 1):
+            laws = self.laws(size)
+            if not laws:
+                continue
+            unit = dispersion(laws[0].law)
+            equal = [one for one in laws if one.criterion - laws[0].criterion < MAX_BIC_BARE_MENTION * unit]
+            equal.sort(key=lambda one: sum(p.free for e in one.effects for p in e.nonlinear))
+            for one in [*equal, *laws[len(equal) :]]:
+                if self._is_better(one, best, examined):
+                    return self._without_needless(one, best)
+        return None
+
+    def _is_better(self, one: Explanation, best: Explanation, examined: Examination) -> bool:
+        new = [e for e in one.effects if e.name not in best.names]
+        if len(new) > 1 or not one.names > best.names:
+            return one.criterion < best.criterion - MIN_CHI2_SEPARATED
+        assert one.trial is not None
+        tests, problem = examined.tests, one.law.problem
+        gain = likelihood_gain(best.law, one.law) - event_penalty(problem, problem.layout, new[0])
+        p = min(tests.p_of_gain(new[0].name, gain), tests.p.get(new[0].name, 1.0))
+        return p < tests.level and examined.confirms(one.law, new[0])
+
+    def _without_needless(self, one: Explanation, best: Explanation) -> Explanation:
+        """The set without effects that explain nothing beside the others."""
+        while smaller := [
+            rest for rest in self.subsets(one) if rest.effects and rest.is_law and rest.criterion <= one.criterion
+        ]:
+            rest = min(smaller, key=lambda rest: rest.criterion)
+            if rest.names == best.names:
+                break
+            one = rest
+        return one
+
+    def rebased(self, best: Explanation, solution: Solution) -> Explanation:
+        """Return a set with its solution in a problem with other weights; no other set is compared with it any more."""
+        if solution is not best.solution:
+            best = self._with_solution(best, solution)
+            self.known = {names: one for names, one in self.known.items() if len(names) < len(best.names)}
+            self.known[best.names] = best
+        return best
+
+    def expand(self, centre: Explanation) -> None:
+        """Propose every set with one effect more than a law has."""
+        if centre.names in self._expanded or not centre.is_law or self._budget.stops():
+            return
+        self._expanded.add(centre.names)
+        law = linearise(centre.law)
+        series = measured_series(law)
+        library, _ = list_candidates(centre.law, self._own)
+        self._propose(centre, law, [(e, scans) for e in library if (scans := scan_effect(law, e, series))])
+
+    def _exchange_law(self, size: int) -> None:
+        """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
+        best = next(iter(self.laws(size)), None)
+        if best is None or best.trial is None or not (laws := laws_in_place_of(best.last)):
+            return
+        rest = self.known[best.names - {best.last.name}]
+        law, series = best.trial[0], measured_series(best.trial[0])
+        self._propose(rest, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
+        self.refine(size)
+
+    def _propose(
+        self, centre: Explanation, law: LinearisedModel, scanned: Sequence[tuple[Effect, list[CandidateScan]]]
+    ) -> None:
+        """Try scanned effects beside a centre along the measured motion, and enter the sets that they make.
+
+        A trial promises to take the same share of the simulated misfit, from which the misfit along the measured motion
+        differs where the model is far from the data.
+        """
+        solution, data = law.solution, measured_series(law).coordinates[:, 0]
+        trials = deepen_trials(law, [try_effect(law, effect, scans, data) for effect, scans in scanned])
+        scale = solution.objective / baseline_misfit(law)
+        before = parameter_penalty(solution.problem.layout, solution.problem)
+        for t in trials:
+            effects = (*centre.effects, t.effect)
+            gain = solution.objective - scale * t.misfit + before - parameter_penalty(t.layout, solution.problem)
+            gain += gain_by_smaller_scatter(law, t) - self._handicap(t.effect)
+            prior = 2 * (
+                log_prior_of_set(len(effects)) - (log_prior_of_set(len(centre.effects)) if centre.effects else 0)
+            )
+            why = physical_objection(t.layout, t.p, t.effect)
+            new = Explanation(effects, centre.criterion - gain - prior, (law, t), objection=why)
+            old = self.known.get(new.names)
+            if old is None or (old.solution is None and new.criterion < old.criterion):
+                self.known[new.names] = new
+
+    def refine(self, size: int) -> None:
+        """Simulate the sets of a size, best first, until no other may explain as much as the best."""
+        while True:
+            best = min((one.criterion for one in self.laws(size)), default=np.inf)
+            waiting = [one for one in self.of_size(size) if one.solution is None and not one.objection]
+            waiting = [one for one in waiting if self._may_reach(one, best + MIN_CHI2_SEPARATED)]
+            if not waiting:
+                break
+            if self._budget.stops():
+                self.known |= {one.names: replace(one, is_unrefined=True) for one in waiting}
+                break
+            self.known[waiting[0].names] = self._refined(waiting[0])
+        for one in self.laws(size):
+            self.known[one.names] = self._restarted(one)
+
+    def _may_reach(self, one: Explanation, limit: float) -> bool:
+        """Whether a set may reach a criterion, with the largest error of a promise seen so far."""
+        return one.criterion - self._error * _excess(one) < limit
+
+    def _refined(self, one: Explanation) -> Explanation:
+        """Simulate a set."""
+        assert one.trial is not None
+        try:
+            solution = simulate_trial(*one.trial)
+        except FrictrackError:  # along the motion it is a law, but not one that can be followed
+            return replace(one, objection="its motion cannot be followed")
+        found = self._with_solution(one, solution)
+        if (excess := _excess(one)) > 0:
+            self._error = max(self._error, min((one.criterion - found.criterion) / excess, 1.0))
+        return found
+
+    def _with_solution(self, one: Explanation, solution: Solution) -> Explanation:
+        objections = (objection(solution, e) for e in one.effects)
+        criterion = information_criterion(solution) + sum(map(self._handicap, one.effects))
+        criterion -= 2 * log_prior_of_set(len(one.effects))
+        return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))
+
+    def refine_fully(self, one: Explanation) -> Explanation:
+        """Simulate a set to convergence."""
+        found = self._with_solution(one, refine_to_end(one.law))
+        if found.criterion < one.criterion:
+            self.known[one.names] = one = found
+        return one
+
+    def _restarted(self, one: Explanation) -> Explanation:
+        """The set, refined again from one with an effect that contains one of its own and explains more.
+
+        The larger effect may have found a better minimum. Where that is one of the smaller effect too, this one wins.
+        """
+        for other in self.laws(len(one.effects)):
+            mine, its = one.names - other.names, other.names - one.names
+            if len(mine) != 1 or other.criterion >= one.criterion:
+                continue
+            small = next(e for e in one.effects if e.name in mine)
+            large = next(e for e in other.effects if e.name in its)
+            if small.kind in large.special_cases:
+                try:
+                    again = self._with_solution(one, _refined_from(one.law, small, other.law, large))
+                except FrictrackError:  # the larger effect is followed there, but not this one
+                    continue
+                one = again if again.criterion < one.criterion else one
+        return one
+
+
+def _excess(one: Explanation) -> float:
+    """Misfit above the noise that is left along the measured motion."""
+    return 0.0 if one.trial is None else max(one.trial[1].misfit - one.trial[0].solution.problem.n_frames, 0.0)
+
+
+def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effect) -> Solution:
+    """Fit with an effect that starts at the parameters of one that contains it."""
+    problem = fitted.problem
+    values = {(s.effect, s.parameter, s.run): x for s, x in zip(problem.layout.slots, fitted.p, strict=True)}
+    pairs = {its.name: mine.name for mine, its in zip(small.linear, large.linear, strict=True)}
+    pairs |= {q.name: q.name for q in small.nonlinear}
+    for slot, x in zip(found.problem.layout.slots, found.p, strict=True):
+        if slot.effect != large.name:
+            values[slot.effect, slot.parameter, slot.run] = x
+        elif slot.parameter in pairs:
+            values[small.name, pairs[slot.parameter], slot.run] = x
+    p = np.array([values[s.effect, s.parameter, s.run] for s in problem.layout.slots])
+    return fit_with_scatter(problem, p, found.starts, found.tau or 0.03)
