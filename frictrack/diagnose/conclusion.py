@@ -46,8 +46,9 @@ class FinishedSearch:
     """Result of a search.
 
     `first` and `last` are the examinations of the model and of that with the effects found, `tried` all effects alone
-    beside the model, best first, and `generators` the random numbers of the later steps. `cut` says what was left out because the budget of evaluations was spent; None if nothing was. `alternatives` are
-    other sets of effects that explain as much as those found.
+    beside the model, best first, and `generators` the random numbers of the later steps. `cut` says what was left out
+    because the budget of evaluations was spent; None if nothing was. `alternatives` are other sets of effects that
+    explain as much as those found.
     """
 
     start: Solution

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from frictrack.diagnose.model_selection import (
     MIN_CHI2_SEPARATED,
     event_penalty,
     information_criterion,
-    likelihood_gain,
     log_prior_of_set,
     parameter_penalty,
 )
@@ -56,8 +56,10 @@ class Explanation:
         The effects, in the order in which they were added.
     criterion
         BIC with the prior of such a set; smaller is better. That of the simulated fit, or what the trial promises.
+    centre
+        The set without the last effect, beside which that was tried; None for the model that is diagnosed.
     trial
-        The model without the last effect, linearised, and the fit with it along the measured motion; None for the
+        The model of that set, linearised, and the fit with it along the measured motion; None for the
         model that is diagnosed.
     solution
         The simulated fit; None if it was not simulated.
@@ -70,6 +72,7 @@ class Explanation:
 
     effects: tuple[Effect, ...]
     criterion: float
+    centre: Explanation | None = None
     trial: tuple[LinearisedModel, CandidateTrial] | None = None
     solution: Solution | None = None
     objection: str = ""
@@ -96,6 +99,21 @@ class Explanation:
         """The effect that was added last."""
         return self.effects[-1]
 
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of the prior probability of a set of that size."""
+        return log_prior_of_set(len(self.effects)) if self.effects else 0.0
+
+    def evidence(self, before: Explanation) -> float:
+        """Fall of BIC from a smaller set, without the priors."""
+        return before.criterion - self.criterion - 2 * (self.log_prior - before.log_prior)
+
+    def gain(self, before: Explanation, effect: Effect) -> float:
+        """Likelihood ratio from a set without an effect, less the penalty for its events in single runs."""
+        problem, own, its = self.law.problem, self.law.problem.layout, before.law.problem.layout
+        penalty = parameter_penalty(own, problem) - parameter_penalty(its, problem)
+        return self.evidence(before) + penalty - event_penalty(problem, own, effect)
+
 
 class Explanations:
     """All sets of effects tried beside one model, by the names of their effects.
@@ -116,6 +134,7 @@ class Explanations:
     ) -> None:
         self._own, self._handicap, self._budget = own, handicap, start.problem.budget
         self._expanded: set[Names] = set()
+        self._rebased: dict[Names, Explanation] = {}
         self._error = MIN_ERROR_OF_PROMISE
         self.known = {frozenset[str](): Explanation((), information_criterion(start), solution=start)}
 
@@ -184,10 +203,8 @@ class Explanations:
         new = [e for e in one.effects if e.name not in best.names]
         if len(new) > 1 or not one.names > best.names:
             return one.criterion < best.criterion - MIN_CHI2_SEPARATED
-        assert one.trial is not None
-        tests, problem = examined.tests, one.law.problem
-        gain = likelihood_gain(best.law, one.law) - event_penalty(problem, problem.layout, new[0])
-        p = min(tests.p_of_gain(new[0].name, gain), tests.p.get(new[0].name, 1.0))
+        tests = examined.tests
+        p = min(tests.p_of_gain(new[0].name, one.gain(best, new[0])), tests.p.get(new[0].name, 1.0))
         return p < tests.level and examined.confirms(one.law, new[0])
 
     def _without_needless(self, one: Explanation, best: Explanation) -> Explanation:
@@ -201,19 +218,28 @@ class Explanations:
             one = rest
         return one
 
-    def rebased(self, best: Explanation, solution: Solution) -> Explanation:
-        """Return a set with its solution in a problem with other weights; no other set is compared with it any more."""
-        if solution is not best.solution:
-            best = self._with_solution(best, solution)
-            self.known = {names: one for names, one in self.known.items() if len(names) < len(best.names)}
-            self.known[best.names] = best
-        return best
+    def chain(self, whole: Explanation) -> list[Explanation]:
+        """Return sets from the empty one to `whole`, each with one effect more, by those that explain most."""
+        chains = []
+        for order in permutations(sorted(whole.names)):
+            steps = [self.known.get(frozenset(order[:k])) for k in range(len(order) + 1)]
+            if all(step is not None and step.is_law for step in steps):
+                chains.append([step for step in steps if step is not None])
+        return min(chains, key=lambda steps: [step.criterion for step in steps])
+
+    def rebase(self, one: Explanation, solution: Solution) -> Explanation:
+        """Let further effects be tried beside a set as another problem has it, with other weights; return it so."""
+        other = replace(one, solution=solution)
+        if solution is not one.solution:
+            self._rebased[one.names] = other
+        return other
 
     def expand(self, centre: Explanation) -> None:
         """Propose every set with one effect more than a law has."""
         if centre.names in self._expanded or not centre.is_law or self._budget.stops():
             return
         self._expanded.add(centre.names)
+        centre = self._rebased.get(centre.names, centre)
         law = linearise(centre.law)
         series = measured_series(law)
         library, _ = list_candidates(centre.law, self._own)
@@ -222,11 +248,10 @@ class Explanations:
     def _exchange_law(self, size: int) -> None:
         """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
         best = next(iter(self.laws(size)), None)
-        if best is None or best.trial is None or not (laws := laws_in_place_of(best.last)):
+        if best is None or best.trial is None or best.centre is None or not (laws := laws_in_place_of(best.last)):
             return
-        rest = self.known[best.names - {best.last.name}]
         law, series = best.trial[0], measured_series(best.trial[0])
-        self._propose(rest, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
+        self._propose(best.centre, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
         self.refine(size)
 
     def _propose(
@@ -242,14 +267,11 @@ class Explanations:
         scale = solution.objective / baseline_misfit(law)
         before = parameter_penalty(solution.problem.layout, solution.problem)
         for t in trials:
-            effects = (*centre.effects, t.effect)
             gain = solution.objective - scale * t.misfit + before - parameter_penalty(t.layout, solution.problem)
             gain += gain_by_smaller_scatter(law, t) - self._handicap(t.effect)
-            prior = 2 * (
-                log_prior_of_set(len(effects)) - (log_prior_of_set(len(centre.effects)) if centre.effects else 0)
-            )
             why = physical_objection(t.layout, t.p, t.effect)
-            new = Explanation(effects, centre.criterion - gain - prior, (law, t), objection=why)
+            new = Explanation((*centre.effects, t.effect), centre.criterion - gain, centre, (law, t), objection=why)
+            new = replace(new, criterion=new.criterion - 2 * (new.log_prior - centre.log_prior))
             old = self.known.get(new.names)
             if old is None or (old.solution is None and new.criterion < old.criterion):
                 self.known[new.names] = new
@@ -285,18 +307,19 @@ class Explanations:
             self._error = max(self._error, min((one.criterion - found.criterion) / excess, 1.0))
         return found
 
-    def _with_solution(self, one: Explanation, solution: Solution) -> Explanation:
-        objections = (objection(solution, e) for e in one.effects)
-        criterion = information_criterion(solution) + sum(map(self._handicap, one.effects))
-        criterion -= 2 * log_prior_of_set(len(one.effects))
-        return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))
-
     def refine_fully(self, one: Explanation) -> Explanation:
         """Simulate a set to convergence."""
         found = self._with_solution(one, refine_to_end(one.law))
         if found.criterion < one.criterion:
             self.known[one.names] = one = found
         return one
+
+    def _with_solution(self, one: Explanation, solution: Solution) -> Explanation:
+        assert one.centre is not None
+        fall = information_criterion(one.centre.law) - information_criterion(solution) - self._handicap(one.last)
+        criterion = one.centre.criterion - fall - 2 * (one.log_prior - one.centre.log_prior)
+        objections = (objection(solution, e) for e in one.effects)
+        return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))
 
     def _restarted(self, one: Explanation) -> Explanation:
         """The set, refined again from one with an effect that contains one of its own and explains more.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,13 +21,7 @@ from frictrack.diagnose.examination import Examination, examine
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
 from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
-from frictrack.diagnose.model_selection import (
-    MAX_CHI2_NEAR,
-    event_penalty,
-    information_criterion,
-    likelihood_gain,
-    log_prior_of_set,
-)
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rivals import alternatives_of, find_rivals, names_in_place_of
@@ -185,7 +179,7 @@ def _search(
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, level)
     scanned = sorted(first.tests.scanned, key=lambda s: -s.excess[0])
-    space = Explanations(start, own, lambda e: 0.0 if sensor in (None, e.acts_on) else MAX_CHI2_NEAR)
+    space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
     formula = _FormulaInstead(start, shapes, kind.imitates)
     for size in range(1, MAX_SIZE + 1):
@@ -196,12 +190,11 @@ def _search(
         new = space.better(best, last)
         if new is not None:
             best = space.refine_fully(new)
-            best = space.rebased(best, kind.before_round(best.law))
-            last = examine(best.law, own, rng, level, few=True)
+            last = examine(space.rebase(best, kind.before_round(best.law)).law, own, rng, level, few=True)
         elif size > 1 or not last.leaves_misfit:
             break
     tried = [_tried(one, first, space) for one in space.of_size(1)]
-    found = _in_order(space, best, first)
+    found = _found(space, best, first)
     rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.name, best, rivals)) for t in found]
     cut = describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
@@ -224,30 +217,20 @@ def _tried(one: Explanation, first: Examination, space: Explanations) -> Refined
     p = first.p_of_trial(trial, misfit)
     passes = p < first.tests.level and one.is_law and first.confirms(one.law, one.last)
     share = (misfit - trial.misfit) / max(misfit - first.solution.problem.n_frames, 1e-300)
-    evidence = empty.criterion - one.criterion - 2 * log_prior_of_set(1)
     return RefinedCandidate(
-        one.last, one.solution, evidence, p, (), one.objection, float(np.clip(share, 0.0, 1.0)), passes
+        one.last, one.solution, one.evidence(empty), p, (), one.objection, float(np.clip(share, 0.0, 1.0)), passes
     )
 
 
-def _in_order(space: Explanations, best: Explanation, first: Examination) -> list[RefinedCandidate]:
-    """The effects of the best explanation, each beside those before it: the strongest first."""
-
-    def chain(order: Sequence[Effect]) -> list[Explanation | None]:
-        return [space.known.get(frozenset(e.name for e in order[:k])) for k in range(len(order) + 1)]
-
-    chains = [(order, chain(order)) for order in permutations(best.effects)]
-    known = [(order, one) for order, one in chains if all(step is not None and step.is_law for step in one)]
-    if not best.effects:
-        return []
-    order, steps = min(known, key=lambda pair: [step.criterion for step in pair[1] if step is not None])
+def _found(space: Explanations, best: Explanation, first: Examination) -> list[RefinedCandidate]:
+    """The effects of the best explanation, each beside those before it, the strongest first."""
     found = []
-    for e, before, after in zip(order, steps, steps[1:], strict=False):
-        assert before is not None and after is not None
-        gain = likelihood_gain(before.law, after.law) - event_penalty(after.law.problem, after.law.problem.layout, e)
-        p = min(first.tests.p_of_gain(e.name, gain), first.tests.p.get(e.name, 1.0) if before.effects == () else 1.0)
-        evidence = information_criterion(before.law) - information_criterion(after.law)
-        found.append(RefinedCandidate(e, after.solution, evidence, p, objection=objection(best.law, e), passes=True))
+    for before, after in pairwise(space.chain(best)):
+        (effect,) = (e for e in best.effects if e.name in after.names - before.names)
+        p = first.tests.p_of_gain(effect.name, after.gain(before, effect))
+        p = p if before.effects else min(p, first.tests.p.get(effect.name, 1.0))
+        why = objection(best.law, effect)
+        found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found
 
 
