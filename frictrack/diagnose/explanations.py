@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from frictrack.diagnose.model_selection import (
     log_prior_of_set,
     parameter_penalty,
 )
+from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
@@ -40,7 +40,8 @@ from frictrack.fit.stepwise import (
 )
 from frictrack.fit.uncertainty import dispersion
 
-N_CENTRES = 3  # sets beside which every effect is tried, for sets with one effect more
+N_CENTRES = 2  # sets beside which every effect is tried, for sets with one effect more
+N_PAIRS = 24  # that are tried whatever their effects explain alone
 MAX_SIZE = 4  # effects
 MIN_ERROR_OF_PROMISE = 0.02  # of a misfit above the noise that is promised, before any error was seen
 Names = frozenset[str]
@@ -167,6 +168,8 @@ class Explanations:
         """
         for centre in self.laws(size - 1)[:N_CENTRES]:
             self.expand(centre)
+        if size == 2:
+            self._propose_pairs()
         self.refine(size)
         self._exchange_law(size)
         while rests := [
@@ -219,13 +222,18 @@ class Explanations:
         return one
 
     def chain(self, whole: Explanation) -> list[Explanation]:
-        """Return sets from the empty one to `whole`, each with one effect more, by those that explain most."""
-        chains = []
-        for order in permutations(sorted(whole.names)):
-            steps = [self.known.get(frozenset(order[:k])) for k in range(len(order) + 1)]
-            if all(step is not None and step.is_law for step in steps):
-                chains.append([step for step in steps if step is not None])
-        return min(chains, key=lambda steps: [step.criterion for step in steps])
+        """Return sets from the empty one to `whole`, each with one effect more, the best of their size.
+
+        Where no smaller set can be simulated, several effects enter at once.
+        """
+        if not whole.effects:
+            return [whole]
+        parts = [one for one in self.subsets(whole) if not one.objection]
+        for one in sorted(parts, key=lambda one: (one.solution is None, one.criterion)):
+            part = one if one.solution is not None else self._refined(one)
+            if part.is_law:
+                return [*self.chain(part), whole]
+        return [*self.chain(whole.centre or self.known[frozenset()]), whole]
 
     def rebase(self, one: Explanation, solution: Solution) -> Explanation:
         """Let further effects be tried beside a set as another problem has it, with other weights; return it so."""
@@ -248,8 +256,9 @@ class Explanations:
     def _exchange_law(self, size: int) -> None:
         """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
         best = next(iter(self.laws(size)), None)
-        if best is None or best.trial is None or best.centre is None or not (laws := laws_in_place_of(best.last)):
+        if best is None or best.trial is None or best.centre is None or len(best.centre.effects) < size - 1:
             return
+        laws = laws_in_place_of(best.last)
         law, series = best.trial[0], measured_series(best.trial[0])
         self._propose(best.centre, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
         self.refine(size)
@@ -257,24 +266,46 @@ class Explanations:
     def _propose(
         self, centre: Explanation, law: LinearisedModel, scanned: Sequence[tuple[Effect, list[CandidateScan]]]
     ) -> None:
-        """Try scanned effects beside a centre along the measured motion, and enter the sets that they make.
+        """Try scanned effects beside a centre along the measured motion, and enter the sets that they make."""
+        data = measured_series(law).coordinates[:, 0]
+        trials = deepen_trials(law, [try_effect(law, effect, scans, data) for effect, scans in scanned])
+        scale = law.solution.objective / baseline_misfit(law)
+        for t in trials:
+            self._enter(centre, law, t, scale)
+
+    def _propose_pairs(self) -> None:
+        """Try the pairs of effects that gain most together beside the model, whatever each explains alone."""
+        empty = self.known[frozenset()]
+        tried = [one.trial for one in self.of_size(1) if one.trial is not None and not one.objection]
+        if len(tried) < 2:
+            return
+        law = tried[-1][0]
+        trials = {t.effect.name: t for mine, t in tried if mine is law}
+        scale, problem = law.solution.objective / baseline_misfit(law), law.solution.problem
+        penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
+        gains = gains_of_pairs(law, list(trials.values()))
+        order = sorted(gains, key=lambda pair: sum(penalty[name] for name in pair) - scale * gains[pair])
+        for first, second in order[:N_PAIRS]:
+            if not self._budget.stops():
+                self._enter(empty, law, try_pair(law, trials[first], trials[second]), scale)
+
+    def _enter(self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float) -> None:
+        """Enter the set that a trial beside a centre makes, if it promises more than was known of that set.
 
         A trial promises to take the same share of the simulated misfit, from which the misfit along the measured motion
-        differs where the model is far from the data.
+        differs by `scale` where the model is far from the data.
         """
-        solution, data = law.solution, measured_series(law).coordinates[:, 0]
-        trials = deepen_trials(law, [try_effect(law, effect, scans, data) for effect, scans in scanned])
-        scale = solution.objective / baseline_misfit(law)
-        before = parameter_penalty(solution.problem.layout, solution.problem)
-        for t in trials:
-            gain = solution.objective - scale * t.misfit + before - parameter_penalty(t.layout, solution.problem)
-            gain += gain_by_smaller_scatter(law, t) - self._handicap(t.effect)
-            why = physical_objection(t.layout, t.p, t.effect)
-            new = Explanation((*centre.effects, t.effect), centre.criterion - gain, centre, (law, t), objection=why)
-            new = replace(new, criterion=new.criterion - 2 * (new.log_prior - centre.log_prior))
-            old = self.known.get(new.names)
-            if old is None or (old.solution is None and new.criterion < old.criterion):
-                self.known[new.names] = new
+        solution, problem = law.solution, law.solution.problem
+        gain = solution.objective - scale * trial.misfit + gain_by_smaller_scatter(law, trial)
+        gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
+        added = [e for e in trial.layout.model.effects if e.name not in problem.model]
+        why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
+        new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
+        handicap = sum(map(self._handicap, added))
+        new = replace(new, criterion=new.criterion + handicap - 2 * (new.log_prior - centre.log_prior))
+        old = self.known.get(new.names)
+        if old is None or (old.solution is None and (bool(why), new.criterion) < (bool(old.objection), old.criterion)):
+            self.known[new.names] = new
 
     def refine(self, size: int) -> None:
         """Simulate the sets of a size, best first, until no other may explain as much as the best."""
@@ -316,7 +347,8 @@ class Explanations:
 
     def _with_solution(self, one: Explanation, solution: Solution) -> Explanation:
         assert one.centre is not None
-        fall = information_criterion(one.centre.law) - information_criterion(solution) - self._handicap(one.last)
+        fall = information_criterion(one.centre.law) - information_criterion(solution)
+        fall -= sum(self._handicap(e) for e in one.effects if e.name not in one.centre.names)
         criterion = one.centre.criterion - fall - 2 * (one.log_prior - one.centre.log_prior)
         objections = (objection(solution, e) for e in one.effects)
         return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))

@@ -226,11 +226,11 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
     """The effects of the best explanation, each beside those before it, the strongest first."""
     found = []
     for before, after in pairwise(space.chain(best)):
-        (effect,) = (e for e in best.effects if e.name in after.names - before.names)
-        p = first.tests.p_of_gain(effect.name, after.gain(before, effect))
-        p = p if before.effects else min(p, first.tests.p.get(effect.name, 1.0))
-        why = objection(best.law, effect)
-        found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
+        for effect in (e for e in best.effects if e.name in after.names - before.names):
+            p = first.tests.p_of_gain(effect.name, after.gain(before, effect))
+            p = p if before.effects else min(p, first.tests.p.get(effect.name, 1.0))
+            why = objection(best.law, effect)
+            found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found
 
 

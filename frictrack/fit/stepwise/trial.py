@@ -324,7 +324,7 @@ def deepen_trials(
     solution = linearised.solution
     slots = zip(solution.problem.layout.slots, solution.held, strict=True)
     imitates = any(held and not slot.linear for slot, held in slots)
-    reached = misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit
+    reached = min(t.misfit for t in trials) < max_expected_misfit
     if reached and not imitates:
         return trials
     enough = 0.0 if imitates else max_expected_misfit
