@@ -90,8 +90,17 @@ class Model:
         return name in self.names
 
     def __add__(self, other: str | Effect) -> Model:
-        """Add an effect, given or by its name; effects that it replaces are removed."""
-        new = effects.get(other) if isinstance(other, str) else other
+        """Add an effect, given or by its name; effects that it replaces are removed.
+
+        An address of the model, such as "stribeck.delta", frees a fixed parameter, or gives every run its own value.
+        """
+        if isinstance(other, str):
+            name, _, parameter = other.partition(".")
+            known = next((e for e in self.effects if e.name == name and parameter), None)
+            other = effects.get(other) if known is None else known.freed(parameter)
+        new = other
+        if new.frees and new.name in self:
+            return Model(tuple(new if e.name == new.name else e for e in self.effects))
         return Model((*(e for e in self.effects if e.kind not in new.replaces), new))
 
     def __sub__(self, name: str) -> Model:

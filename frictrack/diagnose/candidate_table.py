@@ -25,7 +25,7 @@ def importance_of_effects(
     search: FinishedSearch, named: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: HeldOutErrors
 ) -> list[Importance]:
     """Return the share of the misfit that each named effect, and each plausible other one that passed, explains."""
-    alone = {t.effect.name: t.share for t in search.tried}
+    alone = {t.effect.title: t.share for t in search.tried}
     bare = search.first.solution
     unit = residual_kind(bare.problem).unit
     excess = max(bare.chi2 - bare.problem.n_frames, 1e-300)
@@ -36,8 +36,8 @@ def importance_of_effects(
         share, chi2 = float(np.clip((chi2 - t.law.chi2) / excess, -1.0, 1.0)), t.law.chi2
         improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
         out, error = (_without_stop(out) if improves else out), heldout_error
-        out.append(Importance(t.effect.name, alone.get(t.effect.name), share, heldout_error, unit, stop=improves))
-    names = {t.effect.name for t in named}
+        out.append(Importance(t.effect.title, alone.get(t.effect.title), share, heldout_error, unit, stop=improves))
+    names = {t.effect.title for t in named}
     level = search.first.tests.level
     others = [c.effect for c in listed if c.p < level and c.effect not in names and not c.implausible]
     shown = [name for name in others if (alone.get(name) or 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
@@ -52,10 +52,10 @@ def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
 def tabulate_candidates(search: FinishedSearch, heldout: HeldOutErrors) -> list[Candidate]:
     """Return all candidates with their evidence: those found first, then the others alone, best first."""
     kind, level = residual_kind(search.first.solution.problem), search.first.tests.level
-    alone, found = {t.effect.name: t for t in search.tried}, {t.effect.name for t in search.found}
+    alone, found = {t.effect.title: t for t in search.tried}, {t.effect.title for t in search.found}
     out = []
-    for t in [*search.found, *(t for t in search.tried if t.effect.name not in found)]:
-        own = alone.get(t.effect.name, t)
+    for t in [*search.found, *(t for t in search.tried if t.effect.title not in found)]:
+        own = alone.get(t.effect.title, t)
         shown = t if own.solution is None else own
         shown = replace(shown, indistinguishable_from=t.indistinguishable_from, objection=t.objection)
         listed = _candidate(shown, heldout if t.p < level else None, kind)
@@ -93,7 +93,7 @@ def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, kind: Res
             if name.rsplit(".", 1)[0] == effect.name
         }
     return Candidate(
-        effect=effect.name,
+        effect=effect.title,
         acts_on=effect.acts_on,
         parameters=parameters,
         p=tried.p,

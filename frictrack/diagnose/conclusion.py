@@ -177,7 +177,7 @@ class Conclusion:
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
-            missing=[t.effect.name for t in named if not t.objection],
+            missing=[t.effect.title for t in named if not t.objection],
             noise_um=1e6 * noise if kind.unit == "um" else None,
             noise_N=noise if kind.unit == "N" else None,
             reduced_chi2=misfit,
@@ -238,7 +238,7 @@ class Conclusion:
     def _residual(self) -> dict[str, Array]:
         """The residual of the fit, and with the effects found, along the motion of every run."""
         after = self.search.last.solution if self._named else None
-        return residual_series(self.search.start, after, [t.effect.name for t in self._named])
+        return residual_series(self.search.start, after, [t.effect.name for t in self._named if not t.effect.frees])
 
     @property
     def _fails_at(self) -> list[dict[str, Any]]:
@@ -274,9 +274,9 @@ class Conclusion:
         if found.verdict == "unexplained":
             solution = last.solution if found.missing or not effects else first.solution
             return plan_for_unexplained(solution, notify, self.costs)
-        best = [t.effect.name for t in effects[:1]]
-        order = sorted(self.search.passing, key=lambda t: t.effect.name not in best)
-        passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
+        best = [t.effect.title for t in effects[:1]]
+        order = sorted(self.search.passing, key=lambda t: t.effect.title not in best)
+        passing = [(t.effect.title, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
         compared = self._compared
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
@@ -289,10 +289,10 @@ def _limits(first: Examination) -> tuple[dict[str, dict[str, Any]], dict[str, di
     """Return the detection limit of every scanned effect, and its curve over all settings."""
     limits, curves = {}, {}
     for s in first.tests.scanned:
-        limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
+        limits[s.effect.title], curve = detection_limit(s, first.draws, first.tests.critical)
         if len(s.scans) == 1:
             curve["rise"] = s.scans[0].gains
-        curves[s.effect.name] = curve
+        curves[s.effect.title] = curve
     return limits, curves
 
 

@@ -67,7 +67,7 @@ class Examination:
             What the model leaves there without it.
 
         """
-        name = trial.effect.name
+        name = trial.effect.title
         p = self.tests.p.get(name, 1.0)
         if not self.something_is_missing:
             return p
@@ -92,7 +92,7 @@ class Examination:
         """
         if information_criterion(self.solution) > information_criterion(fitted):
             return True
-        needed = self.tests.quantiles.get(effect.name)
+        needed = self.tests.quantiles.get(effect.title)
         if needed is None:
             return False
         gain = likelihood_gain(self.solution, fitted) - event_penalty(fitted.problem, fitted.problem.layout, effect)
@@ -140,7 +140,7 @@ def examine(
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
     """Loss of likelihood by chance by one amplitude for all runs, where the scan had one for each run."""
     layout = fitted.problem.layout
-    slots = [s for s in layout.slots if s.effect == effect.name]
+    slots = [s for s in layout.slots if s.effect == effect.title]
     phased = any(s.parameter == "phase" and s.run is not None for s in slots)
     shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
     more = len(layout.run_names) - 1

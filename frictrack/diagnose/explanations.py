@@ -82,7 +82,7 @@ class Explanation:
     @property
     def names(self) -> Names:
         """Names of the effects."""
-        return frozenset(e.name for e in self.effects)
+        return frozenset(e.title for e in self.effects)
 
     @property
     def law(self) -> Solution:
@@ -203,11 +203,11 @@ class Explanations:
         return None
 
     def _is_better(self, one: Explanation, best: Explanation, examined: Examination) -> bool:
-        new = [e for e in one.effects if e.name not in best.names]
+        new = [e for e in one.effects if e.title not in best.names]
         if len(new) > 1 or not one.names > best.names:
             return one.criterion < best.criterion - MIN_CHI2_SEPARATED
         tests = examined.tests
-        p = min(tests.p_of_gain(new[0].name, one.gain(best, new[0])), tests.p.get(new[0].name, 1.0))
+        p = min(tests.p_of_gain(new[0].title, one.gain(best, new[0])), tests.p.get(new[0].title, 1.0))
         return p < tests.level and examined.confirms(one.law, new[0])
 
     def _without_needless(self, one: Explanation, best: Explanation) -> Explanation:
@@ -280,25 +280,27 @@ class Explanations:
         if len(tried) < 2:
             return
         law = tried[-1][0]
-        trials = {t.effect.name: t for mine, t in tried if mine is law}
+        trials = {t.effect.title: t for mine, t in tried if mine is law}
         scale, problem = law.solution.objective / baseline_misfit(law), law.solution.problem
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
         gains = gains_of_pairs(law, list(trials.values()))
         order = sorted(gains, key=lambda pair: sum(penalty[name] for name in pair) - scale * gains[pair])
         for first, second in order[:N_PAIRS]:
             if not self._budget.stops():
-                self._enter(empty, law, try_pair(law, trials[first], trials[second]), scale)
+                pair = try_pair(law, trials[first], trials[second])
+                self._enter(empty, law, pair, scale, trials[first].effect)
 
-    def _enter(self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float) -> None:
-        """Enter the set that a trial beside a centre makes, if it promises more than was known of that set.
+    def _enter(
+        self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float, *others: Effect
+    ) -> None:
+        """Enter the set that a trial of an effect, and others, beside a centre makes, if it promises more than before.
 
         A trial promises to take the same share of the simulated misfit, from which the misfit along the measured motion
         differs by `scale` where the model is far from the data.
         """
-        solution, problem = law.solution, law.solution.problem
+        solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
         gain = solution.objective - scale * trial.misfit + gain_by_smaller_scatter(law, trial)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
-        added = [e for e in trial.layout.model.effects if e.name not in problem.model]
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
         new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
         handicap = sum(map(self._handicap, added))
@@ -348,7 +350,7 @@ class Explanations:
     def _with_solution(self, one: Explanation, solution: Solution) -> Explanation:
         assert one.centre is not None
         fall = information_criterion(one.centre.law) - information_criterion(solution)
-        fall -= sum(self._handicap(e) for e in one.effects if e.name not in one.centre.names)
+        fall -= sum(self._handicap(e) for e in one.effects if e.title not in one.centre.names)
         criterion = one.centre.criterion - fall - 2 * (one.log_prior - one.centre.log_prior)
         objections = (objection(solution, e) for e in one.effects)
         return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))
@@ -362,8 +364,8 @@ class Explanations:
             mine, its = one.names - other.names, other.names - one.names
             if len(mine) != 1 or other.criterion >= one.criterion:
                 continue
-            small = next(e for e in one.effects if e.name in mine)
-            large = next(e for e in other.effects if e.name in its)
+            small = next(e for e in one.effects if e.title in mine)
+            large = next(e for e in other.effects if e.title in its)
             if small.kind in large.special_cases:
                 try:
                     again = self._with_solution(one, _refined_from(one.law, small, other.law, large))
@@ -385,7 +387,7 @@ def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effec
     pairs = {its.name: mine.name for mine, its in zip(small.linear, large.linear, strict=True)}
     pairs |= {q.name: q.name for q in small.nonlinear}
     for slot, x in zip(found.problem.layout.slots, found.p, strict=True):
-        if slot.effect != large.name:
+        if slot.effect != large.title:
             values[slot.effect, slot.parameter, slot.run] = x
         elif slot.parameter in pairs:
             values[small.name, pairs[slot.parameter], slot.run] = x

@@ -76,7 +76,7 @@ class SearchTests:
     @cached_property
     def p(self) -> dict[str, float]:
         """p-value of every candidate."""
-        return {s.effect.name: _p_value(self.null, s.excess[0]) for s in self.scanned}
+        return {s.effect.title: _p_value(self.null, s.excess[0]) for s in self.scanned}
 
     @property
     def critical(self) -> float:
@@ -91,7 +91,7 @@ class SearchTests:
     @cached_property
     def quantiles(self) -> dict[str, float]:
         """Quantile of every candidate's own null distribution."""
-        return {s.effect.name: s.quantile for s in self.scanned}
+        return {s.effect.title: s.quantile for s in self.scanned}
 
     def p_of_gain(self, name: str, gain: float) -> float:
         """p-value of a gain of chi-squared by an effect; one that was not scanned gains by chance what any does."""
@@ -135,7 +135,19 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             excluded[effect.name] = why
         else:
             found.append(effect)
-    return found, excluded
+    return [*found, *_freed(solution)], excluded
+
+
+def _freed(solution: Solution) -> list[Effect]:
+    """The effects of the model with one parameter freed: one that is fixed, or a place that all runs share."""
+    several = len(solution.problem.layout.run_names) > 1
+    return [
+        e.freed(p.name)
+        for e in solution.problem.model.effects
+        for p in e.parameters
+        if (p.fixed is not None and p.known is None)
+        or (several and p.free and p.unit == "m" and not p.per_run and (p.signed or p.linear))
+    ]
 
 
 def _missing_tie(effect: Effect, model: Model) -> str:

@@ -54,11 +54,13 @@ def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> di
     data = products.data + projected @ measured_series(law).coordinates[:, 0]
     rows = iter(products.rows)
     spans = {
-        t.effect.name: np.hstack([_directions(gram, data, next(rows)) for _ in grids])
+        t.effect.title: np.hstack([_directions(gram, data, next(rows)) for _ in grids])
         for t, grids in zip(trials, own, strict=True)
         if grids
     }
-    return {pair: _gain(gram, data, np.hstack([spans[name] for name in pair])) for pair in combinations(spans, 2)}
+    same = {t.effect.title: t.effect.name for t in trials}
+    pairs = [(one, other) for one, other in combinations(spans, 2) if same[one] != same[other]]
+    return {pair: _gain(gram, data, np.hstack([spans[name] for name in pair])) for pair in pairs}
 
 
 def try_pair(law: LinearisedModel, first: CandidateTrial, second: CandidateTrial) -> CandidateTrial:

@@ -87,7 +87,7 @@ def find_undetermined(
         uncertain = [u for u in uncertain if u.what in beside]
     found = [*_undetermined_parameters(fit), *uncertain]
     for scanned in first.tests.scanned:
-        name = scanned.effect.name
+        name = scanned.effect.title
         if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
             limit = limit_as_force(first, scanned, curves[name]["limit"]) / friction
             if not limit <= MIN_DETECTABLE_SHARE:

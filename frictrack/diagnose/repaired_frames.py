@@ -108,11 +108,11 @@ def _effects_rest(
             before = first.solution  # the review has removed an effect that was found before
         gain = before.chi2 - t.law.chi2
         left = chi2_without(before, repaired) - chi2_without(t.law, repaired)
-        needed = max(gain - t.delta_bic, demanded.get(t.effect.name, 0.0))
+        needed = max(gain - t.delta_bic, demanded.get(t.effect.title, 0.0))
         if left < min(needed, gain):
             return (
                 f"this verdict rests on {counts.words} that were tracked again: without them chi-squared falls by "
-                f"{format_number(max(left, 0.0), 2)} with {t.effect.name} instead of {format_number(gain, 2)}, and "
+                f"{format_number(max(left, 0.0), 2)} with {t.effect.title} instead of {format_number(gain, 2)}, and "
                 f"{format_number(needed, 2)} is needed; {ADVICE}"
             )
         before = t.law

@@ -57,14 +57,14 @@ def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explan
 
 def names_in_place_of(name: str, best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
     """Effects that stand in place of one of the best set in its rivals."""
-    others = [e.name for one in rivals if name not in one.names for e in one.effects if e.name not in best.names]
+    others = [e.title for one in rivals if name not in one.names for e in one.effects if e.title not in best.names]
     return tuple(dict.fromkeys(others))
 
 
 def _contains(other: Explanation, best: Explanation) -> bool:
     """Whether an effect contains one that it replaces as a special case: it fits whatever the data are."""
-    replaced = {e.kind for e in best.effects if e.name not in other.names}
-    return any(replaced & set(e.special_cases) for e in other.effects if e.name not in best.names)
+    replaced = {e.kind for e in best.effects if e.title not in other.names}
+    return any(replaced & set(e.special_cases) for e in other.effects if e.title not in best.names)
 
 
 def _would_explain(other: Explanation, best: Explanation, unit: float) -> bool:

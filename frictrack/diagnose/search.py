@@ -196,7 +196,7 @@ def _search(
     tried = [_tried(one, first, space) for one in space.of_size(1)]
     found = _found(space, best, first)
     rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
-    found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.name, best, rivals)) for t in found]
+    found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     return FinishedSearch(start, first, last, tried, found, generators, cut, alternatives_of(best, rivals))
@@ -205,7 +205,8 @@ def _search(
 def _describe_step(best: Explanation, size: int) -> str:
     if size == 1:
         return "refining every effect that may explain the misfit"
-    return f"{join_as_one([e.name for e in best.effects]) or 'no effect alone'} leaves misfit: trying sets of {size}"
+    known = join_as_one([e.title for e in best.effects]) if best.effects else "no effect alone"
+    return f"{known} leaves misfit: trying sets of {size}" if best.effects else f"{known} passes: trying sets of {size}"
 
 
 def _tried(one: Explanation, first: Examination, space: Explanations) -> RefinedCandidate:
@@ -226,9 +227,9 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
     """The effects of the best explanation, each beside those before it, the strongest first."""
     found = []
     for before, after in pairwise(space.chain(best)):
-        for effect in (e for e in best.effects if e.name in after.names - before.names):
-            p = first.tests.p_of_gain(effect.name, after.gain(before, effect))
-            p = p if before.effects else min(p, first.tests.p.get(effect.name, 1.0))
+        for effect in (e for e in best.effects if e.title in after.names - before.names):
+            p = first.tests.p_of_gain(effect.title, after.gain(before, effect))
+            p = p if before.effects else min(p, first.tests.p.get(effect.title, 1.0))
             why = objection(best.law, effect)
             found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found

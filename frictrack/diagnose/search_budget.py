@@ -64,7 +64,7 @@ def describe_cut(
         if names
         else "every effect found was compared again with all others"
     )
-    added = [t.effect.name for t in found if not t.objection] or names[:1]
+    added = [t.effect.title for t in found if not t.objection] or names[:1]
     onward = f"add {' and '.join(added)} to the model and" if added else "leave out some runs and"
     return (
         f"the search stopped at its limit of {budget.granted:.0f} simulations of all runs, before {missed}; "

@@ -198,6 +198,8 @@ class Effect:
         True over recorded time of a run, for an effect of the clock.
     quote : callable, optional
         Map own fitted values, and all values of the model, to values as they are quoted, where these differ.
+    frees : str
+        The parameter that this version of an effect frees, or gives every run a value of its own; "" for others.
     scan_wave : ScanWave, optional
         The parameter on which the columns depend only as the frequency or period of a sinusoid.
 
@@ -245,6 +247,12 @@ class Effect:
     clock: Callable[[Nonlinear], float] | None = field(default=None, compare=False)
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
     scan_wave: ScanWave | None = field(default=None, compare=False)
+    frees: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name in a list of candidates: "texture", or "stribeck.delta" where that would be freed."""
+        return f"{self.name}.{self.frees}" if self.frees else self.name
 
     @property
     def kind(self) -> str:
@@ -289,6 +297,19 @@ class Effect:
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
         return next(p for p in self.parameters if p.name == name)
+
+    def freed(self, name: str) -> Effect:
+        """The version, in place of this one, that fits a fixed parameter, or in every run a value of its own."""
+        p = self.parameter(name)
+        if p.fixed is not None:
+            change: dict[str, Any] = {"fixed": None}
+            what = f"{name} of {self.name} is held at {p.fixed:g} {p.unit}".removesuffix(" 1")
+            what += "; it is fitted"
+        else:
+            change = {"per_run": True}
+            what = f"{name} of {self.name} differs from run to run, as the origins of two records do; each has its own"
+        changed = replace(self.adjusted(**{name: change}), replaces=self.replaces | {self.kind}, frees=name)
+        return replace(changed, what=f"{what}.", looks_like="", confirm="", describe=None)
 
     def called(self, name: str) -> Effect:
         """The same cause as another instance."""

@@ -48,7 +48,8 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     Parameters
     ----------
     name : str
-        "texture", a further instance "vibration:2", or ATM2 of an order, "atm2:2".
+        "texture", a further instance "vibration:2", ATM2 of an order, "atm2:2", or a parameter of an effect that is
+        freed, "stribeck.delta".
     extra : iterable of Effect
         Further effects, such as the formulas of a study.
 
@@ -70,6 +71,9 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     'vibration'
 
     """
+    whole, dot, parameter = name.partition(".")
+    if dot and parameter in {p.name for p in get(whole, extra).parameters}:
+        return get(whole, extra).freed(parameter)
     kind, colon, suffix = name.partition(":")
     if kind == "atm2":
         return atm2(order(name) if colon else 2)

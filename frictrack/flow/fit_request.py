@@ -62,7 +62,9 @@ class FitRequest:
         own = user_effects(tables)
         model = models.parse(self.base, own)
         for edit in self.edits:
-            model = model + effects.get(edit[1:], own) if edit[0] == "+" else model - edit[1:]
+            inside = edit[1:].partition(".")[0] in model
+            added = edit[1:] if inside and "." in edit else effects.get(edit[1:], own)
+            model = model + added if edit[0] == "+" else model - edit[1:]
         return apply_effect_tables(model, tables)
 
     @property

@@ -119,7 +119,10 @@ def try_together(
 
     """
     old = linearised.solution.problem.layout
-    layout = replace(old, model=Model((*old.model.effects, *effects)), absent=old.absent | absent)
+    model = old.model
+    for effect in effects:
+        model = model + effect
+    layout = replace(old, model=model, absent=old.absent | absent)
     problem = _projected_problem(linearised, layout)
     p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
     state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
