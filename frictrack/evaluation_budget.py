@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+COST_OF_MEMORY = 3.0  # of an evaluation of a law with memory, over one without (70 and 25 ms)
+
 
 @dataclass(eq=False)
 class EvaluationBudget:

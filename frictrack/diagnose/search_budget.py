@@ -8,9 +8,9 @@ from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares import LeastSquaresProblem
 
-# Simulations of all runs, for each effect that may be added. Whole searches of 44 simulated studies (none to two
-# effects, or a cause outside the library) took 60 in the median and at most 530.
-EVALUATIONS_PER_EFFECT = 1000
+# Simulations of all runs, for each effect that may be added. Whole searches of simulated studies (none to two effects,
+# or a cause outside the library) took 200 in the median and at most 510.
+EVALUATIONS_PER_EFFECT = 250
 N_NAMED = 3  # effects that a remark names
 N_RUNS_TYPICAL = 10  # more runs have more unknowns of their own (events, phases, clock rates) to be searched
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.evaluation_budget import COST_OF_MEMORY
 from frictrack.fit.least_squares.few_rows import RotatedJacobian, rotated_jacobian, stacked_jacobian, triangular
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.least_squares.trust_region import MIN_DAMPING, DampedStep, TrustRegion, damped_step, is_converged
@@ -379,7 +380,7 @@ def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, mi
 
 
 def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], tau: float) -> Solution:
-    problem.budget.spend()
+    problem.budget.spend(COST_OF_MEMORY if problem.model.memory else 1.0)
     responses = problem.evaluate(p, starts)
     penalty = penalty_residual(problem.layout, p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(penalty @ penalty)

@@ -21,7 +21,7 @@ from itertools import count
 
 import numpy as np
 
-from frictrack.evaluation_budget import EvaluationBudget
+from frictrack.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
 from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, bounded_step, solve_positive
 from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator
@@ -185,7 +185,7 @@ class ProjectedProblem:
             Coefficients, residual and misfit.
 
         """
-        self.budget.spend(COST_OF_EVALUATION)
+        self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
         base = known or self.empty_solution(nonlinear_values)
         rows, excluded = base.rows.copy(), base.excluded.copy()
         row_derivatives, versions = dict(base.row_derivatives), list(base.versions)
