@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.stepwise import CandidateTrial
 
-N_DRAWS_FEW = 199  # which show clearly that nothing is left
+N_DRAWS_FEW = 299  # which show whether a misfit is left, at a level of 0.005
 MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
 ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
 
@@ -99,9 +99,7 @@ class Examination:
         return gain > needed + self.tests.critical - _loss_by_shared_amplitude(fitted, effect)
 
 
-def examine(
-    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float, *, few: bool = False
-) -> Examination:
+def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float) -> Examination:
     """Test a model for every effect that it may lack.
 
     Parameters
@@ -114,8 +112,35 @@ def examine(
         Random generator.
     level
         Significance level of the test for lack of fit, and of that of all candidates together.
-    few
-        Take few draws where these show clearly that nothing is left: a sequential Monte Carlo test.
+
+    Returns
+    -------
+    Examination
+
+    """
+    library, excluded = list_candidates(solution, own)
+    draws = draw_null_ensemble(solution, rng, count_draws(level))
+    return Examination(solution, draws, run_tests(solution, draws, library, level), excluded)
+
+
+def examine_again(
+    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, before: Examination
+) -> Examination:
+    """Test a model with the effects found, with few draws where these decide: a sequential Monte Carlo test.
+
+    Where a misfit is left for certain, no effect is tested: what effects gain by chance is known from the examination
+    of the smaller model.
+
+    Parameters
+    ----------
+    solution
+        The model.
+    own
+        Effects beside the library's.
+    rng
+        Random generator.
+    before
+        Examination of the model without these effects.
 
     Returns
     -------
@@ -126,15 +151,17 @@ def examine(
     Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
 
     """
-    library, excluded = list_candidates(solution, own)
-    if few:
-        draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
-        if lack_of_fit(draws) >= MIN_P_CLEAR:
-            tests = run_tests(solution, draws, library, level)
-            if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
-                return Examination(solution, draws, tests, excluded)
-    draws = draw_null_ensemble(solution, rng, count_draws(level))
-    return Examination(solution, draws, run_tests(solution, draws, library, level), excluded)
+    level = before.tests.level
+    draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
+    p = lack_of_fit(draws)
+    if p < level:
+        return replace(before, solution=solution, draws=draws, tests=before.tests.after_adding(p))
+    if p >= MIN_P_CLEAR:
+        library, excluded = list_candidates(solution, own)
+        tests = run_tests(solution, draws, library, level)
+        if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
+            return Examination(solution, draws, tests, excluded)
+    return examine(solution, own, rng, level)
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:

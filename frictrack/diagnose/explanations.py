@@ -29,8 +29,10 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
 from frictrack.fit.stepwise import (
+    STRONG_MISFIT_CHI2,
     CandidateTrial,
     baseline_misfit,
+    bic_penalty,
     deepen_trials,
     gain_by_smaller_scatter,
     refine_to_end,
@@ -42,9 +44,11 @@ from frictrack.fit.uncertainty import dispersion
 
 N_CENTRES = 2  # sets beside which every effect is tried, for sets with one effect more
 N_PAIRS = 24  # that are tried whatever their effects explain alone
-MAX_SIZE = 4  # effects
+MAX_SIZE = 3  # effects
 MIN_ERROR_OF_PROMISE = 0.02  # of a misfit above the noise that is promised, before any error was seen
+MAX_TRIAL_RATIO = 2.0  # of the gain of a trial to that of its scan, near the noise
 Names = frozenset[str]
+Scanned = Sequence[tuple[Effect, list[CandidateScan]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,15 +267,12 @@ class Explanations:
         self._propose(best.centre, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
         self.refine(size)
 
-    def _propose(
-        self, centre: Explanation, law: LinearisedModel, scanned: Sequence[tuple[Effect, list[CandidateScan]]]
-    ) -> None:
+    def _propose(self, centre: Explanation, law: LinearisedModel, scanned: Scanned) -> None:
         """Try scanned effects beside a centre along the measured motion, and enter the sets that they make."""
-        data = measured_series(law).coordinates[:, 0]
-        trials = deepen_trials(law, [try_effect(law, effect, scans, data) for effect, scans in scanned])
-        scale = law.solution.objective / baseline_misfit(law)
-        for t in trials:
-            self._enter(centre, law, t, scale)
+        misfit = baseline_misfit(law)
+        trials = _promising_trials(law, scanned, misfit) if centre.effects else _trials(law, scanned)
+        for t in deepen_trials(law, trials):
+            self._enter(centre, law, t, law.solution.objective / misfit)
 
     def _propose_pairs(self) -> None:
         """Try the pairs of effects that gain most together beside the model, whatever each explains alone."""
@@ -373,6 +374,34 @@ class Explanations:
                     continue
                 one = again if again.criterion < one.criterion else one
         return one
+
+
+def _trials(law: LinearisedModel, scanned: Scanned) -> list[CandidateTrial]:
+    """All scanned effects, each fitted along the measured motion."""
+    data = measured_series(law).coordinates[:, 0]
+    return [try_effect(law, effect, scans, data) for effect, scans in scanned]
+
+
+def _promising_trials(law: LinearisedModel, scanned: Scanned, misfit: float) -> list[CandidateTrial]:
+    """The scanned effects that may be the best: near the noise, a trial gains little more than its scan.
+
+    A scan holds the shape of the law only in linear approximation, and underrates effects that remember or delay.
+    """
+    if misfit >= STRONG_MISFIT_CHI2 * law.solution.problem.n_frames:
+        return _trials(law, scanned)
+    data, best, found = measured_series(law).coordinates[:, 0], 0.0, []
+    for effect, scans in sorted(scanned, key=lambda pair: -_scan_gain(pair[1])):
+        sure = not effect.memory and (effect.sized or not effect.modifies)
+        if sure and MAX_TRIAL_RATIO * _scan_gain(scans) + MIN_CHI2_SEPARATED < best:
+            continue
+        found.append(try_effect(law, effect, scans, data))
+        extra = len(found[-1].layout.slots) - len(law.solution.problem.layout.slots)
+        best = max(best, misfit - found[-1].misfit - bic_penalty(extra, law.solution.problem.n_frames))
+    return found
+
+
+def _scan_gain(scans: Sequence[CandidateScan]) -> float:
+    return float(sum(s.gains.max() for s in scans))
 
 
 def _excess(one: Explanation) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,6 +65,8 @@ class SearchTests:
         Largest excess of any candidate in every draw of the null hypothesis, (D - 1,).
     level
         Significance level of each of the two tests: lack of fit, and all candidates together.
+    quantiles
+        Quantile of every candidate's own null distribution.
 
     """
 
@@ -72,6 +74,17 @@ class SearchTests:
     scanned: list[ScannedCandidate]
     null: Array
     level: float
+    quantiles: Mapping[str, float]
+
+    @classmethod
+    def of(cls, p_lack_of_fit: float, scanned: list[ScannedCandidate], n_draws: int, level: float) -> SearchTests:
+        """The tests of scanned candidates."""
+        null = np.max([s.excess for s in scanned], axis=0)[1:] if scanned else np.zeros(n_draws)
+        return cls(p_lack_of_fit, scanned, null, level, {s.effect.title: s.quantile for s in scanned})
+
+    def after_adding(self, p_lack_of_fit: float) -> SearchTests:
+        """The tests of a model with effects added, none of which is scanned: gains by chance are as before."""
+        return replace(self, p_lack_of_fit=p_lack_of_fit, scanned=[])
 
     @cached_property
     def p(self) -> dict[str, float]:
@@ -87,11 +100,6 @@ class SearchTests:
     def something_is_missing(self) -> bool:
         """Whether the lack of fit or any candidate is significant."""
         return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
-
-    @cached_property
-    def quantiles(self) -> dict[str, float]:
-        """Quantile of every candidate's own null distribution."""
-        return {s.effect.title: s.quantile for s in self.scanned}
 
     def p_of_gain(self, name: str, gain: float) -> float:
         """p-value of a gain of chi-squared by an effect; one that was not scanned gains by chance what any does."""
@@ -197,8 +205,7 @@ def run_tests(
 
     """
     scanned = _scan(solution, draws, library)
-    max_excess = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.residuals.shape[1])
-    return SearchTests(lack_of_fit(draws), scanned, max_excess[1:], level)
+    return SearchTests.of(lack_of_fit(draws), scanned, draws.series.residuals.shape[1] - 1, level)
 
 
 def _scan(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> list[ScannedCandidate]:

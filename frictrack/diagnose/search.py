@@ -17,7 +17,7 @@ from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals
 from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
-from frictrack.diagnose.examination import Examination, examine
+from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
 from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
@@ -190,7 +190,7 @@ def _search(
         new = space.better(best, last)
         if new is not None:
             best = space.refine_fully(new)
-            last = examine(space.rebase(best, kind.before_round(best.law)).law, own, rng, level, few=True)
+            last = examine_again(space.rebase(best, kind.before_round(best.law)).law, own, rng, first)
         elif size > 1 or not last.leaves_misfit:
             break
     tried = [_tried(one, first, space) for one in space.of_size(1)]

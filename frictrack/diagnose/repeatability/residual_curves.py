@@ -35,17 +35,22 @@ class FailurePattern:
     ----------
     fit
         The fit, with the frames that are compared.
-    local
-        The local forces in the residual of the fit. A fit with a large misfit is far from its linearisation; what runs
-        have in common is estimated with the model refitted together with these forces.
     rng
         Random generator.
 
     """
 
     fit: Solution
-    local: LocalForces
     rng: np.random.Generator
+
+    @cached_property
+    def local(self) -> LocalForces:
+        """The local forces in the residual of the fit.
+
+        A fit with a large misfit is far from its linearisation; what runs have in common is estimated with the model
+        refitted together with these forces.
+        """
+        return find_local_forces(self.fit)
 
     @cached_property
     def repeats(self) -> Repeatability:
@@ -90,8 +95,7 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
     FailurePattern
 
     """
-    fit = keep_compared_frames(solution)
-    return FailurePattern(fit, find_local_forces(fit), rng)
+    return FailurePattern(keep_compared_frames(solution), rng)
 
 
 def residual_figures(

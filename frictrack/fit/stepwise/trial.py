@@ -293,8 +293,8 @@ def deepen_trials(
 ) -> list[CandidateTrial]:
     """Search those trials again that may be best but were not found in one scan.
 
-    Events of single runs were found one by one, beside a model that lacked them all. If no trial reaches the noise,
-    or much is missing, the model may be at a wrong position; then all quick scans are repeated. So it may be where a
+    Events of single runs were found one by one, beside a model that lacked them all. If much is missing, and no trial
+    reaches the noise, the model may be at a wrong position; then all quick scans are repeated. So it may be where a
     bound holds a scanned parameter of the model, which then imitates what is missing.
 
     Parameters
@@ -327,7 +327,7 @@ def deepen_trials(
     solution = linearised.solution
     slots = zip(solution.problem.layout.slots, solution.held, strict=True)
     imitates = any(held and not slot.linear for slot, held in slots)
-    reached = min(t.misfit for t in trials) < max_expected_misfit
+    reached = misfit < STRONG_MISFIT_CHI2 * frames or min(t.misfit for t in trials) < max_expected_misfit
     if reached and not imitates:
         return trials
     enough = 0.0 if imitates else max_expected_misfit
