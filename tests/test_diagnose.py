@@ -16,10 +16,10 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine
+from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.null_distribution import N_DRAWS
-from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rivals import find_rivals
-from frictrack.diagnose.rounds import MIN_P_CLEAR, N_DRAWS_LATER_ROUND, run_later_round
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.results import to_builtins
@@ -56,19 +56,19 @@ def texture_missing():
     return fitted, diagnose(fitted)
 
 
-def test_a_later_round_stops_early_only_where_nothing_is_left(texture_missing):
-    def run(solution):
-        return run_later_round(solution, [], np.random.default_rng(1), lambda what: None)
+def test_a_later_examination_takes_few_draws_only_where_nothing_is_left(texture_missing):
+    def examined(solution):
+        return examine(solution, [], np.random.default_rng(1), 0.005, few=True)
 
-    done = run(fit(LAW, runs_with()).solution)
-    assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_LATER_ROUND
+    done = examined(fit(LAW, runs_with()).solution)
+    assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
     assert not done.leaves_misfit
-    assert done.passing == []
+    assert not done.something_is_missing
     assert min(done.tests.p.values()) >= MIN_P_CLEAR
-    going_on = run(texture_missing[0].solution)
+    going_on = examined(texture_missing[0].solution)
     assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS
     assert going_on.leaves_misfit
-    assert going_on.passing[0].effect.name == "texture"
+    assert going_on.tests.p["texture"] == 1 / (1 + N_DRAWS)
 
 
 @pytest.mark.slow
@@ -94,20 +94,20 @@ def solution_that_leaves(chi2_per_frame):
 def test_evidence_that_makes_a_rival_is_counted_in_units_of_the_misfit_that_is_left(chi2_per_frame, unit):
     """BIC within 6 of the best one, and four times that while chi-squared is four times what noise leaves."""
 
-    def candidate(name, behind, **more):
-        return RefinedCandidate(effects.LIBRARY[name], None, 100.0 - behind * unit, 0.001, **more)
+    def beside_texture(name, behind, **more):
+        return Explanation((effects.LIBRARY["texture"], effects.LIBRARY[name]), behind * unit, **more)
 
-    best = RefinedCandidate(effects.LIBRARY["drag"], solution_that_leaves(chi2_per_frame), 100.0, 0.001)
+    best = beside_texture("drag", 0.0, solution=solution_that_leaves(chi2_per_frame))
     others = [
         best,
-        candidate("drift", 5.9),
-        candidate("spring", 6.1),
-        candidate("thermal", -1.0),
-        candidate("slope", 0.0, objection="more than the weight"),
-        candidate("power_law_viscosity", 0.0),  # drag is a special case of it
-        candidate("texture", 50.0, is_unrefined=True),
+        beside_texture("drift", 5.9),
+        beside_texture("spring", 6.1),
+        beside_texture("thermal", -1.0),
+        beside_texture("slope", 0.0, objection="more than the weight"),
+        beside_texture("power_law_viscosity", 0.0),  # drag is a special case of it
+        beside_texture("adhesion", 50.0, is_unrefined=True),
     ]
-    assert find_rivals(best, others) == ("drift", "thermal", "texture")
+    assert [one.last.name for one in find_rivals(best, others)] == ["drift", "thermal", "adhesion"]
 
 
 def test_anything_but_a_fit_is_refused():

@@ -14,7 +14,7 @@ from runs import BASE, HIDDEN, Spec, study
 from frictrack import effects, models
 from frictrack.cli import main
 from frictrack.diagnose import Diagnosis, diagnose, search_budget
-from frictrack.diagnose.refined_candidates import RefinedCandidate
+from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.rivals import find_rivals
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit import add_effect, fit, refine
@@ -92,11 +92,12 @@ def test_a_cut_search_can_be_gone_on_with(recorded: list[Any], granted: Any) -> 
 
 
 def test_a_promising_effect_that_was_not_refined_counts_as_a_rival(recorded: list[Any]) -> None:
-    bare = fit(LAW, recorded).solution
-    best = RefinedCandidate(effects.get("texture"), add_effect(bare, effects.get("texture")), 1000.0, 0.001)
-    other = RefinedCandidate(effects.get("drag"), None, 900.0, 0.001)
-    assert find_rivals(best, [best, other]) == ()
-    assert find_rivals(best, [best, replace(other, is_unrefined=True)]) == ("drag",)
+    texture, drag = effects.get("texture"), effects.get("drag")
+    best = Explanation((texture,), 0.0, solution=add_effect(fit(LAW, recorded).solution, texture))
+    other = Explanation((drag,), 100.0)
+    assert find_rivals(best, [best, other]) == []
+    unrefined = replace(other, is_unrefined=True)
+    assert find_rivals(best, [best, unrefined]) == [unrefined]
 
 
 def test_json_terminal_and_report_carry_the_remark(
