@@ -16,9 +16,9 @@ from frictrack import effects
 from frictrack.costs import Costs
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
 from frictrack.diagnose.conclusion import _limits
+from frictrack.diagnose.examination import examine
 from frictrack.diagnose.formula_comparison import _log_prior_odds, _probability
 from frictrack.diagnose.power import find_undetermined, mean_friction
-from frictrack.diagnose.rounds import run_round
 from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.subsampling import MAX_PIECES, subsample_pieces
 from frictrack.fit import add_effect, cut_into_segments, fit
@@ -176,7 +176,7 @@ def four_runs():
 @pytest.mark.slow
 def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
     """Flash weakening far above all speeds is a force in proportion to the speed, as viscous friction is."""
-    first = run_round(four_runs.solution, (), np.random.default_rng(0), lambda what: None)
+    first = examine(four_runs.solution, (), np.random.default_rng(0), 0.005)
     replaced = effects.get("flash_weakening").adjusted(v_w={"fixed": 6000.0}, dF={"bounds": (-1e6, 1e6)})
     grown = add_effect(four_runs.solution, replaced)
     _, curves = _limits(first)
