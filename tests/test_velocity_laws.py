@@ -10,8 +10,8 @@ from runs import BASE, TOLD, Spec, study
 
 from frictrack import models
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.explanations import Explanation, Explanations
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
-from frictrack.diagnose.refined_candidates import RefinedCandidate, _restart_special_case
 from frictrack.effects import LIBRARY
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise
@@ -63,13 +63,17 @@ def test_drag_stays_drag_beside_an_effect_that_contains_it():
 def test_a_special_case_is_fitted_again_from_the_effect_that_contains_it():
     runs = runs_with("drag", {"c": 0.05})
     start, drag, power = (fit([*LAW, *more], runs).solution for more in ([], ["drag"], ["power_law_viscosity"]))
-    own = information_criterion(start)
-    poor = RefinedCandidate(LIBRARY["drag"], drag, -5.0, 0.001)  # as if it had stopped in a poor minimum
-    better = RefinedCandidate(LIBRARY["power_law_viscosity"], power, own - information_criterion(power), 0.001)
-    found = _restart_special_case(poor, [poor, better], own)
-    assert found.delta_bic == pytest.approx(own - information_criterion(drag), abs=0.01)
-    assert found.delta_bic > better.delta_bic
-    assert _restart_special_case(better, [found, better], own) is better
+    space = Explanations(start)
+    (empty,) = space.known.values()
+    prior = -2 * Explanation((LIBRARY["drag"],), 0.0).log_prior
+    poor = Explanation((LIBRARY["drag"],), empty.criterion + 5.0, empty, solution=drag)  # as if in a poor minimum
+    better = Explanation((LIBRARY["power_law_viscosity"],), information_criterion(power) + prior, empty, solution=power)
+    space.known |= {poor.names: poor, better.names: better}
+    space.refine(1)
+    first, second = space.laws(1)
+    assert first.names == poor.names
+    assert first.criterion == pytest.approx(information_criterion(drag) + prior, abs=0.01)
+    assert second is better
 
 
 def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
