@@ -92,7 +92,8 @@ def test_an_effect_of_many_parameters_is_named_at_the_limit_although_bic_asks_fo
 def test_a_fit_that_falls_short_of_the_critical_value_is_not_confirmed(at_the_limit):
     truth, fit = at_the_limit
     vibration = LIBRARY["vibration"]
-    examined, law = examine(fit.solution, (), np.random.default_rng(truth.seed), 0.005), add_effect(fit.solution, vibration)
+    examined = examine(fit.solution, (), np.random.default_rng(truth.seed), 0.005)
+    law = add_effect(fit.solution, vibration)
     assert information_criterion(law) > information_criterion(fit.solution)  # BIC alone would discard it
     assert examined.confirms(law, vibration)
     gain = likelihood_gain(fit.solution, law)
