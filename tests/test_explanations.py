@@ -32,7 +32,7 @@ from frictrack.records import Run
 
 LAW = ["coulomb", "viscous"]
 SPECS = tuple(Spec(v, 1, 0.06) for v in (3.0, 5.0, 7.0, 4.0, -6.0))
-FEW = (*LAW, "stribeck", "drag", "spring", "slope", "asymmetry")
+FEW = (*LAW, "drag", "spring", "slope", "asymmetry")
 LEVEL = 0.005
 PAIR = frozenset({"drag", "spring"})
 DRAG, SPRING = {"c": 0.02}, {"k": 1.8, "x_0": -0.1}  # along these runs they nearly cancel
@@ -46,7 +46,7 @@ def runs_with(specs: tuple[Spec, ...] = SPECS, **hidden: dict[str, float]) -> li
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A library of seven effects."""
+    """A library of six effects."""
     use_few_effects(monkeypatch, FEW)
 
 
@@ -89,6 +89,7 @@ def test_two_effects_of_which_neither_is_significant_alone_are_named() -> None:
     assert found.verdict in ("missing", "ambiguous")
 
 
+@pytest.mark.slow
 def test_one_effect_that_imitates_the_sum_of_two_gives_way_to_them(
     cancelling: Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,17 +191,17 @@ def test_the_penalty_of_the_parameters_is_no_gain(begun: Begun) -> None:
 def test_a_handicap_is_a_part_of_what_a_set_promises_and_of_what_it_explains(few: None, cancelling: Fit) -> None:
     examined = examine(cancelling.solution, (), np.random.default_rng(0), LEVEL)
     plain, other = (
-        Explanations(cancelling.solution, (), lambda e, h=h: h if e.name == "drag" else 0.0) for h in (0.0, 30.0)
+        Explanations(cancelling.solution, (), lambda e, h=h: h if e.name == "drag" else 0.0) for h in (0.0, 15.0)
     )
     drag, spring = frozenset({"drag"}), frozenset({"spring"})
     for space in (plain, other):
         space.begin(examined, examined.tests.scanned)
-    assert other.known[drag].criterion == pytest.approx(plain.known[drag].criterion + 30.0)
+    assert other.known[drag].criterion == pytest.approx(plain.known[drag].criterion + 15.0)
     assert other.known[spring].criterion == pytest.approx(plain.known[spring].criterion)
     for space in (plain, other):
         space.refine(1)
         assert space.known[drag].is_law
-    assert other.known[drag].criterion == pytest.approx(plain.known[drag].criterion + 30.0, abs=0.01)
+    assert other.known[drag].criterion == pytest.approx(plain.known[drag].criterion + 15.0, abs=0.01)
 
 
 @pytest.mark.parametrize(("granted", "unrefined"), [(np.inf, False), (0.0, True)])
