@@ -15,8 +15,8 @@ from repeats import few_or_many
 from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects, models
-from frictrack.diagnose import diagnose
-from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine
+from frictrack.diagnose import diagnose, examination
+from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine, examine_again
 from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.null_distribution import N_DRAWS
 from frictrack.diagnose.rivals import find_rivals
@@ -56,19 +56,34 @@ def texture_missing():
     return fitted, diagnose(fitted)
 
 
-def test_a_later_examination_takes_few_draws_only_where_nothing_is_left(texture_missing):
-    def examined(solution):
-        return examine(solution, [], np.random.default_rng(1), 0.005, few=True)
+def test_a_later_examination_takes_few_draws_where_these_decide(texture_missing):
+    start = texture_missing[0].solution
+    first = examine(start, [], np.random.default_rng(0), 0.005)
+    assert first.tests.p["texture"] == 1 / (1 + N_DRAWS)
 
-    done = examined(fit(LAW, runs_with()).solution)
+    def examined(solution):
+        return examine_again(solution, [], np.random.default_rng(1), first)
+
+    done = examined(fit([*LAW, "texture"], texture_missing[0].runs).solution)
     assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
     assert not done.leaves_misfit
     assert not done.something_is_missing
     assert min(done.tests.p.values()) >= MIN_P_CLEAR
-    going_on = examined(texture_missing[0].solution)
-    assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS
+    going_on = examined(start)
+    assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
     assert going_on.leaves_misfit
-    assert going_on.tests.p["texture"] == 1 / (1 + N_DRAWS)
+    assert going_on.tests.scanned == []  # the best set with one effect more is judged by its own gain
+    assert going_on.tests.p_of_gain("texture", 1000.0) == 1 / (1 + N_DRAWS)
+    assert going_on.tests.p_of_gain("texture", 0.0) > 0.5
+
+
+def test_a_later_examination_takes_all_draws_where_few_do_not_decide(monkeypatch):
+    solution = fit(LAW, runs_with()).solution
+    first = examine(solution, [], np.random.default_rng(0), 0.005)
+    monkeypatch.setattr(examination, "MIN_P_CLEAR", 2.0)  # no p-value is clear
+    again = examine_again(solution, [], np.random.default_rng(1), first)
+    assert again.draws.series.residuals.shape[1] == 1 + N_DRAWS
+    assert again.tests.level == first.tests.level
 
 
 @pytest.mark.slow
