@@ -48,7 +48,7 @@ class FinishedSearch:
     `first` and `last` are the examinations of the model and of that with the effects found, `tried` all effects alone
     beside the model, best first, and `generators` the random numbers of the later steps. `cut` says what was left out
     because the budget of evaluations was spent; None if nothing was. `alternatives` are other sets of effects that
-    explain as much as those found.
+    explain as much as those found; `is_beaten` says that one formula explains far more than these.
     """
 
     start: Solution
@@ -59,6 +59,7 @@ class FinishedSearch:
     generators: list[np.random.Generator]
     cut: str | None = None
     alternatives: Sequence[AlternativeSet] = ()
+    is_beaten: bool = False
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -144,7 +145,7 @@ class Conclusion:
 
     @property
     def _nothing_missing(self) -> bool:
-        return not self.search.first.leaves_misfit and not self.search.passing
+        return not (self.search.first.leaves_misfit or self.search.passing or self.search.found)
 
     @cached_property
     def _named(self) -> list[RefinedCandidate]:
@@ -213,7 +214,7 @@ class Conclusion:
     @property
     def _may_be_a_formula(self) -> bool:
         """Whether effects explain everything, so that a formula is the only other explanation."""
-        explained = bool(self.search.found) and not self.search.last.leaves_misfit
+        explained = bool(self.search.found) and (not self.search.last.leaves_misfit or self.search.is_beaten)
         return explained and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN and self._kind.imitates
 
     def _judge_formulas(self, found: Diagnosis, formulas: dict[str, Any]) -> Diagnosis:

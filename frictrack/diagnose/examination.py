@@ -13,7 +13,6 @@ from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import CandidateTrial
 
 N_DRAWS_FEW = 299  # which show whether a misfit is left, at a level of 0.005
 MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
@@ -52,8 +51,8 @@ class Examination:
         """Whether the misfit or the gain of any effect is significant."""
         return self.tests.something_is_missing
 
-    def p_of_trial(self, trial: CandidateTrial, misfit: float) -> float:
-        """Return the p-value of an effect: of its scan, or of its trial if something is missing and that explains more.
+    def p_of_gain(self, effect: Effect, gain: float) -> float:
+        """Return the p-value of an effect: of its scan, or of what its fit gains if something is missing.
 
         A scan holds the shape of the law. Where that imitates what is missing (a Stribeck velocity far too large
         imitates drag), an effect explains nothing until both are fitted. Whether something is missing is decided by
@@ -61,18 +60,14 @@ class Examination:
 
         Parameters
         ----------
-        trial
-            The effect beside the model, along the measured motion.
-        misfit
-            What the model leaves there without it.
+        effect
+            The effect.
+        gain
+            Likelihood ratio of its fit beside the model, less the penalty for its events.
 
         """
-        name = trial.effect.title
-        p = self.tests.p.get(name, 1.0)
-        if not self.something_is_missing:
-            return p
-        penalty = event_penalty(self.solution.problem, trial.layout, trial.effect)
-        return min(p, self.tests.p_of_gain(name, misfit - trial.misfit - penalty))
+        p = self.tests.p.get(effect.title, 1.0)
+        return min(p, self.tests.p_of_gain(effect.title, gain)) if self.something_is_missing else p
 
     def confirms(self, fitted: Solution, effect: Effect) -> bool:
         """Whether a simulated fit confirms what the scan of an effect promised.

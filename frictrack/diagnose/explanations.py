@@ -115,7 +115,8 @@ class Explanation:
 
     def gain(self, before: Explanation, effect: Effect) -> float:
         """Likelihood ratio from a set without an effect, less the penalty for its events in single runs."""
-        problem, own, its = self.law.problem, self.law.problem.layout, before.law.problem.layout
+        problem, its = before.law.problem, before.law.problem.layout
+        own = self.trial[1].layout if self.solution is None and self.trial is not None else self.law.problem.layout
         penalty = parameter_penalty(own, problem) - parameter_penalty(its, problem)
         return self.evidence(before) + penalty - event_penalty(problem, own, effect)
 
@@ -210,9 +211,8 @@ class Explanations:
         new = [e for e in one.effects if e.title not in best.names]
         if len(new) > 1 or not one.names > best.names:
             return one.criterion < best.criterion - MIN_CHI2_SEPARATED
-        tests = examined.tests
-        p = min(tests.p_of_gain(new[0].title, one.gain(best, new[0])), tests.p.get(new[0].title, 1.0))
-        return p < tests.level and examined.confirms(one.law, new[0])
+        p = examined.p_of_gain(new[0], one.gain(best, new[0]))
+        return p < examined.tests.level and examined.confirms(one.law, new[0])
 
     def _without_needless(self, one: Explanation, best: Explanation) -> Explanation:
         """The set without effects that explain nothing beside the others."""
@@ -277,7 +277,7 @@ class Explanations:
     def _propose_pairs(self) -> None:
         """Try the pairs of effects that gain most together beside the model, whatever each explains alone."""
         empty = self.known[frozenset()]
-        tried = [one.trial for one in self.of_size(1) if one.trial is not None and not one.objection]
+        tried = [one.trial for one in self.of_size(1) if one.trial is not None and not _is_impossible(one.trial[1])]
         if len(tried) < 2:
             return
         law = tried[-1][0]
@@ -310,12 +310,20 @@ class Explanations:
         if old is None or (old.solution is None and (bool(why), new.criterion) < (bool(old.objection), old.criterion)):
             self.known[new.names] = new
 
-    def refine(self, size: int) -> None:
-        """Simulate the sets of a size, best first, until no other may explain as much as the best."""
+    def pair_instead(self, single: Explanation) -> Explanation:
+        """Return two effects that together explain decisively more than one that imitates them, or that one."""
+        limit = single.criterion - MIN_CHI2_SEPARATED
+        self._propose_pairs()
+        self.refine(2, below=limit)
+        pair = next(iter(self.laws(2)), single)
+        return pair if pair.criterion < limit else single
+
+    def refine(self, size: int, below: float = np.inf) -> None:
+        """Simulate the sets of a size, best first, until no other may explain as much as the best, and fall `below`."""
         while True:
             best = min((one.criterion for one in self.laws(size)), default=np.inf)
             waiting = [one for one in self.of_size(size) if one.solution is None and not one.objection]
-            waiting = [one for one in waiting if self._may_reach(one, best + MIN_CHI2_SEPARATED)]
+            waiting = [one for one in waiting if self._may_reach(one, min(best + MIN_CHI2_SEPARATED, below))]
             if not waiting:
                 break
             if self._budget.stops():
@@ -402,6 +410,11 @@ def _promising_trials(law: LinearisedModel, scanned: Scanned, misfit: float) -> 
 
 def _scan_gain(scans: Sequence[CandidateScan]) -> float:
     return float(sum(s.gains.max() for s in scans))
+
+
+def _is_impossible(trial: CandidateTrial) -> bool:
+    """Whether the fitted values of an effect are no physical ones."""
+    return bool(physical_objection(trial.layout, trial.p, trial.effect))
 
 
 def _excess(one: Explanation) -> float:

@@ -19,7 +19,7 @@ from frictrack.fit.stepwise import CandidateTrial, effect_for_scan, try_together
 from frictrack.records import Array
 
 RELATIVE_STEP = 1e-3  # of a setting, over which the change of columns is taken
-MIN_SQUARE_LEFT = 1e-9  # of a column, beside the others of a pair; less is rounding
+MIN_SQUARE_LEFT = 1e-9  # of a column, beside the model or the others of a pair; less is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,8 @@ def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> di
     projected = products.coordinates @ projector
     gram = products.gram + projected @ products.coordinates.T
     data = products.data + projected @ measured_series(law).coordinates[:, 0]
+    absorbed = np.diag(gram) < MIN_SQUARE_LEFT * (np.diag(products.gram) + np.sum(products.coordinates**2, axis=1))
+    gram[absorbed], gram[:, absorbed], data[absorbed] = 0.0, 0.0, 0.0
     rows = iter(products.rows)
     spans = {
         t.effect.title: np.hstack([_directions(gram, data, next(rows)) for _ in grids])
@@ -108,7 +110,8 @@ def _directions(gram: Array, data: Array, rows: NDArray[np.int_]) -> Array:
 
 
 def _solve(gram: Array, data: Array) -> Array:
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0, size, 1.0)
     unit = gram / size[:, None] / size
     return np.asarray(np.linalg.pinv(unit, rcond=MIN_SQUARE_LEFT, hermitian=True) @ (data / size) / size)
 

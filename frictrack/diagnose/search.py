@@ -182,8 +182,10 @@ def _search(
     space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
     formula = _FormulaInstead(start, shapes, kind.imitates)
+    beaten = False
     for size in range(1, MAX_SIZE + 1):
-        if not last.something_is_missing or (size > MIN_SIZE_IMITATING and formula.explains_more(best)):
+        beaten = last.something_is_missing and size > MIN_SIZE_IMITATING and formula.explains_more(best)
+        if beaten or not last.something_is_missing:
             break
         notify(size, MAX_SIZE, _describe_step(best, size))
         space.grow(size)
@@ -193,13 +195,16 @@ def _search(
             last = examine_again(space.rebase(best, kind.before_round(best.law)).law, own, rng, first)
         elif size > 1 or not last.leaves_misfit:
             break
+    if len(best.effects) == 1 and not last.something_is_missing and space.pair_instead(best) is not best:
+        best = space.refine_fully(space.pair_instead(best))
+        last = examine_again(best.law, own, rng, first)
     tried = [_tried(one, first, space) for one in space.of_size(1)]
     found = _found(space, best, first)
     rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    return FinishedSearch(start, first, last, tried, found, generators, cut, alternatives_of(best, rivals))
+    return FinishedSearch(start, first, last, tried, found, generators, cut, alternatives_of(best, rivals), beaten)
 
 
 def _describe_step(best: Explanation, size: int) -> str:
@@ -215,7 +220,7 @@ def _tried(one: Explanation, first: Examination, space: Explanations) -> Refined
     assert one.trial is not None
     law, trial = one.trial
     misfit = baseline_misfit(law)
-    p = first.p_of_trial(trial, misfit)
+    p = first.p_of_gain(one.last, one.gain(empty, one.last))
     passes = p < first.tests.level and one.is_law and first.confirms(one.law, one.last)
     share = (misfit - trial.misfit) / max(misfit - first.solution.problem.n_frames, 1e-300)
     return RefinedCandidate(
@@ -228,8 +233,8 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
     found = []
     for before, after in pairwise(space.chain(best)):
         for effect in (e for e in best.effects if e.title in after.names - before.names):
-            p = first.tests.p_of_gain(effect.title, after.gain(before, effect))
-            p = p if before.effects else min(p, first.tests.p.get(effect.title, 1.0))
+            gain = after.gain(before, effect)
+            p = first.tests.p_of_gain(effect.title, gain) if before.effects else first.p_of_gain(effect, gain)
             why = objection(best.law, effect)
             found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found
@@ -254,4 +259,4 @@ class _FormulaInstead:
         if not self.is_comparable or not is_noise(self.misfit - n, n):
             return False
         fall = start.objective - self.misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
-        return bool(information_criterion(start) - fall < best.criterion - MIN_BIC_BEATEN)
+        return bool(information_criterion(start) - fall < best.criterion + 2 * best.log_prior - MIN_BIC_BEATEN)
