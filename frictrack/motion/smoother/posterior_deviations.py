@@ -59,16 +59,16 @@ def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -
     A frequency error changes the phase of the line along the record; the smoother removes a part of that. A line found
     in n frames is known to half a Rayleigh cell, pi/n per frame, in any case.
     """
-    s, d = factor.layout, factor.data
-    if not s.k:
+    n, d = factor.n, factor.data
+    if not factor.k:
         return
-    found = factor.unknowns_of(x - weighted_cubic(x, d.w))
-    frames_from_centre = np.arange(s.n) - 0.5 * (s.n - 1)
-    for row, omega in zip(s.frame[1:], factor.lines.omega, strict=True):
-        phase_error = frames_from_centre * np.gradient(found[row]) / omega
+    found = factor.unknowns_of(x - weighted_cubic(x, d.w)).components
+    frames_from_centre = np.arange(n) - 0.5 * (n - 1)
+    for line, omega in zip(found[1:], factor.lines.omega, strict=False):
+        phase_error = frames_from_centre * np.gradient(line) / omega
         left = phase_error - factor.smooth(phase_error)
         information = max(float(np.sum(d.apply_inverse_covariance(phase_error) * left)), 0.0)
-        yield stencil_derivatives(left, interval) / np.sqrt(information + (s.n / np.pi) ** 2)
+        yield stencil_derivatives(left, interval) / np.sqrt(information + (n / np.pi) ** 2)
 
 
 def weighted_cubic(y: Array, w: Array) -> Array:

@@ -1,0 +1,100 @@
+"""Eliminate symmetric banded equations part by part, so that only one part of a long record is held at a time.
+
+    | K1  A1           |    Eliminating part 1 changes only the first corner of part 2, K2 - A1' K1^-1 A1,
+    | A1' K2  A2       |    and so on: a block LU factorisation (Golub & Van Loan 2013, Matrix Computations, 4.5).
+    |     A2' K3  ...  |    The solution is that of all equations at once, for any stiffness.
+
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from frictrack.motion.smoother.equation_layout import EquationPart
+from frictrack.records import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FactoredPart(EquationPart):
+    """A part whose bands are factors, with their pivots (size,); all parts before it were eliminated."""
+
+    pivots: NDArray[np.int32]
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.bands.shape[1]
+
+    @property
+    def logdet(self) -> float:
+        """Log of the absolute determinant."""
+        return float(np.sum(np.log(np.abs(self.bands[2 * len(self.after)]))))
+
+    def solve(self, right: Array, carried: Array | float, following: Array | None = None) -> Array:
+        """Solve for the unknowns of this part.
+
+        Parameters
+        ----------
+        right
+            Right-hand sides, (size, ...), overwritten.
+        carried
+            `carry` of the part before.
+        following
+            First unknowns of the part after this one, (band, ...); by default that part does not exist.
+
+        Returns
+        -------
+        Array
+            The unknowns, (size, ...).
+
+        """
+        band = len(self.after)
+        right[:band] -= carried
+        if following is not None:
+            right[-band:] -= self.after @ following
+        return np.asarray(scipy.linalg.lapack.dgbtrs(self.bands, band, band, right, self.pivots, overwrite_b=1)[0])
+
+    def carry(self, solution: Array) -> Array:
+        """What a solution without the part after this one takes from the right-hand side of that part, (band, ...)."""
+        return np.asarray(self.after.T @ solution[-len(self.after) :])
+
+
+def factor_part(part: EquationPart, corner: Array | None) -> FactoredPart:
+    """Factor a part, after `corner` (band, band) of the parts before it was added; its bands are overwritten."""
+    band = len(part.after)
+    add_corners(part, corner, None)
+    bands, pivots, _ = scipy.linalg.lapack.dgbtrf(part.bands, band, band, overwrite_ab=1)
+    return FactoredPart(**{**vars(part), "bands": bands}, pivots=pivots)
+
+
+def following_corner(part: FactoredPart) -> Array:
+    """What eliminating a part adds to the first equations after it, (band, band)."""
+    band, tail = len(part.after), min(2 * len(part.after), part.size)
+    right = np.zeros((tail, band))
+    right[-band:] = part.after
+    # steps before the tail change nothing: they exchange a row with one at most `band` below, and both are zero
+    pivots = part.pivots[-tail:] - (part.size - tail)
+    found = scipy.linalg.lapack.dgbtrs(part.bands[:, -tail:], band, band, right, pivots)[0]
+    return np.asarray(-part.after.T @ found[-band:])
+
+
+def add_corners(part: EquationPart, first: Array | None, last: Array | None) -> None:
+    """Add coefficients (band, band) to the first and to the last equations of a part."""
+    band, size = len(part.after), part.bands.shape[1]
+    row, column = np.indices((band, band))
+    if first is not None:
+        part.bands[2 * band + row - column, column] += first
+    if last is not None:
+        part.bands[2 * band + row - column, size - band + column] += last
+
+
+def reversed_part(part: EquationPart) -> EquationPart:
+    """The same equations from the last unknown to the first one."""
+    band = len(part.after)
+    bands = np.zeros(part.bands.shape, order="F")
+    bands[band:] = part.bands[band:][::-1, ::-1]
+    return replace(part, bands=bands, before=part.after.T[::-1, ::-1], after=part.before.T[::-1, ::-1])
