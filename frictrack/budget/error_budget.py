@@ -103,8 +103,8 @@ def budget(
         *errors.picture_errors(response, quality),
         *errors.drive_errors((clocks or {}).get("drive", {})),
     )
-    reduction = {k: response.noise_reduction(weights, k) for k in NOISE_FACTORS}
-    return Budget(run.name, mean, rows, reduction, filmed=film is not None)
+    reductions = response.noise_reductions(weights, NOISE_FACTORS)
+    return Budget(run.name, mean, rows, reductions, filmed=film is not None)
 
 
 def _cell(sigma: Array, free: Mask) -> Contribution:

@@ -157,13 +157,16 @@ class FactoredSmoother:
             following = found[: len(part.after)]
             yield part, found
 
-    def _right(self, frames: Array, many: int, sensor: Array | None = None) -> Callable[[FactoredPart], Array]:
-        """Right-hand sides: (n, ...) of the first components, and (n - 2,) of the sensor."""
+    def _right(self, frames: Array, *, weighted: bool, sensor: Array | None = None) -> Callable[[FactoredPart], Array]:
+        """Right-hand sides: frames (n, ...) of the signal, or weighted ones of all components; (n - 2,) of the sensor."""
 
         def right(part: FactoredPart) -> Array:
             out = np.zeros((part.size, *frames.shape[1:]))
-            for row in part.components[:many]:
-                out[row] = frames[part.frames]
+            own = frames[part.frames]
+            if weighted:
+                own = weighted_columns(self.data.part(part.frames.start, part.frames.stop).precision, own)
+            for row in part.components[: None if weighted else 1 + self.k]:
+                out[row] = own
             if sensor is not None:
                 rows, place = part.differences[-1]
                 out[place] = sensor[rows]
@@ -199,7 +202,7 @@ class FactoredSmoother:
         if d.second_difference_weights is None or d.second_differences is None:
             return self.unknowns_of(d.y)
         sensor = np.sqrt(d.second_difference_weights) * d.second_differences
-        return self._unknowns(self._right(d.precision * d.y, 2 + self.k, sensor))
+        return self._unknowns(self._right(d.y, weighted=True, sensor=sensor))
 
     def residual(self, unknowns: Unknowns) -> Array:
         """Data minus signal and correlated noise, (n,); 0 in missing frames."""
@@ -223,15 +226,15 @@ class FactoredSmoother:
             Trend plus lines, (n, ...).
 
         """
-        return self._signal(self._right(weighted_columns(self.data.precision, y), 2 + self.k), y.shape)
+        return self._signal(self._right(y, weighted=True), y.shape)
 
     def unknowns_of(self, y: Array) -> Unknowns:
         """Solution for other positions y (n,), without the sensor."""
-        return self._unknowns(self._right(self.data.precision * y, 2 + self.k))
+        return self._unknowns(self._right(y, weighted=True))
 
     def posterior_covariance_times(self, frames: Array) -> Array:
         """Posterior covariance of the signal for unit noise times columns (n, ...)."""
-        return self._signal(self._right(frames, 1 + self.k), frames.shape)
+        return self._signal(self._right(frames, weighted=False), frames.shape)
 
     def covariance(self, rows: Index) -> Array:
         """Posterior covariance of the signal for unit noise.

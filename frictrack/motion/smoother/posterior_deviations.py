@@ -9,19 +9,22 @@ noise and A^3 (1 - A) is signal.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy
 
 from frictrack.motion.smoother.equations import FactoredSmoother
 from frictrack.motion.smoother.smoother_data import TREND_ORDER
-from frictrack.motion.stencil import stencil_derivative, stencil_derivatives, stencils
+from frictrack.motion.stencil import stencil_derivative, stencil_derivatives, stencil_start, stencil_weights
 from frictrack.records import Array
 
 N_PROBES, PROBE_SEED = 24, 20261121  # random signs that estimate diagonals within a fifth (Hutchinson 1990)
+PERIODS_OF_PROBES = 100  # of the cut-off; a longer record needs fewer probes for averages as precise
 MAX_LOST_RATIO = 4.0  # times the lost signal that the penalties expect
 NOISE_SHARE = 0.1  # of the noise in what is taken, below which signal cannot be distinguished from it
 PRIOR_WEIGHT = 0.1  # of what the penalties expect, against what a part of the record shows
+CUBIC_FRAMES = 1 << 16  # taken at once to fit a cubic
 MIN_PARTS = 6  # parts of the record over which lost signal is averaged
 
 
@@ -45,12 +48,13 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
         Standard deviations of x, v and a over `noise`, (3, n).
 
     """
-    start, table = stencils(len(x), interval)
-    posterior, passed = factor.posterior_and_noise_variance(start, table)
-    total = passed + _lost_share(factor, x / noise, interval) * np.maximum(posterior - passed, 0.0)
+    weights = partial(stencil_weights, len(x), interval)
+    posterior, total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights)
+    for expected, share, passed in zip(posterior, _lost_share(factor, x / noise, interval), total, strict=True):
+        passed += share * np.maximum(expected - passed, 0.0)
     for errors in line_frequency_errors(factor, x / noise, interval):
         total += errors**2
-    return np.asarray(np.sqrt(total))
+    return np.asarray(np.sqrt(total, out=total))
 
 
 def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -> Iterator[Array]:
@@ -85,37 +89,43 @@ def weighted_cubic(y: Array, w: Array) -> Array:
         The cubic, (n,).
 
     """
-    u, information = np.linspace(-1.0, 1.0, len(y)), w > 0
-    fit = np.polynomial.Polynomial.fit(
-        u[information], y[information], TREND_ORDER - 1, domain=[-1, 1], w=np.sqrt(w[information])
-    )
-    return np.asarray(fit(u))
+    u = np.linspace(-1.0, 1.0, len(y))
+    triangle = np.empty((0, TREND_ORDER + 1))  # of the QR factors of the frames so far
+    for first in range(0, len(y), CUBIC_FRAMES):
+        rows = slice(first, first + CUBIC_FRAMES)
+        equations = np.column_stack([np.vander(u[rows], TREND_ORDER), np.where(w[rows] > 0, y[rows], 0.0)])
+        triangle = np.linalg.qr(np.concatenate([triangle, equations * np.sqrt(w[rows, None])]), mode="r")
+    return np.asarray(np.polyval(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1])[0], u))
 
 
-def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
-    """Variance of the lost signal over that expected by the penalties, averaged along the record, (3, n)."""
-    n = len(x)
+def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Iterator[Array | float]:
+    """Yield for x, v and a the variance of the lost signal over that expected by the penalties, averaged along (n,)."""
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
-        return np.ones((3, n))
-    once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), N_PROBES))
+        yield from (1.0, 1.0, 1.0)
+        return
+    once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), _count_probes(factor)))
     kept = factor.smooth(once)
     lost = np.subtract(once, kept, out=once)
     residual = x - weighted_cubic(x, factor.data.w)
-    taken = stencil_derivatives(residual - factor.smooth(residual), interval) ** 2
-    noise, expected = np.empty((2, 3, n))
+    residual -= factor.smooth(residual)
     for k in range(3):
         lost_k = stencil_derivative(lost, k)
-        noise[k] = np.einsum("np,np->n", lost_k, lost_k) / (N_PROBES * interval ** (2 * k))
-        expected[k] = np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / (N_PROBES * interval ** (2 * k))
-    window: NDArray[np.float64] = np.ones(n // MIN_PARTS | 1)
-    observed, expected_sum = (np.maximum(_moving_sum(m, window), 0.0) for m in (taken - noise, expected))
-    expected_sum += _moving_sum(
-        NOISE_SHARE * noise, window
-    )  # signal far below the noise cannot be distinguished from it
-    return np.minimum((observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum), MAX_LOST_RATIO)
+        noise = np.einsum("np,np->n", lost_k, lost_k) / lost.shape[1]
+        expected = np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / lost.shape[1]
+        observed = np.maximum(_moving_sum(stencil_derivative(residual, k) ** 2 - noise), 0.0)
+        # signal far below the noise cannot be distinguished from it
+        expected_sum = np.maximum(_moving_sum(expected), 0.0) + _moving_sum(NOISE_SHARE * noise)
+        share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
+        yield np.minimum(share, MAX_LOST_RATIO)
 
 
-def _moving_sum(rows: Array, window: Array) -> Array:
-    """Moving sum of rows (k, n), reflected at the ends."""
-    half = len(window) // 2
-    return np.stack([np.convolve(np.pad(row, half, mode="reflect"), window, mode="valid") for row in rows])
+def _count_probes(factor: FactoredSmoother) -> int:
+    """Number of probes: fewer for a record of many periods of the cut-off, over which their products are averaged."""
+    period = 2.0 * np.pi * float(np.max(factor.lam)) ** (0.5 / TREND_ORDER)
+    return int(np.clip(np.ceil(N_PROBES * PERIODS_OF_PROBES * period / factor.n), 1, N_PROBES))
+
+
+def _moving_sum(row: Array) -> Array:
+    """Moving sum of a row (n,) over a part of the record, reflected at the ends."""
+    window = len(row) // MIN_PARTS | 1
+    return np.asarray(window * scipy.ndimage.uniform_filter1d(row, window, mode="mirror"))

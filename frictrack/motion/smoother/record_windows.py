@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from frictrack.motion.smoother.posterior_deviations import weighted_cubic
 from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
 from frictrack.motion.smoother.structure import Event, Structure
 from frictrack.motion.smoother.structure_search import MAX_LINES, STIFF_LINE, StructureSearch
-from frictrack.records import Array, Mask
 
 MAX_WHOLE_FRAMES = 4000  # longer records are treated in windows
 WINDOW_FRAMES, OVERLAP_FRAMES = 2500, 200  # frames of a window, and on either side of it
@@ -127,7 +127,7 @@ def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[Recor
     search = StructureSearch(data)
     used = np.zeros(0)
     cell = 2 * np.pi / WINDOW_FRAMES
-    for omega in _frequencies(windows, cell)[:MAX_LINES]:
+    for omega in _frequencies(windows, cell):
         if np.any(np.abs(used - omega) < cell):
             continue
         used = np.append(used, omega)
@@ -139,16 +139,16 @@ def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[Recor
 
 
 def _frequencies(windows: Sequence[RecordWindow], cell: float) -> list[float]:
-    """Frequencies of lines, radians per frame, ordered by the number of windows that contain them."""
+    """Frequencies of lines, radians per frame, the `MAX_LINES` that most windows contain."""
     found = np.array([omega for window in windows for omega, _ in window.structure.lines])
     if not len(found):
         return []
-    same_line: Mask = np.abs(found[:, None] - found) < cell
-    order = np.argsort(-np.sum(same_line, axis=1), kind="stable")
+    found.sort()
+    low, high = np.searchsorted(found, [found - cell, found + cell])  # the same line
     chosen: list[float] = []
-    for i in order:
-        if all(abs(found[i] - omega) >= cell for omega in chosen):
-            chosen.append(float(np.median(found[same_line[i]])))
+    for i in np.argsort(low - high, kind="stable"):
+        if len(chosen) < MAX_LINES and all(abs(found[i] - omega) >= cell for omega in chosen):
+            chosen.append(float(np.median(found[low[i] : high[i]])))
     return chosen
 
 
@@ -156,10 +156,9 @@ def _peak(search: StructureSearch, structure: Structure, omega: float, cell: flo
     """Frequency near `omega` where the residual of the whole record is largest, radians per frame."""
     factor = structure.factor_smoother(search.data)
     residual = factor.residual(factor.unknowns())
-    frequencies = 2 * np.pi * np.arange(8 * search.n + 1) / (16 * search.n)
-    power: Array = np.abs(np.fft.rfft(residual, 16 * search.n)) ** 2
-    inside = np.flatnonzero(np.abs(frequencies - omega) < cell)
-    return float(frequencies[inside[np.argmax(power[inside])]])
+    frequencies = np.linspace(omega - cell, omega + cell, int(16 * search.n * cell / np.pi))
+    amplitudes = scipy.signal.zoom_fft(residual, frequencies[[0, -1]], len(frequencies), fs=2 * np.pi, endpoint=True)
+    return float(frequencies[np.argmax(np.abs(amplitudes))])
 
 
 def _refine_last_line(structure: Structure, search: StructureSearch) -> Structure:

@@ -129,8 +129,8 @@ def _events(s: Structure, i: int, n: int) -> Iterator[StructureChange]:
 
 def _period(s: Structure, place: int, n: int) -> float:
     """Period of the trend's cut-off at a difference, frames."""
-    without_events = replace(s, events=()).log_lambda(n)
-    return float(2.0 * np.pi * np.exp(without_events[place] / (2 * TREND_ORDER)))
+    without_events = replace(s, events=()).log_lambda(n, place, place + 1)
+    return float(2.0 * np.pi * np.exp(without_events[0] / (2 * TREND_ORDER)))
 
 
 def _weigh_changes(data: SmootherData, s: Structure, changes: Sequence[StructureChange]) -> ChangeGroup | None:
