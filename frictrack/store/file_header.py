@@ -21,13 +21,13 @@ _FIRST_LINE = re.compile(r"frictrack results, schema (\d+), written by (.+?)(?:,
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def with_header(hdf5: bytes, version: str, sign: Callable[[memoryview], str] | None = None) -> bytes:
-    """Return the whole file: the header, then the finished HDF5 part.
+def header_of(hdf5: bytes | memoryview, version: str, sign: Callable[[memoryview], str] | None = None) -> bytes:
+    """Return the header of a finished HDF5 part.
 
     Parameters
     ----------
     hdf5
-        The HDF5 file image, its user block included in its offsets.
+        What follows the header in the file.
     version
         Version of frictrack that writes it.
     sign
@@ -39,7 +39,7 @@ def with_header(hdf5: bytes, version: str, sign: Callable[[memoryview], str] | N
     first = f"frictrack results, schema {SCHEMA}, written by {version}" + (f", mark {signature}" if signature else "")
     digest = hashlib.sha256(f"{first}\n".encode())
     digest.update(checked)
-    return _header_bytes(first, digest.hexdigest()) + hdf5
+    return _header_bytes(first, digest.hexdigest())
 
 
 def read_header(path: Path) -> tuple[int, str] | None:
