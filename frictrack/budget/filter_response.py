@@ -74,7 +74,9 @@ class FilterResponse:
         """
         if self._method is not None:
             return self._transmitted_by_method(self._method, weights)
-        rows = self._grid.to_rows(np.sqrt(self._derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils)))
+        rows = self._grid.to_rows(
+            np.sqrt(self._derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils))
+        )
         smoothed = self._derived.factor.posterior_covariance_times(self._position_weights(weights))
         variance = float(np.sum(self._derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
         if self._derived.sensor_weights is not None:

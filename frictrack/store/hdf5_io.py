@@ -24,7 +24,7 @@ from frictrack.files import atomic_write, lock_folder
 from frictrack.store import encoding
 from frictrack.store.checksums import CHECKSUM, add_checksums, drop_checksums
 from frictrack.store.encoding import GroupContent, Provenance
-from frictrack.store.file_header import HEADER_BYTES, SCHEMA, file_state, header_of, is_intact, lacks_header, read_header
+from frictrack.store.file_header import SCHEMA, file_state, header_of, is_intact, lacks_header, read_header
 from frictrack.store.migrations import FORMAT, migrate
 from frictrack.store.nexus import mark_default, without_marks
 from frictrack.store.sandbox import opens_in_sandbox
@@ -307,7 +307,7 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
     """
     with lock_folder(path.parent), atomic_write(path) as part:
         whole = io.BytesIO()  # whose bytes are written as they are; HDF5's own memory would have to be copied first
-        with h5py.File(whole, "w", userblock_size=HEADER_BYTES, **FORMAT) as file:
+        with h5py.File(whole, "w", **FORMAT) as file:
             if path.exists():
                 with _reading(path) as old:
                     copy_groups(old, file)
@@ -316,8 +316,9 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             yield file
             mark_default(file)
             add_checksums(file)
+            begin = file.userblock_size
         content = whole.getbuffer()
-        content[:HEADER_BYTES] = header_of(content[HEADER_BYTES:], __version__, sign)
+        content[:begin] = header_of(content[begin:], __version__, sign)
         part.write_bytes(content)
 
 

@@ -1,9 +1,8 @@
 """Eliminate symmetric banded equations part by part, so that only one part of a long record is held at a time.
 
-    | K1  A1           |    Eliminating part 1 changes only the first corner of part 2, K2 - A1' K1^-1 A1,
-    | A1' K2  A2       |    and so on: a block LU factorisation (Golub & Van Loan 2013, Matrix Computations, 4.5).
-    |     A2' K3  ...  |    The solution is that of all equations at once, for any stiffness.
-
+Of the equations K1 of the first part, A of its last unknowns with those of the next part, and K2 of the next part,
+eliminating the first part changes only the first corner of the next one, K2 - A' K1^-1 A, and so on: a block LU
+factorisation (Golub & Van Loan 2013, Matrix Computations, section 4.5). The solution is that of all equations at once.
 """
 
 from __future__ import annotations

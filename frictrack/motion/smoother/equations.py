@@ -15,14 +15,20 @@ correlated from frame to frame is one more component c with the difference c_j -
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, islice, pairwise
 
 import numpy as np
 
-from frictrack.motion.smoother.block_elimination import FactoredPart, add_corners, factor_part, following_corner, reversed_part
+from frictrack.motion.smoother.block_elimination import (
+    FactoredPart,
+    add_corners,
+    factor_part,
+    following_corner,
+    reversed_part,
+)
 from frictrack.motion.smoother.equation_layout import EquationLayout, EquationPart, Index, equation_layout
 from frictrack.motion.smoother.selected_inverse import BlockEquations
 from frictrack.motion.smoother.smoother_data import (
@@ -36,9 +42,9 @@ from frictrack.records import Array
 
 PART_FRAMES = 4000  # frames of a part
 END_FRAMES, MIN_END_MEASURED = 100, 12  # last frames of a part, and how many of them are measured
-MAX_KEPT_PARTS = 16  # whose factors are kept
+MAX_KEPT_PARTS = 8  # whose factors are kept
 REACH = 8  # frames of a combination at most
-PARTS_AT_ONCE = 8  # of which variances are computed together
+PARTS_AT_ONCE = 4  # of which variances are computed together
 LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that separates noise from lost signal
 MISSING_WEIGHT = 1e-10  # of a missing frame in the covariance: keeps that of an extrapolation finite
 Stencils = Array | Callable[[slice], Array]
@@ -158,7 +164,7 @@ class FactoredSmoother:
             yield part, found
 
     def _right(self, frames: Array, *, weighted: bool, sensor: Array | None = None) -> Callable[[FactoredPart], Array]:
-        """Right-hand sides: frames (n, ...) of the signal, or weighted ones of all components; (n - 2,) of the sensor."""
+        """Right-hand sides of frames (n, ...): of the signal, or weighted ones of all components; of the sensor."""
 
         def right(part: FactoredPart) -> Array:
             out = np.zeros((part.size, *frames.shape[1:]))
@@ -371,36 +377,30 @@ def variances_of(
         Variances for unit noise, (F, ..., n) or (G, ..., n).
 
     """
-    chosen = stencils if callable(stencils) else lambda rows: stencils[..., rows, :]
     factors = [replace(f, least_weight=MISSING_WEIGHT) for f in factors]
+    signal = 1 + factors[0].k  # components
     out: Array | None = None
     for group in _alike(zip(*(f.enclosed_parts() for f in factors), strict=True)):
-        band = len(group[0][0].after)
-        size = group[0][0].bands.shape[1]
-        blocks = BlockEquations(np.stack([p.bands[band:] for parts in group for p in parts]), factors[0].layout.block(size))
-        for i, parts in enumerate(group):
-            first, last = parts[0].frames.start, parts[0].frames.stop
-            stop = last - REACH if last < factors[0].n else last
+        blocks = BlockEquations([part for parts in group for part in parts], factors[0].layout)
+        for i, (part, *_) in enumerate(group):
+            first, stop = part.frames.start, part.frames.stop - (REACH if part.frames.stop < factors[0].n else 0)
             rows = slice(*np.searchsorted(start, [first, stop]).tolist())
-            weights = chosen(rows)
+            weights = stencils(rows) if callable(stencils) else stencils[..., rows, :]
             place = start[rows, None] - first + np.arange(weights.shape[-1])
-            signal = parts[0].components[: 1 + factors[0].k]
             found = blocks.variances(
                 slice(i * len(factors), (i + 1) * len(factors)),
-                np.concatenate([row[place] for row in signal], axis=1),
-                np.concatenate([weights.reshape(-1, *weights.shape[-2:])] * len(signal), axis=-1),
-            )
+                np.concatenate([row[place] for row in part.components[:signal]], axis=1),
+                np.concatenate([weights.reshape(-1, *weights.shape[-2:])] * signal, axis=-1),
+            ).reshape(len(factors), *weights.shape[:-1])
             rounding = np.finfo(float).eps * np.sum(weights**2, axis=-1)  # a stiff cubic is that accurate
-            found = np.maximum(found.reshape(len(factors), *weights.shape[:-1]), rounding)
-            found = np.maximum(combine(found), rounding)
-            if out is None:
-                out = np.empty((*found.shape[:-1], len(start)))
+            found = np.maximum(combine(np.maximum(found, rounding)), rounding)
+            out = np.empty((*found.shape[:-1], len(start))) if out is None else out
             out[..., rows] = found
     assert out is not None
     return out
 
 
-def _alike(parts: Iterator[tuple[EquationPart, ...]]) -> Iterator[list[tuple[EquationPart, ...]]]:
+def _alike(parts: Iterable[tuple[EquationPart, ...]]) -> Iterator[list[tuple[EquationPart, ...]]]:
     """Yield neighbouring parts of one size together, at most `PARTS_AT_ONCE`."""
     for _, some in groupby(parts, key=lambda found: found[0].bands.shape[1]):
         while group := list(islice(some, PARTS_AT_ONCE)):

@@ -50,8 +50,8 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
     """
     weights = partial(stencil_weights, len(x), interval)
     posterior, total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights)
-    for expected, share, passed in zip(posterior, _lost_share(factor, x / noise, interval), total, strict=True):
-        passed += share * np.maximum(expected - passed, 0.0)
+    for k, share in enumerate(_lost_share(factor, x / noise, interval)):
+        total[k] += share * np.maximum(posterior[k] - total[k], 0.0)
     for errors in line_frequency_errors(factor, x / noise, interval):
         total += errors**2
     return np.asarray(np.sqrt(total, out=total))
@@ -90,11 +90,12 @@ def weighted_cubic(y: Array, w: Array) -> Array:
 
     """
     u = np.linspace(-1.0, 1.0, len(y))
-    triangle = np.empty((0, TREND_ORDER + 1))  # of the QR factors of the frames so far
+    triangle: Array = np.empty((0, TREND_ORDER + 1))  # of the QR factors of the frames so far
     for first in range(0, len(y), CUBIC_FRAMES):
         rows = slice(first, first + CUBIC_FRAMES)
         equations = np.column_stack([np.vander(u[rows], TREND_ORDER), np.where(w[rows] > 0, y[rows], 0.0)])
-        triangle = np.linalg.qr(np.concatenate([triangle, equations * np.sqrt(w[rows, None])]), mode="r")
+        rows_so_far = np.concatenate([triangle, equations * np.sqrt(w[rows, None])])
+        triangle = np.asarray(np.linalg.qr(rows_so_far, mode="r"))
     return np.asarray(np.polyval(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1])[0], u))
 
 

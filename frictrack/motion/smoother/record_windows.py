@@ -90,15 +90,12 @@ def window_data(data: SmootherData, first: int, stop: int) -> SmootherData | Non
         None if fewer than `MIN_MEASURED_FRAMES` were measured.
 
     """
-    y, w = data.y[first:stop], data.w[first:stop]
-    if np.sum(w > 0) < MIN_MEASURED_FRAMES:
+    part = data.part(first, stop)
+    if np.sum(part.w > 0) < MIN_MEASURED_FRAMES:
         return None
-    cubic = weighted_cubic(y, w)
-    rest = np.where(w > 0, y - cubic, 0.0)
-    if data.second_differences is None or data.second_difference_weights is None:
-        return SmootherData(rest, w, colour=data.colour)
-    bent = data.second_differences[first : stop - 2] - np.diff(cubic, 2)
-    return SmootherData(rest, w, bent, data.second_difference_weights[first : stop - 2], data.colour)
+    cubic = weighted_cubic(part.y, part.w)
+    bent = None if part.second_differences is None else part.second_differences - np.diff(cubic, 2)
+    return replace(part, y=np.where(part.w > 0, part.y - cubic, 0.0), second_differences=bent)
 
 
 def _stiffness(windows: Sequence[RecordWindow], n: int) -> tuple[float, ...]:

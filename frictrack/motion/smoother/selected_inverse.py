@@ -9,25 +9,28 @@ neighbouring blocks equals that part of the full inverse. Several matrices of on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
+from frictrack.motion.smoother.equation_layout import EquationLayout, EquationPart, Index
 from frictrack.records import Array
 
-Index = NDArray[np.int64]
 PAIRS_AT_ONCE = 256  # pairs of blocks solved in one call
 
 
 class BlockEquations:
-    """F symmetric banded matrices (F, 2 band + 1, size) in blocks of `block` unknowns; the last block is padded."""
+    """F parts of one size in blocks of unknowns, of which the last one is padded."""
 
-    def __init__(self, equations: Array, block: int) -> None:
-        self.block, self.band = block, equations.shape[1] // 2
-        self.many = max(-(-equations.shape[2] // block), 2)
-        self.padded = np.zeros((len(equations), equations.shape[1], self.many * block))
+    def __init__(self, parts: Sequence[EquationPart], layout: EquationLayout) -> None:
+        size, self.band = parts[0].bands.shape[1], layout.band
+        self.block = layout.block(size)
+        self.many = max(-(-size // self.block), 2)
+        self.padded = np.zeros((len(parts), 2 * self.band + 1, self.many * self.block))
         self.padded[:, self.band] = 1.0
-        self.padded[:, :, : equations.shape[2]] = equations
+        for own, part in zip(self.padded, parts, strict=True):
+            own[:, :size] = part.bands[self.band :]
         self.before, self.after = self._corners()
 
     def _corners(self) -> tuple[Array, Array]:
