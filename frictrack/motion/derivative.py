@@ -64,7 +64,7 @@ def differentiate(filtered: Filtered) -> Motion:
 
     """
     of_x = Derivatives.of_x(filtered)
-    values, sigma = of_x.values(), of_x.deviations()
+    sigma, values = of_x.deviations(), of_x.values()
     if filtered.events:
         sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
     shake_a = 0.0

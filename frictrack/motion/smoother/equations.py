@@ -312,7 +312,9 @@ class FactoredSmoother:
         """The part of those variances that is noise let through, not signal removed; arguments as in `variances`."""
         return self.posterior_and_noise_variance(start, stencils)[1]
 
-    def posterior_and_noise_variance(self, start: Index, stencils: Stencils) -> Array:
+    def posterior_and_noise_variance(
+        self, start: Index, stencils: Stencils, combine: Callable[[Array, slice], Array] = lambda both, _: both
+    ) -> Array:
         """Posterior variances, and the part of them that is noise let through.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
@@ -321,18 +323,20 @@ class FactoredSmoother:
         ----------
         start, stencils
             As in `variances`.
+        combine
+            Function of both variances (2, ..., m) of a slice of rows that returns what is wanted of them.
 
         Returns
         -------
         Array
-            Both variances for unit noise, (2, ..., n).
+            Both variances for unit noise, (2, ..., n), or what is wanted of them.
 
         """
         neighbours = [replace(self, factor=float(np.exp(d))) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP)]
 
-        def with_noise(found: Array) -> Array:
+        def with_noise(found: Array, rows: slice) -> Array:
             posterior, up, down = found
-            return np.stack([posterior, posterior + (up - down) / (2.0 * LOG_PENALTY_STEP)])
+            return combine(np.stack([posterior, posterior + (up - down) / (2.0 * LOG_PENALTY_STEP)]), rows)
 
         return variances_of([self, *neighbours], start, stencils, with_noise)
 
@@ -358,7 +362,7 @@ def variances_of(
     factors: Sequence[FactoredSmoother],
     start: Index,
     stencils: Stencils,
-    combine: Callable[[Array], Array] = np.asarray,
+    combine: Callable[[Array, slice], Array] = lambda found, _: found,
 ) -> Array:
     """Posterior variances of several smoothers of the same frames at once.
 
@@ -369,12 +373,12 @@ def variances_of(
     start, stencils
         As in `FactoredSmoother.variances`.
     combine
-        Function of the variances (F, ...) of some rows that returns what is wanted of them, (G, ...).
+        Function of the variances (F, ..., m) of a slice of rows that returns what is wanted of them.
 
     Returns
     -------
     Array
-        Variances for unit noise, (F, ..., n) or (G, ..., n).
+        Variances for unit noise, (F, ..., n), or what is wanted of them.
 
     """
     factors = [replace(f, least_weight=MISSING_WEIGHT) for f in factors]
@@ -393,7 +397,7 @@ def variances_of(
                 np.concatenate([weights.reshape(-1, *weights.shape[-2:])] * signal, axis=-1),
             ).reshape(len(factors), *weights.shape[:-1])
             rounding = np.finfo(float).eps * np.sum(weights**2, axis=-1)  # a stiff cubic is that accurate
-            found = np.maximum(combine(np.maximum(found, rounding)), rounding)
+            found = np.maximum(combine(np.maximum(found, rounding), rows), rounding)
             out = np.empty((*found.shape[:-1], len(start))) if out is None else out
             out[..., rows] = found
     assert out is not None

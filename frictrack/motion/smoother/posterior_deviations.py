@@ -49,9 +49,13 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
 
     """
     weights = partial(stencil_weights, len(x), interval)
-    posterior, total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights)
-    for k, share in enumerate(_lost_share(factor, x / noise, interval)):
-        total[k] += share * np.maximum(posterior[k] - total[k], 0.0)
+    share = _lost_share(factor, x / noise, interval)
+
+    def with_lost(both: Array, rows: slice) -> Array:
+        posterior, passed = both
+        return np.asarray(passed + share[:, rows] * np.maximum(posterior - passed, 0.0))
+
+    total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights, with_lost)
     for errors in line_frequency_errors(factor, x / noise, interval):
         total += errors**2
     return np.asarray(np.sqrt(total, out=total))
@@ -99,11 +103,11 @@ def weighted_cubic(y: Array, w: Array) -> Array:
     return np.asarray(np.polyval(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1])[0], u))
 
 
-def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Iterator[Array | float]:
-    """Yield for x, v and a the variance of the lost signal over that expected by the penalties, averaged along (n,)."""
+def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
+    """Variance of the lost signal over that expected by the penalties, averaged along the record, (3, n)."""
+    out = np.ones((3, len(x)))
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
-        yield from (1.0, 1.0, 1.0)
-        return
+        return out
     once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), _count_probes(factor)))
     kept = factor.smooth(once)
     lost = np.subtract(once, kept, out=once)
@@ -117,7 +121,8 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Iterator
         # signal far below the noise cannot be distinguished from it
         expected_sum = np.maximum(_moving_sum(expected), 0.0) + _moving_sum(NOISE_SHARE * noise)
         share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
-        yield np.minimum(share, MAX_LOST_RATIO)
+        out[k] = np.minimum(share, MAX_LOST_RATIO)
+    return out
 
 
 def _count_probes(factor: FactoredSmoother) -> int:
