@@ -181,7 +181,9 @@ class _LowPassed:
     @classmethod
     def unmeasured(cls, n: int) -> _LowPassed:
         """Result for a coordinate that was not measured."""
-        return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
+        nan = np.full(n, np.nan)
+        nan.setflags(write=False)  # so that the record need not copy it
+        return cls(nan, nan, float("nan"))
 
 
 class _Coordinate:

@@ -71,7 +71,10 @@ def stencil_derivatives(y: Array, interval: float) -> Array:
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
 
     """
-    return np.stack([stencil_derivative(y, order) / interval**order for order in range(3)])
+    out = np.empty((3, len(y)))
+    for order, column in enumerate(out):
+        np.divide(stencil_derivative(y, order), interval**order, out=column)
+    return out
 
 
 def stencil_derivative(y: Array, order: int) -> Array:

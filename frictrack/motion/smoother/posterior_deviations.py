@@ -25,6 +25,7 @@ MAX_LOST_RATIO = 4.0  # times the lost signal that the penalties expect
 NOISE_SHARE = 0.1  # of the noise in what is taken, below which signal cannot be distinguished from it
 PRIOR_WEIGHT = 0.1  # of what the penalties expect, against what a part of the record shows
 CUBIC_FRAMES = 1 << 16  # taken at once to fit a cubic
+MAX_BINS = 1 << 17  # of the lost signal along the record
 MIN_PARTS = 6  # parts of the record over which lost signal is averaged
 
 
@@ -53,7 +54,8 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
 
     def with_lost(both: Array, rows: slice) -> Array:
         posterior, passed = both
-        return np.asarray(passed + share[:, rows] * np.maximum(posterior - passed, 0.0))
+        lost = share[:, np.arange(rows.start, rows.stop) // _bin_frames(len(x))] * np.maximum(posterior - passed, 0.0)
+        return np.asarray(passed + lost)
 
     total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights, with_lost)
     for errors in line_frequency_errors(factor, x / noise, interval):
@@ -104,8 +106,9 @@ def weighted_cubic(y: Array, w: Array) -> Array:
 
 
 def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
-    """Variance of the lost signal over that expected by the penalties, averaged along the record, (3, n)."""
-    out = np.ones((3, len(x)))
+    """Variance of the lost signal over that expected by the penalties, averaged along the record, (3, bins)."""
+    bins = np.arange(0, len(x), _bin_frames(len(x)))
+    out = np.ones((3, len(bins)))
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
         return out
     once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), _count_probes(factor)))
@@ -115,9 +118,11 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
     residual -= factor.smooth(residual)
     for k in range(3):
         lost_k = stencil_derivative(lost, k)
-        noise = np.einsum("np,np->n", lost_k, lost_k) / lost.shape[1]
-        expected = np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / lost.shape[1]
-        observed = np.maximum(_moving_sum(stencil_derivative(residual, k) ** 2 - noise), 0.0)
+        noise = np.add.reduceat(np.einsum("np,np->n", lost_k, lost_k) / lost.shape[1], bins)
+        lost_k *= stencil_derivative(kept, k)
+        expected = np.add.reduceat(np.mean(lost_k, axis=1), bins)
+        taken = np.add.reduceat(stencil_derivative(residual, k) ** 2, bins)
+        observed = np.maximum(_moving_sum(taken - noise), 0.0)
         # signal far below the noise cannot be distinguished from it
         expected_sum = np.maximum(_moving_sum(expected), 0.0) + _moving_sum(NOISE_SHARE * noise)
         share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
@@ -129,6 +134,11 @@ def _count_probes(factor: FactoredSmoother) -> int:
     """Number of probes: fewer for a record of many periods of the cut-off, over which their products are averaged."""
     period = 2.0 * np.pi * float(np.max(factor.lam)) ** (0.5 / TREND_ORDER)
     return int(np.clip(np.ceil(N_PROBES * PERIODS_OF_PROBES * period / factor.n), 1, N_PROBES))
+
+
+def _bin_frames(n: int) -> int:
+    """Frames whose products are summed before they are averaged along a record of n frames."""
+    return max(n // MAX_BINS, 1)
 
 
 def _moving_sum(row: Array) -> Array:
