@@ -56,38 +56,36 @@ def test_parts_are_solved_as_the_whole_record_is(name, monkeypatch):
     assert loss_of_parts == pytest.approx(loss, abs=1e-5)
     assert variance_of_parts == pytest.approx(variance, rel=1e-9)
     posterior = np.sqrt(spread[0, 0])
-    for q, of_parts in zip(whole, parts, strict=True):
-        assert np.max(np.abs(q - of_parts).T / posterior) < 1e-6 * max(1.0, float(np.max(np.abs(q))))
+    for q, of_parts in zip(whole[:2], parts[:2], strict=True):
+        assert np.max(np.abs(q - of_parts).T / posterior) < 1e-6
+    np.testing.assert_allclose(parts[2], whole[2], atol=1e-5 * np.max(np.abs(whole[2])))
     np.testing.assert_allclose(spread_of_parts[0], spread[0], rtol=1e-5)
     assert np.max(np.abs(spread_of_parts[1] - spread[1]) / spread[0]) < 1e-3  # of a difference of penalties by 1 %
 
 
-def test_a_row_takes_little_memory():
-    def peak(n):
+def memory_of_a_row(first, second, work):
+    """Bytes by which the largest memory of some work grows from one number of rows to the next, by row."""
+    peaks = []
+    for n in (first, first, second):  # the first time, what is kept for all lengths is computed
         made = smoother("trend", n)
         tracemalloc.start()
+        work(made)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    return (peaks[2] - peaks[1]) / (second - first)
+
+
+def test_a_row_takes_little_memory():
+    def work(made):
         made.restricted_likelihood()
         made.smooth(made.data.y)
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
 
-    first, second = 44_000, 84_000  # both of more parts than those whose factors are kept
-    assert (peak(second) - peak(first)) / (second - first) < 120
+    assert memory_of_a_row(36_000, 60_000, work) < 120  # both of more parts than those whose factors are kept
 
 
 @pytest.mark.slow
-def test_deviations_of_many_rows_take_little_memory():
-    def peak(n):
-        made = smoother("trend", n)
-        tracemalloc.start()
-        deviations(made, made.data.y, 1.0, 1e-3)
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
-
-    first, second = 200_000, 300_000
-    assert (peak(second) - peak(first)) / (second - first) < 250
+def test_the_deviations_of_a_row_take_little_memory():
+    assert memory_of_a_row(150_000, 200_000, lambda made: deviations(made, made.data.y, 1.0, 1e-3)) < 250
 
 
 MEASURED = """
