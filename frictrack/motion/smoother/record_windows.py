@@ -23,6 +23,7 @@ WINDOW_FRAMES, OVERLAP_FRAMES = 2500, 200  # frames of a window, and on either s
 MAX_WINDOW_WORK = 1_500_000  # frames in all likelihoods of one window
 MIN_MEASURED_FRAMES = 100  # from which a window's structure can be found
 KNOTS_PER_WINDOW = 5  # of the stiffness
+POINTS_PER_CYCLE = 128  # per record, at which the residual of a line is largest
 FREQUENCY_STEPS = (-0.25, -0.125, -0.0625, 0.0625, 0.125, 0.25)  # cycles per record, tried about a frequency
 LINE_STIFFNESSES = (10.0, 14.0, 18.0, 24.0, STIFF_LINE)  # log mu of a line
 
@@ -153,7 +154,7 @@ def _peak(search: StructureSearch, structure: Structure, omega: float, cell: flo
     """Frequency near `omega` where the residual of the whole record is largest, radians per frame."""
     factor = structure.factor_smoother(search.data)
     residual = factor.residual(factor.unknowns())
-    frequencies = np.linspace(omega - cell, omega + cell, int(16 * search.n * cell / np.pi))
+    frequencies = np.linspace(omega - cell, omega + cell, int(POINTS_PER_CYCLE * search.n * cell / np.pi))
     amplitudes = scipy.signal.zoom_fft(residual, frequencies[[0, -1]], len(frequencies), fs=2 * np.pi, endpoint=True)
     return float(frequencies[np.argmax(np.abs(amplitudes))])
 
