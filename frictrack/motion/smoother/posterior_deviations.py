@@ -20,11 +20,12 @@ from frictrack.motion.stencil import stencil_derivative, stencil_derivatives, st
 from frictrack.records import Array
 
 N_PROBES, PROBE_SEED = 24, 20261121  # random signs that estimate diagonals within a fifth (Hutchinson 1990)
-PERIODS_OF_PROBES = 100  # of the cut-off; a longer record needs fewer probes for averages as precise
+PERIODS_OF_PROBES = 250  # of the cut-off; a longer record needs fewer probes for averages as precise
 MAX_LOST_RATIO = 4.0  # times the lost signal that the penalties expect
 NOISE_SHARE = 0.1  # of the noise in what is taken, below which signal cannot be distinguished from it
 PRIOR_WEIGHT = 0.1  # of what the penalties expect, against what a part of the record shows
 CUBIC_FRAMES = 1 << 16  # taken at once to fit a cubic
+PROBE_VALUES = 1 << 21  # of the probes that are smoothed at once
 MAX_BINS = 1 << 17  # of the lost signal along the record
 MIN_PARTS = 6  # parts of the record over which lost signal is averaged
 
@@ -111,20 +112,23 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
     out = np.ones((3, len(bins)))
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
         return out
-    once = factor.smooth(factor.data.probes(np.random.default_rng(PROBE_SEED), _count_probes(factor)))
-    kept = factor.smooth(once)
-    lost = np.subtract(once, kept, out=once)
+    rng, many, at_once = np.random.default_rng(PROBE_SEED), _count_probes(factor), max(PROBE_VALUES // len(x), 1)
+    noise, expected = np.zeros((2, *out.shape))
+    for first in range(0, many, at_once):
+        once = factor.smooth(factor.data.probes(rng, min(at_once, many - first)))
+        kept = factor.smooth(once)
+        lost = np.subtract(once, kept, out=once)
+        for k in range(3):
+            lost_k = stencil_derivative(lost, k)
+            noise[k] += np.add.reduceat(np.einsum("np,np->n", lost_k, lost_k) / many, bins)
+            expected[k] += np.add.reduceat(np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / many, bins)
     residual = x - weighted_cubic(x, factor.data.w)
     residual -= factor.smooth(residual)
     for k in range(3):
-        lost_k = stencil_derivative(lost, k)
-        noise = np.add.reduceat(np.einsum("np,np->n", lost_k, lost_k) / lost.shape[1], bins)
-        lost_k *= stencil_derivative(kept, k)
-        expected = np.add.reduceat(np.mean(lost_k, axis=1), bins)
         taken = np.add.reduceat(stencil_derivative(residual, k) ** 2, bins)
-        observed = np.maximum(_moving_sum(taken - noise), 0.0)
+        observed = np.maximum(_moving_sum(taken - noise[k]), 0.0)
         # signal far below the noise cannot be distinguished from it
-        expected_sum = np.maximum(_moving_sum(expected), 0.0) + _moving_sum(NOISE_SHARE * noise)
+        expected_sum = np.maximum(_moving_sum(expected[k]), 0.0) + _moving_sum(NOISE_SHARE * noise[k])
         share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
         out[k] = np.minimum(share, MAX_LOST_RATIO)
     return out
