@@ -33,7 +33,7 @@ class FactoredPart(EquationPart):
         """Log of the absolute determinant."""
         return float(np.sum(np.log(np.abs(self.bands[2 * len(self.after)]))))
 
-    def solve(self, right: Array, carried: Array | float, following: Array | None = None) -> Array:
+    def solve(self, right: Array, carried: Array | float, following: Array | float = 0.0) -> Array:
         """Solve for the unknowns of this part.
 
         Parameters
@@ -43,7 +43,7 @@ class FactoredPart(EquationPart):
         carried
             `carry` of the part before.
         following
-            First unknowns of the part after this one, (band, ...); by default that part does not exist.
+            Equations of the first unknowns after this part times their values, (band, ...); 0 without them.
 
         Returns
         -------
@@ -53,8 +53,7 @@ class FactoredPart(EquationPart):
         """
         band = len(self.after)
         right[:band] -= carried
-        if following is not None:
-            right[-band:] -= self.after @ following
+        right[-band:] -= following
         return np.asarray(scipy.linalg.lapack.dgbtrs(self.bands, band, band, right, self.pivots, overwrite_b=1)[0])
 
     def carry(self, solution: Array) -> Array:
@@ -65,7 +64,7 @@ class FactoredPart(EquationPart):
 def factor_part(part: EquationPart, corner: Array | None) -> FactoredPart:
     """Factor a part, after `corner` (band, band) of the parts before it was added; its bands are overwritten."""
     band = len(part.after)
-    add_corners(part, corner, None)
+    add_corners(part, corner)
     bands, pivots, _ = scipy.linalg.lapack.dgbtrf(part.bands, band, band, overwrite_ab=1)
     return FactoredPart(**{**vars(part), "bands": bands}, pivots=pivots)
 
@@ -81,14 +80,13 @@ def following_corner(part: FactoredPart) -> Array:
     return np.asarray(-part.after.T @ found[-band:])
 
 
-def add_corners(part: EquationPart, first: Array | None, last: Array | None) -> None:
+def add_corners(part: EquationPart, first: Array | None, last: Array | None = None) -> None:
     """Add coefficients (band, band) to the first and to the last equations of a part."""
     band, size = len(part.after), part.bands.shape[1]
-    row, column = np.indices((band, band))
-    if first is not None:
-        part.bands[2 * band + row - column, column] += first
-    if last is not None:
-        part.bands[2 * band + row - column, size - band + column] += last
+    for corner, place in ((first, 0), (last, size - band)):
+        if corner is not None:
+            row, column = np.indices((band, band))
+            part.bands[2 * band + row - column, place + column] += corner
 
 
 def reversed_part(part: EquationPart) -> EquationPart:

@@ -69,7 +69,6 @@ class EquationLayout:
         place[order] = np.arange(len(order))
         found = np.split(place, np.cumsum([len(k) for k in keys])[:-1])
         self.components, self.multiplier = found[:n_components], found[n_components:]
-        self.frame = self.components[: 1 + lines]  # components of the signal
         self.size, self.group = len(order), n_components + len(self.terms)
         steps = [
             int(np.abs(m - self.components[k][i : len(m) + i]).max())

@@ -137,7 +137,8 @@ class FactoredSmoother:
             found = factor_part(part, self._corners[i - 1] if i else None)
             if i == len(self._logdets):
                 self._logdets.append(found.logdet)
-                self._corners.append(following_corner(found))
+                if part.frames.stop < self.n:
+                    self._corners.append(following_corner(found))
             if len(self._kept) == MAX_KEPT_PARTS:
                 self._kept.popitem()
             self._kept[i] = found
@@ -147,7 +148,7 @@ class FactoredSmoother:
         """What eliminating all parts before adds to the first equations of each part but the first."""
         for i in range(len(self._logdets), len(self.cuts) - 1):
             self._factored(i)
-        return self._corners[:-1]
+        return self._corners
 
     def _solutions(self, right: Callable[[FactoredPart], Array]) -> Iterator[tuple[FactoredPart, Array]]:
         """Yield the parts, the last one first, and their solutions (size, ...) for right-hand sides."""
@@ -156,11 +157,11 @@ class FactoredSmoother:
         for i in range(count - 1):
             part = self._factored(i)
             carried.append(part.carry(part.solve(right(part), carried[i])))
-        following: Array | None = None
+        found: Array | None = None
         for i in reversed(range(count)):
             part = self._factored(i)
+            following = 0.0 if found is None else part.after @ found[: len(part.after)]
             found = part.solve(right(part), carried[i], following)
-            following = found[: len(part.after)]
             yield part, found
 
     def _right(self, frames: Array, *, weighted: bool, sensor: Array | None = None) -> Callable[[FactoredPart], Array]:
