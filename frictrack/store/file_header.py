@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import BinaryIO
 
 SCHEMA = 2  # of the layout; 1 had no checksums
 HEADER_BYTES = 512  # bytes before the HDF5 part
@@ -48,15 +49,11 @@ def read_header(path: Path) -> tuple[int, str] | None:
     return None if match is None else (int(match[1]), match[2])
 
 
-def read_signed(path: Path) -> tuple[str, bytes]:
-    """Return the signature of a file, empty if there is none, and the bytes that it signs.
-
-    Both come from one version of the file, even if it is replaced meanwhile.
-    """
-    with path.open("rb") as file:
-        match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
-        file.seek(CHECKSUM_START)
-        return "" if match is None else match[3] or "", file.read()
+def read_signature(file: BinaryIO) -> str:
+    """Return the signature of a file, empty if there is none, and move on to the bytes that it signs."""
+    match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
+    file.seek(CHECKSUM_START)
+    return "" if match is None else match[3] or ""
 
 
 def lacks_header(path: Path) -> bool:
