@@ -98,13 +98,14 @@ class FilterResponse:
         AccelerationError
 
         """
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
         if self._method is None:
-            total_error = self.total_error(weights)
-            return AccelerationError(rows, float(np.sqrt(max(total_error**2 - transmitted_noise.total**2, 0.0))))
-        measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
-        accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
-        return AccelerationError(rows, abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1]))))
+            total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
+        else:
+            measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
+            accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
+            total = abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1])))
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
+        return AccelerationError(rows, total)
 
     def total_error(self, weights: Array) -> float:
         """Noise and lost signal of a structural smoother together, in the weighted sum, m/s^2."""

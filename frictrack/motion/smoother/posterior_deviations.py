@@ -112,7 +112,11 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
     out = np.ones((3, len(bins)))
     if factor.data.second_difference_weights is not None:  # a sensor recovers what smoothing loses
         return out
+    residual = x - weighted_cubic(x, factor.data.w)
+    residual -= factor.smooth(residual)
+    taken = np.array([np.add.reduceat(stencil_derivative(residual, k) ** 2, bins) for k in range(3)])
     rng, many, at_once = np.random.default_rng(PROBE_SEED), _count_probes(factor), max(PROBE_VALUES // len(x), 1)
+    del x, residual  # the largest memory is needed now
     noise, expected = np.zeros((2, *out.shape))
     for first in range(0, many, at_once):
         once = factor.smooth(factor.data.probes(rng, min(at_once, many - first)))
@@ -120,13 +124,11 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
         lost = np.subtract(once, kept, out=once)
         for k in range(3):
             lost_k = stencil_derivative(lost, k)
-            noise[k] += np.add.reduceat(np.einsum("np,np->n", lost_k, lost_k) / many, bins)
-            expected[k] += np.add.reduceat(np.einsum("np,np->n", stencil_derivative(kept, k), lost_k) / many, bins)
-    residual = x - weighted_cubic(x, factor.data.w)
-    residual -= factor.smooth(residual)
+            noise[k] += np.add.reduceat(np.einsum("np,np->n", lost_k, lost_k), bins) / many
+            lost_k *= stencil_derivative(kept, k)
+            expected[k] += np.add.reduceat(np.sum(lost_k, axis=1), bins) / many
     for k in range(3):
-        taken = np.add.reduceat(stencil_derivative(residual, k) ** 2, bins)
-        observed = np.maximum(_moving_sum(taken - noise[k]), 0.0)
+        observed = np.maximum(_moving_sum(taken[k] - noise[k]), 0.0)
         # signal far below the noise cannot be distinguished from it
         expected_sum = np.maximum(_moving_sum(expected[k]), 0.0) + _moving_sum(NOISE_SHARE * noise[k])
         share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
