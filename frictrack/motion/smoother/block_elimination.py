@@ -57,7 +57,7 @@ class FactoredPart(EquationPart):
         return np.asarray(scipy.linalg.lapack.dgbtrs(self.bands, band, band, right, self.pivots, overwrite_b=1)[0])
 
     def carry(self, solution: Array) -> Array:
-        """What a solution without the part after this one takes from the right-hand side of that part, (band, ...)."""
+        """What eliminating this part subtracts from the right-hand side of the part after it, (band, ...)."""
         return np.asarray(self.after.T @ solution[-len(self.after) :])
 
 
@@ -70,7 +70,7 @@ def factor_part(part: EquationPart, corner: Array | None) -> FactoredPart:
 
 
 def following_corner(part: FactoredPart) -> Array:
-    """What eliminating a part adds to the first equations after it, (band, band)."""
+    """Correction of the first equations after a part, by eliminating it, (band, band)."""
     band, tail = len(part.after), min(2 * len(part.after), part.size)
     right = np.zeros((tail, band))
     right[-band:] = part.after

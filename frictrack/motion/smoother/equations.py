@@ -79,18 +79,18 @@ class FactoredSmoother:
         Penalties of the trend, (n - 4,).
     lines
         Frequencies and penalties of the lines.
-    factor
+    penalty_factor
         Factor on all penalties.
-    least_weight
-        Least weight of a frame.
+    min_weight
+        Smallest weight of a frame.
 
     """
 
     data: SmootherData
     lam: Array
     lines: LineParameters
-    factor: float = 1.0
-    least_weight: float = 0.0
+    penalty_factor: float = 1.0
+    min_weight: float = 0.0
     _kept: dict[int, FactoredPart] = field(default_factory=dict, init=False, repr=False)
     _corners: list[Array] = field(default_factory=list, init=False, repr=False)
     _logdets: list[float] = field(default_factory=list, init=False, repr=False)
@@ -125,9 +125,9 @@ class FactoredSmoother:
         """Equations of the frames first to stop (exclusive)."""
         begin, end = max(first - TREND_ORDER, 0), min(stop + TREND_ORDER, self.n)
         layout, data = self._layout(end - begin), self.data.part(begin, end)
-        w = np.maximum(data.precision, self.least_weight)
-        lines = LineParameters(self.lines.omega, self.lines.mu * self.factor)
-        bands = layout.equations(data, w, self.lam[begin : end - TREND_ORDER] * self.factor, lines)
+        w = np.maximum(data.precision, self.min_weight)
+        lines = LineParameters(self.lines.omega, self.lines.mu * self.penalty_factor)
+        bands = layout.equations(data, w, self.lam[begin : end - TREND_ORDER] * self.penalty_factor, lines)
         return layout.part(bands, first - begin, stop - begin, begin)
 
     def _factored(self, i: int) -> FactoredPart:
@@ -145,7 +145,7 @@ class FactoredSmoother:
         return self._kept[i]
 
     def corners(self) -> list[Array]:
-        """What eliminating all parts before adds to the first equations of each part but the first."""
+        """Corrections of the first equations of each part but the first, by eliminating all earlier frames."""
         for i in range(len(self._logdets), len(self.cuts) - 1):
             self._factored(i)
         return self._corners
@@ -333,7 +333,7 @@ class FactoredSmoother:
             Both variances for unit noise, (2, ..., n), or what is wanted of them.
 
         """
-        neighbours = [replace(self, factor=float(np.exp(d))) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP)]
+        neighbours = [replace(self, penalty_factor=float(np.exp(d))) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP)]
 
         def with_noise(found: Array, rows: slice) -> Array:
             posterior, up, down = found
@@ -342,7 +342,7 @@ class FactoredSmoother:
         return variances_of([self, *neighbours], start, stencils, with_noise)
 
     def following_corners(self) -> list[Array]:
-        """What eliminating all frames after `REACH` more than each part adds to the last equations before them."""
+        """Corrections of the last equations of each part and `REACH` frames more, by eliminating all later frames."""
         stops = [*(cut + REACH for cut in self.cuts[1:-1]), self.n]
         corners: list[Array] = []
         for first, stop in reversed(list(pairwise(stops))):
@@ -351,7 +351,7 @@ class FactoredSmoother:
         return [corner[::-1, ::-1] for corner in reversed(corners)]
 
     def enclosed_parts(self) -> Iterator[EquationPart]:
-        """Yield the equations of each part and `REACH` frames more, of which all other frames were eliminated."""
+        """Yield the equations of each part and `REACH` frames more, after all other frames were eliminated."""
         before, after = [None, *self.corners()], [*self.following_corners(), None]
         for i, (first, stop) in enumerate(pairwise(self.cuts)):
             part = self.part(first, min(stop + REACH, self.n))
@@ -382,7 +382,7 @@ def variances_of(
         Variances for unit noise, (F, ..., n), or what is wanted of them.
 
     """
-    factors = [replace(f, least_weight=MISSING_WEIGHT) for f in factors]
+    factors = [replace(f, min_weight=MISSING_WEIGHT) for f in factors]
     signal = 1 + factors[0].k  # components
     out: Array | None = None
     for group in _alike(zip(*(f.enclosed_parts() for f in factors), strict=True)):
