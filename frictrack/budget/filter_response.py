@@ -161,9 +161,8 @@ class FilterResponse:
     @cached_property
     def _scale(self) -> Array:
         """Stated standard deviations over those of the posterior, (n,)."""
-        return np.asarray(
-            self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._derived.factor)))
-        )
+        stated = np.array(self._derived.deviations()[2])  # a copy, so that the others are released
+        return np.asarray(stated / (self._noise * np.sqrt(self._variances(self._derived.factor))))
 
     def _variances(self, factor: FactoredSmoother) -> Array:
         found = self._grid.to_rows(factor.variances(stencil_start(self._grid.n), self._stencils))

@@ -19,7 +19,7 @@ from frictrack.motion.smoother import (
     FactoredSmoother,
     SmootherData,
     Structure,
-    added_variance,
+    added_variances,
     deviations,
     line_frequency_errors,
     mean_shift,
@@ -225,26 +225,21 @@ class Derivatives:
 
     def deviations(self) -> Array:
         """Standard deviations of `values`, (3, n)."""
-        if self.smoother.method is None:
-            best, more = self._average_structure()
-            spread = self.noise * deviations(self.factor, best, self.noise, self.grid.interval)
-            if more is not None:
-                spread = np.hypot(spread, more)
+        if self.smoother.method is not None:
+            passed, lost = self._passed_noise(self.smoother.method), self._lost_signal(self.smoother.method)
+            return self.grid.to_rows(np.sqrt(passed + lost**2))
+        best, structure, measured = self._on_grid(), self.smoother.structure, self.measured
+        if structure is None or measured is None or not self.smoother.alternatives:
+            spread = deviations(self.factor, best, self.noise, self.grid.interval)
         else:
-            spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost_signal(self.smoother.method) ** 2)
+            rest = np.where(self.w > 0, measured - weighted_cubic(measured, self.w), 0.0) / self.noise
+            average = SmootherData(rest, self.w, colour=self.smoother.colour), structure, self.smoother.alternatives
+            best = best - self.noise * mean_shift(*average)  # of the best structure alone
+            spread = deviations(self.factor, best, self.noise, self.grid.interval)
+            for frames, more in added_variances(*average, self.grid.interval):
+                spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+        spread *= self.noise
         return self.grid.to_rows(spread)
-
-    def _average_structure(self) -> tuple[Array, Array | None]:
-        """Rows (N,) of the best structure alone, and standard deviations (3, N) added by the alternatives, if any."""
-        whole, groups = self._on_grid(), self.smoother.alternatives
-        if not groups or self.measured is None or self.smoother.structure is None:
-            return whole, None
-        cubic = weighted_cubic(self.measured, self.w)
-        data = SmootherData(
-            np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour
-        )
-        more = added_variance(data, self.smoother.structure, groups, self.grid.interval)
-        return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
         """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
