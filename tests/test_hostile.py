@@ -25,7 +25,7 @@ from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import HEADER_BYTES, GroupContent
-from frictrack.store.file_header import with_header
+from frictrack.store.file_header import header_of
 from frictrack.store.signatures import sign
 from frictrack.study import load, parse, read_table, table_files, table_headers, write_study
 from frictrack.units import parse_quantity
@@ -33,6 +33,11 @@ from frictrack.version import __version__
 
 RUN = '[[run]]\nname = {name}\ntable = "t.csv"\n'
 GOOD = RUN.format(name='"one"')
+
+
+def sealed(hdf5, *how):
+    """A whole file of an HDF5 part that anybody may have written."""
+    return header_of(hdf5, *how) + hdf5
 
 
 def refused(path: Path, text: str) -> str:
@@ -538,7 +543,7 @@ def test_results_that_mean_harm(tmp_path: Path, harm: object) -> None:
     path = results(tmp_path / "v3.h5")
     with h5py.File(path, "r+") as file:
         harm(file)
-    path.write_bytes(with_header(path.read_bytes()[HEADER_BYTES:], __version__))  # who means harm seals it too
+    path.write_bytes(sealed(path.read_bytes()[HEADER_BYTES:], __version__))  # who means harm seals it too
     assert path.stat().st_size < 2 << 20
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match="damaged or is not HDF5; delete it and run again"):
@@ -556,10 +561,10 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
         file["track/inside"] = h5py.ExternalLink("other.h5", "/track")
         file["turning"] = h5py.SoftLink("/turning")
     held = path.read_bytes()
-    path.write_bytes(with_header(held[HEADER_BYTES:], __version__))
+    path.write_bytes(sealed(held[HEADER_BYTES:], __version__))
     with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
         store.read(path, "track")
-    path.write_bytes(with_header(held[HEADER_BYTES:], __version__, sign))  # not even where it is ours
+    path.write_bytes(sealed(held[HEADER_BYTES:], __version__, sign))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):
@@ -585,7 +590,7 @@ def test_python_files_beside_a_study_are_not_run(tmp_path: Path, words: tuple[st
     folder = tmp_path / "day_1"
     Session(open_study(folder / "study.toml")).bring_up_to("displacement")
     for path in (folder / "study_results").glob("*.h5"):
-        path.write_bytes(with_header(path.read_bytes()[HEADER_BYTES:], __version__))  # of somebody else
+        path.write_bytes(sealed(path.read_bytes()[HEADER_BYTES:], __version__))  # of somebody else
     for name in ("json", "struct", "h5py", "numpy", "frictrack", "multiprocessing", "sitecustomize"):
         (folder / f"{name}.py").write_text("open('owned', 'w')")
     command = Path(sys.executable).with_name("frictrack")

@@ -29,8 +29,13 @@ from frictrack.flow import Session, open_study
 from frictrack.flow import schema as written
 from frictrack.store import GroupContent, Provenance, sandbox, signatures
 from frictrack.store.checksums import array_checksum, wrong_checksums
-from frictrack.store.file_header import with_header
+from frictrack.store.file_header import header_of
 from frictrack.version import __version__
+
+
+def sealed(hdf5, *how):
+    """A whole file of an HDF5 part that anybody may have written."""
+    return header_of(hdf5, *how) + hdf5
 
 
 def sample(path: Path) -> Path:
@@ -181,7 +186,7 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
     for at in range(text - 8, text + 30):
         harm = bytearray(content)
         harm[at] = 8
-        path.write_bytes(with_header(bytes(harm[store.HEADER_BYTES :]), __version__))
+        path.write_bytes(sealed(bytes(harm[store.HEADER_BYTES :]), __version__))
         with suppress(FrictrackError):
             store.read(path, "models/1_tustin")
         assert all(fault.file == path for fault in store.check(path))
@@ -193,7 +198,7 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
     monkeypatch.setattr(sandbox, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
     monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("strange.h5")
-    path.write_bytes(with_header(sound.read_bytes()[store.HEADER_BYTES :], __version__))
+    path.write_bytes(sealed(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     for _ in range(2):  # the answer is kept
         with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
             store.read(path, "models/1_tustin")
@@ -219,7 +224,7 @@ def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypa
     monkeypatch.setattr(sandbox, "_CHILD", "import nothing_of_the_kind")
     monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("unknown.h5")
-    path.write_bytes(with_header(sound.read_bytes()[store.HEADER_BYTES :], __version__))
+    path.write_bytes(sealed(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     with pytest.raises(FrictrackError, match=r"but .*python.* starts none"):
         store.read(path, "models/1_tustin")
 

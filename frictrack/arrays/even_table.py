@@ -107,6 +107,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
     data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
+    nan.setflags(write=False)  # so that the records share it
     pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
     displacement = screened(
         Displacement(

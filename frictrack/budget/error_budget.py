@@ -93,6 +93,7 @@ def budget(
     mean = float(weights @ result.F)
     if run.friction_N is not None:
         return Budget(run.name, mean, (_cell(result.sigma_F, free),))
+    del result  # of a long run it takes much memory
     errors = _RunErrors(run, free, weights)
     response = FilterResponse(filtered, run.motion)
     rows = (
@@ -103,8 +104,8 @@ def budget(
         *errors.picture_errors(response, quality),
         *errors.drive_errors((clocks or {}).get("drive", {})),
     )
-    reduction = {k: response.noise_reduction(weights, k) for k in NOISE_FACTORS}
-    return Budget(run.name, mean, rows, reduction, filmed=film is not None)
+    reductions = response.noise_reductions(weights, NOISE_FACTORS)
+    return Budget(run.name, mean, rows, reductions, filmed=film is not None)
 
 
 def _cell(sigma: Array, free: Mask) -> Contribution:
@@ -120,7 +121,11 @@ class _RunErrors:
     def __init__(self, run: Run, free: Mask, weights: Array) -> None:
         assert run.mass is not None
         self.run, self.free, self.weights, self.mass = run, free, weights, run.mass
-        self.inertia = run.mass * run.motion.a
+
+    @property
+    def inertia(self) -> Array:
+        """Mass times acceleration (n,), N."""
+        return self.mass * self.run.motion.a
 
     def effect(self, rows: Array) -> tuple[float, float]:
         """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""

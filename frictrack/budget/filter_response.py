@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencils
+from frictrack.motion import Derivatives, FilterMethod
 from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
+from frictrack.motion.stencil import STENCIL_FRAMES, stencil_start, stencil_weights
 from frictrack.records import Array, Filtered, Motion
+
+FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
 
 
 @dataclass(frozen=True)
@@ -70,8 +74,9 @@ class FilterResponse:
         """
         if self._method is not None:
             return self._transmitted_by_method(self._method, weights)
-        start, table = self._stencils
-        rows = np.sqrt(self._derived.factor.noise_variances(start, table)[0])[self._grid.frames]
+        rows = self._grid.to_rows(
+            np.sqrt(self._derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils))
+        )
         smoothed = self._derived.factor.posterior_covariance_times(self._position_weights(weights))
         variance = float(np.sum(self._derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
         if self._derived.sensor_weights is not None:
@@ -93,20 +98,21 @@ class FilterResponse:
         AccelerationError
 
         """
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
         if self._method is None:
-            total_error = self.total_error(weights)
-            return AccelerationError(rows, float(np.sqrt(max(total_error**2 - transmitted_noise.total**2, 0.0))))
-        measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
-        accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
-        return AccelerationError(rows, abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1]))))
+            total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
+        else:
+            measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
+            accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
+            total = abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1])))
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
+        return AccelerationError(rows, total)
 
     def total_error(self, weights: Array) -> float:
         """Noise and lost signal of a structural smoother together, in the weighted sum, m/s^2."""
         return self._noise * float(np.sqrt(self._unit_variance(self._derived.factor, weights * self._scale)))
 
-    def noise_reduction(self, weights: Array, times: float) -> tuple[float, float]:
-        """Factors on both errors if the noise were lower by a factor.
+    def noise_reductions(self, weights: Array, factors: Sequence[float]) -> dict[float, tuple[float, float]]:
+        """Factors on both errors if the noise were lower by some factors.
 
         The signal stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
 
@@ -114,23 +120,28 @@ class FilterResponse:
         ----------
         weights
             Weights of the frames in the sum, (n,).
-        times
-            Factor by which the noise is lower.
+        factors
+            Factors by which the noise is lower.
 
         Returns
         -------
-        tuple of float
-            Factor on sigma_a (rms where weights are not zero), and on the error of the sum.
+        dict of float to tuple
+            By factor: factor on sigma_a (rms where weights are not zero), and on the error of the sum.
 
         """
         if self._structure is None:
-            return 1.0 / times, 1.0 / times
-        smoother = self._derived.factor_smoother(_with_less_noise(self._structure, 2.0 * np.log(times)))
-        inside = weights != 0
-        now, then = (self._variances(f)[inside] for f in (self._derived.factor, smoother))
+            return {times: (1.0 / times, 1.0 / times) for times in factors}
         scaled = weights * self._scale
-        sums = self._unit_variance(smoother, scaled) / self._unit_variance(self._derived.factor, scaled)
-        return float(np.sqrt(np.mean(then) / np.mean(now))) / times, float(np.sqrt(sums)) / times
+        now = self._mean_and_sum(self._derived.factor, scaled)
+        lower = {times: _with_less_noise(self._structure, 2.0 * np.log(times)) for times in factors}
+        return {
+            times: tuple(np.sqrt(self._mean_and_sum(self._derived.factor_smoother(s), scaled) / now) / times)
+            for times, s in lower.items()
+        }
+
+    def _mean_and_sum(self, factor: FactoredSmoother, weights: Array) -> Array:
+        """Mean variance where weights are not zero, and the variance of the weighted sum, for unit noise, (2,)."""
+        return np.array([np.mean(self._variances(factor)[weights != 0]), self._unit_variance(factor, weights)])
 
     def _unit_variance(self, factor: FactoredSmoother, weights: Array) -> float:
         """Variance of a weighted sum for unit noise."""
@@ -143,33 +154,30 @@ class FilterResponse:
         """Change of the acceleration (n,) by one standard deviation of each line frequency, for unit noise."""
         x = self._grid.to_frames(self.filtered.x) / self._noise
         return [
-            change[2, self._grid.frames]
+            self._grid.to_rows(change[2])
             for change in line_frequency_errors(self._derived.factor, x, self._grid.interval)
         ]
 
     @cached_property
     def _scale(self) -> Array:
         """Stated standard deviations over those of the posterior, (n,)."""
-        return np.asarray(
-            self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._derived.factor)))
-        )
+        stated = np.array(self._derived.deviations()[2])  # a copy, so that the others are released
+        return np.asarray(stated / (self._noise * np.sqrt(self._variances(self._derived.factor))))
 
     def _variances(self, factor: FactoredSmoother) -> Array:
-        start, table = self._stencils
-        found = factor.variances(start, table)[0][self._grid.frames]
+        found = self._grid.to_rows(factor.variances(stencil_start(self._grid.n), self._stencils))
         return np.asarray(found + sum(change**2 for change in self._line_changes))
 
-    @cached_property
-    def _stencils(self) -> tuple[np.ndarray, Array]:
-        """Stencils of the second derivative on the grid."""
-        start, table = stencils(self._grid.n, self._grid.interval)
-        return start, table[2:]
+    def _stencils(self, frames: slice) -> Array:
+        """Weights (m, 6) of the second derivative in m frames of the grid."""
+        return stencil_weights(self._grid.n, self._grid.interval, frames)[2]
 
     def _position_weights(self, weights: Array) -> Array:
         """Weights (N,) on smoothed positions that give a weighted sum of accelerations."""
-        start, table = self._stencils
-        out, frames = np.zeros(self._grid.n), self._grid.frames
-        np.add.at(out, start[frames][:, None] + np.arange(STENCIL_FRAMES), table[0, frames] * weights[:, None])
+        out, start, on_grid = np.zeros(self._grid.n), stencil_start(self._grid.n), self._grid.to_frames(weights)
+        for first in range(0, self._grid.n, FRAMES_AT_ONCE):
+            rows = slice(first, first + FRAMES_AT_ONCE)
+            np.add.at(out, start[rows, None] + np.arange(STENCIL_FRAMES), self._stencils(rows) * on_grid[rows, None])
         return out
 
     def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:

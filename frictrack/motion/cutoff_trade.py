@@ -20,7 +20,7 @@ from frictrack.motion.smoother import (
     undetectable_amplitude,
     weighted_cubic,
 )
-from frictrack.motion.stencil import stencil_derivatives
+from frictrack.motion.stencil import stencil_derivative
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 N_CUTOFFS = 32
@@ -65,7 +65,8 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
     noise = float(np.mean(best.sigma_x[measured_frames] ** -2.0) ** -0.5)
     frequency = np.geomspace(MIN_CYCLES / (grid.n * grid.interval), MAX_CUTOFF / grid.interval, N_CUTOFFS)
     outside_events = _outside_events(best, grid)
-    rows = np.array([_residual_and_lost(f, grid, w, (y, signal, outside_events)) for f in frequency])
+    both = np.stack([y - weighted_cubic(y, w), signal - weighted_cubic(signal, w)], axis=1)
+    rows = np.array([_residual_and_lost(f, grid, w, both, outside_events) for f in frequency])
     colour = Smoother.read(best.smoother).colour
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
     total = np.hypot(passed, rows[:, 1])
@@ -91,13 +92,16 @@ def _outside_events(best: Filtered, grid: FrameGrid) -> Mask:
     return out
 
 
-def _residual_and_lost(f: float, grid: FrameGrid, w: Array, series: tuple[Array, Array, Mask]) -> tuple[float, float]:
-    """Rms residual of the measured series (m) and rms acceleration lost (m/s^2) at one cut-off (Hz)."""
-    factor = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(np.zeros(grid.n), w))
-    measured, signal = (s - weighted_cubic(s, w) for s in series[:2])
-    residual = np.sqrt(np.average((measured - factor.smooth(measured)) ** 2, weights=w))
-    lost = stencil_derivatives(signal - factor.smooth(signal), grid.interval)[2]
-    return float(residual), float(np.sqrt(np.mean(lost[series[2]] ** 2)))
+def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, outside_events: Mask) -> tuple[float, float]:
+    """Rms residual of the measured series (m), and rms acceleration lost of the signal (m/s^2), at one cut-off (Hz).
+
+    `both` are the series and the signal without their cubics, (n, 2).
+    """
+    removed = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(w, w)).smooth(both)
+    np.subtract(both, removed, out=removed)
+    residual = np.sqrt(np.average(removed[:, 0] ** 2, weights=w))
+    lost = stencil_derivative(removed[:, 1], 2)[outside_events] / grid.interval**2
+    return float(residual), float(np.sqrt(np.mean(lost**2)))
 
 
 def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from frictrack.motion.smoother import (
     FactoredSmoother,
     SmootherData,
     Structure,
-    added_variance,
+    added_variances,
     deviations,
     line_frequency_errors,
     mean_shift,
@@ -64,14 +64,19 @@ def differentiate(filtered: Filtered) -> Motion:
 
     """
     of_x = Derivatives.of_x(filtered)
-    values, sigma = of_x.values(), of_x.deviations()
-    sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
-    shake = of_x.shake_errors(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
-    sigma = np.hypot(sigma, shake)
+    sigma, values = of_x.deviations(), of_x.values()
+    if filtered.events:
+        sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
+    shake_a = 0.0
+    if filtered.shake:
+        shake = of_x.shake_errors(*filtered.shake)
+        sigma, shake_a = np.hypot(sigma, shake), float(np.sqrt(np.mean(shake[2] ** 2)))
     a_y = sigma_a_y = np.full(len(filtered), np.nan)
     if np.isfinite(filtered.cutoff_y):
         of_y = Derivatives.of_y(filtered)
         a_y, sigma_a_y = of_y.values()[2], of_y.deviations()[2]
+    for column in (values, sigma, a_y):
+        column.setflags(write=False)  # so that the record need not copy them
     period = 1.0 / (filtered.cutoff * of_x.grid.interval)
     return Motion(
         t=filtered.t,
@@ -87,7 +92,7 @@ def differentiate(filtered: Filtered) -> Motion:
         cutoff=filtered.cutoff,
         events=filtered.events,
         lines=filtered.lines,
-        shake_a=float(np.sqrt(np.mean(shake[2] ** 2))),
+        shake_a=shake_a,
         repaired=filtered.repaired,
     )
 
@@ -210,10 +215,9 @@ class Derivatives:
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
-            return self._apply_method(self.smoother.method, interpolate_missing(self.measured, self.w > 0))[
-                :, self.grid.frames
-            ]
-        return stencil_derivatives(self._on_grid(), self.grid.interval)[:, self.grid.frames]
+            measured = interpolate_missing(self.measured, self.w > 0)
+            return self.grid.to_rows(self._apply_method(self.smoother.method, measured))
+        return self.grid.to_rows(stencil_derivatives(self._on_grid(), self.grid.interval))
 
     def _apply_method(self, method: FilterMethod, y: Array) -> Array:
         """Derivatives (3, N, ...) of columns (N, ...) by a filter method."""
@@ -221,24 +225,21 @@ class Derivatives:
 
     def deviations(self) -> Array:
         """Standard deviations of `values`, (3, n)."""
-        if self.smoother.method is None:
-            best, more = self._average_structure()
-            spread = np.hypot(self.noise * deviations(self.factor, best, self.noise, self.grid.interval), more)
+        if self.smoother.method is not None:
+            passed, lost = self._passed_noise(self.smoother.method), self._lost_signal(self.smoother.method)
+            return self.grid.to_rows(np.sqrt(passed + lost**2))
+        best, structure, measured = self._on_grid(), self.smoother.structure, self.measured
+        if structure is None or measured is None or not self.smoother.alternatives:
+            spread = deviations(self.factor, best, self.noise, self.grid.interval)
         else:
-            spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost_signal(self.smoother.method) ** 2)
-        return spread[:, self.grid.frames]
-
-    def _average_structure(self) -> tuple[Array, Array]:
-        """Rows (N,) of the best structure alone, and standard deviations (3, N) added by the alternatives."""
-        whole, groups = self._on_grid(), self.smoother.alternatives
-        if not groups or self.measured is None or self.smoother.structure is None:
-            return whole, np.zeros((3, len(whole)))
-        cubic = weighted_cubic(self.measured, self.w)
-        data = SmootherData(
-            np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour
-        )
-        more = added_variance(data, self.smoother.structure, groups, self.grid.interval)
-        return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
+            rest = np.where(self.w > 0, measured - weighted_cubic(measured, self.w), 0.0) / self.noise
+            average = SmootherData(rest, self.w, colour=self.smoother.colour), structure, self.smoother.alternatives
+            best = best - self.noise * mean_shift(*average)  # of the best structure alone
+            spread = deviations(self.factor, best, self.noise, self.grid.interval)
+            for frames, more in added_variances(*average, self.grid.interval):
+                spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+        spread *= self.noise
+        return self.grid.to_rows(spread)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
         """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.

@@ -45,6 +45,7 @@ MIN_SPEED_SHARE = 0.05  # of the highest speed, from which the mass counts as mo
 MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
 MAX_CORRELATED = 0.999  # largest share and correlation of coloured noise
 MAX_COLOUR_TRIALS = 40  # evaluations to fit correlation and share
+MAX_SPECTRUM_FRAMES = 100_000  # in which coloured noise is suspected
 MIN_FRAMES = 8  # valid frames from which noise can be estimated
 MAX_POSITION_M = 1e5  # beyond it the digits of a position no longer hold the motion to the accuracy of its integration
 MIN_TRAVEL_M = 1e-15  # of a moving target
@@ -151,7 +152,7 @@ def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
     if not is_violent.any():
         return slice(0, len(v))
     reach = int(np.ceil(0.5 / cutoff)) + 1
-    edges = np.flatnonzero(np.convolve(is_violent, np.ones(2 * reach + 1), mode="same") > 0)
+    edges = np.flatnonzero(scipy.ndimage.maximum_filter1d(is_violent, 2 * reach + 1, mode="constant"))
     bounds = np.concatenate([[-1], edges, [len(v)]])
     k = int(np.argmax(np.diff(bounds)))
     return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
@@ -180,7 +181,9 @@ class _LowPassed:
     @classmethod
     def unmeasured(cls, n: int) -> _LowPassed:
         """Result for a coordinate that was not measured."""
-        return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
+        nan = np.full(n, np.nan)
+        nan.setflags(write=False)  # so that the record need not copy it
+        return cls(nan, nan, float("nan"))
 
 
 class _Coordinate:
@@ -251,7 +254,9 @@ class _Coordinate:
         """Coloured noise that the spectrum of the longest span without a missing frame suggests."""
         if data.colour or data.second_difference_weights is not None or self.rounded:
             return None
-        return _noise_colour(suspected_noise(self.y[_longest_measured_span(self.w)]))
+        span = _longest_measured_span(self.w)
+        first = max(span.start, (span.start + span.stop - MAX_SPECTRUM_FRAMES) // 2)
+        return _noise_colour(suspected_noise(self.y[first : min(first + MAX_SPECTRUM_FRAMES, span.stop)]))
 
     def _longest_window(self, data: SmootherData) -> SmootherData:
         """The data, or of a long record a window in the longest span without a missing frame."""

@@ -32,6 +32,10 @@ class FrameGrid:
         out[self.frames] = column
         return out
 
+    def to_rows(self, series: Array) -> Array:
+        """Take the rows (..., n) of a series of all frames (..., N)."""
+        return series if len(self.frames) == self.n else series[..., self.frames]
+
 
 def frame_grid(t: Array) -> FrameGrid:
     """Find the frame number of each time stamp.

@@ -35,9 +35,19 @@ def stencils(n: int, interval: float) -> tuple[NDArray[np.int64], Array]:
     (2, [-1.0, 16.0, -30.0, 16.0, -1.0])
 
     """
-    frame = np.arange(n)
-    start = np.clip(frame - STENCIL_REACH, 0, n - STENCIL_FRAMES)
-    return start, _table()[:, frame - start] / interval ** np.arange(3.0)[:, None, None]
+    return stencil_start(n), stencil_weights(n, interval)
+
+
+def stencil_start(n: int) -> NDArray[np.int64]:
+    """First frame (n,) of the stencil of each frame."""
+    return np.clip(np.arange(n) - STENCIL_REACH, 0, n - STENCIL_FRAMES)
+
+
+def stencil_weights(n: int, interval: float, frames: slice = slice(None)) -> Array:
+    """Weights (3, m, 6) of the stencils of m of n frames, as `stencils` returns them of all."""
+    frame = np.arange(n)[frames]
+    place = frame - np.clip(frame - STENCIL_REACH, 0, n - STENCIL_FRAMES)
+    return np.asarray(_table()[:, place] / interval ** np.arange(3.0)[:, None, None])
 
 
 def stencil_derivatives(y: Array, interval: float) -> Array:
@@ -61,7 +71,10 @@ def stencil_derivatives(y: Array, interval: float) -> Array:
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
 
     """
-    return np.stack([stencil_derivative(y, order) / interval**order for order in range(3)])
+    out = np.empty((3, len(y)))
+    for order, column in enumerate(out):
+        np.divide(stencil_derivative(y, order), interval**order, out=column)
+    return out
 
 
 def stencil_derivative(y: Array, order: int) -> Array:

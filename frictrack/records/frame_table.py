@@ -63,6 +63,15 @@ def scalar(unit: str, **options: Any) -> Any:
     return field(metadata={"unit": unit}, **options)
 
 
+def _is_frozen(value: Any, kind: Any) -> bool:
+    """Whether a value is an array of that type that nobody can change: it, and what it is a view of, are read-only."""
+    if type(value) is not np.ndarray or value.dtype != kind:
+        return False
+    while isinstance(value, np.ndarray) and not value.flags.writeable:
+        value = value.base
+    return value is None
+
+
 class FrameTable(NotebookView):
     """Base of the records with one row per frame; checks the columns when a record is built.
 
@@ -97,7 +106,7 @@ class FrameTable(NotebookView):
         value = getattr(self, name)
         if value is None:
             return []
-        array = np.array(value, dtype=meta["kind"])
+        array = value if _is_frozen(value, meta["kind"]) else np.array(value, dtype=meta["kind"])
         if array.shape != (n,):
             return [f"expected {name} of shape ({n},) but got {array.shape}"]
         array.setflags(write=False)

@@ -18,6 +18,7 @@ MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.01  # steps of rounded stamps by which a row may be off the even clock
 MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
 SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
+ROWS_AT_ONCE = 1 << 16  # whose speeds are computed together
 MIN_ROWS = 16  # rows whose noise can show which stamps are right
 
 Ticks = NDArray[np.int64]
@@ -149,12 +150,12 @@ def robust_speed(t: Array, x: Array) -> Array:
     3.0
 
     """
-    rows = np.arange(len(t))
-    quotients = []
-    for k in range(1, SPEED_REACH_ROWS + 1):
-        before, after = np.maximum(rows - k, 0), np.minimum(rows + k, len(t) - 1)
-        quotients.append((x[after] - x[before]) / (t[after] - t[before]))
-    return np.asarray(np.median(quotients, axis=0))
+    out, reach = np.empty(len(t)), np.arange(1, SPEED_REACH_ROWS + 1)[:, None]
+    for first in range(0, len(t), ROWS_AT_ONCE):
+        rows = np.arange(first, min(first + ROWS_AT_ONCE, len(t)))
+        before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(t) - 1)
+        out[rows] = np.median((x[after] - x[before]) / (t[after] - t[before]), axis=0)
+    return out
 
 
 def _noise_level(x: Array, ticks: Ticks) -> float:

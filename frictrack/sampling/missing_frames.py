@@ -81,9 +81,8 @@ def missing_frames(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) ->
 
 def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
     """Number of frames missing in a step and its significance; 0 where it is no whole multiple of its neighbours."""
-    single = np.abs(ratio - 1) < SINGLE_STEP_TOLERANCE
     near = np.arange(max(i - REACH_STEPS, 0), min(i + REACH_STEPS + 1, len(steps)))
-    used = near[single[near] & (near != i)]
+    used = near[(np.abs(ratio[near] - 1) < SINGLE_STEP_TOLERANCE) & (near != i)]
     if min(np.sum(used < i), np.sum(used > i)) < MIN_KNOWN_STEPS or not _neighbours_advance(ratio, i):
         return 0, 0.0
     design = np.stack([np.ones(len(used)), used - i], axis=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -32,6 +33,7 @@ MAX_BRIDGED_ROWS = 2  # good rows between suspects that make them one burst
 NOISE_REACH_ROWS = 30  # rows on either side over which the noise is compared with that of the record
 MAX_OUTLIER_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
 MAX_ROUNDS, ROBUST_STEPS = 40, 15
+WINDOW_ROWS, OVERLAP_ROWS = 1 << 15, 200  # of a long record that are searched at once, and more on either side
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
@@ -85,7 +87,7 @@ class _Positions:
     x: Array
     scale: Array
 
-    def part(self, rows: Rows) -> _Positions:
+    def part(self, rows: Rows | slice) -> _Positions:
         """Some of the rows."""
         return _Positions(self.frames[rows], self.x[rows], self.scale[rows])
 
@@ -157,12 +159,21 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     if not noise > 0:  # all positions are zero
         return NO_OUTLIERS
     series = _Positions(frames, x, noise * relative)
-    parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > MAX_GAP_FRAMES) + 1)
-    found = [(part[rows], off) for part in parts for rows, off in [_outliers_of_stretch(series.part(part))]]
+    cuts = [0, *(np.flatnonzero(np.diff(frames) > MAX_GAP_FRAMES) + 1).tolist(), len(x)]
+    found = [each for first, stop in pairwise(cuts) for each in _outliers_in_windows(series, first, stop)]
     rows, off = (np.concatenate(each) for each in zip(*found, strict=True))
     if len(rows) > MAX_OUTLIER_SHARE * len(x):
         return NO_OUTLIERS
     return Outliers(rows, off, noise)
+
+
+def _outliers_in_windows(series: _Positions, first: int, stop: int) -> Iterator[tuple[Rows, Array]]:
+    """Yield the outliers of a stretch without long gaps, and their deviations, m, by windows that overlap."""
+    for core in range(first, stop, WINDOW_ROWS):
+        begin, end = max(core - OVERLAP_ROWS, first), min(core + WINDOW_ROWS + OVERLAP_ROWS, stop)
+        rows, off = _outliers_of_stretch(series.part(slice(begin, end)))
+        own = (rows + begin >= core) & (rows + begin < core + WINDOW_ROWS)
+        yield rows[own] + begin, off[own]
 
 
 def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:

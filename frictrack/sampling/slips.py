@@ -21,6 +21,7 @@ WINDOWS = ((8, 3), (4, 2))  # frames on either side and degree of the curve; sho
 MAX_JUMP_ERROR = 0.12  # frames: a jump whose standard deviation is larger cannot be counted in whole frames
 MAX_MISSING_FRAMES = 200
 MAX_SLIPS = 100
+FRAMES_AT_ONCE = 4096  # that are compared with the curve around them
 # Differences of chi^2 in units of the noise. 49 is seven standard deviations: no false alarm in 10^5 frames.
 MIN_GAIN, MIN_GAIN_OVER_KINK, MAX_LOSS_TO_FREE_JUMP, MAX_REDUCED_CHI2 = 49.0, 36.0, 16.0, 3.0
 
@@ -185,19 +186,28 @@ def _noise(path: SampledPath) -> float:
 
     From the tenth percentile of the squared third differences (chi^2 with one degree of freedom: 0.0158).
     """
-    four = np.arange(len(path.p) - 3)[:, None] + np.arange(4)
     binomial = np.array([1.0, -3.0, 3.0, -1.0])
-    good = np.all(path.good[four], axis=1) & (np.ptp(path.ticks[four], axis=1) == 3)
+    good = (np.convolve(path.good, np.ones(4), mode="valid") > 3.5) & (path.ticks[3:] - path.ticks[:-3] == 3)
     if good.sum() < 10:
         return 1.0
-    ratio = (path.p[four] @ binomial)[good] ** 2 / (path.sigma[four] ** 2 @ binomial**2)[good]
+    variance = np.convolve(path.sigma**2, binomial**2, mode="valid")[good]
+    ratio = np.diff(path.p, 3)[good] ** 2 / variance
     return max(1.5 * float(np.quantile(ratio, 0.1)) / 0.0158, 1.0)
 
 
 def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
     """Jump before every frame in frames, its standard deviation, and its significance; 0 where it is undetermined."""
-    n, half = len(path.p), path.window
-    at = np.arange(half, n - half + 1)
+    n = len(path.p)
+    jump, error, z = np.zeros(n + 1), np.full(n + 1, np.inf), np.zeros(n + 1)
+    for first in range(path.window, n - path.window + 1, FRAMES_AT_ONCE):
+        at = np.arange(first, min(first + FRAMES_AT_ONCE, n - path.window + 1))
+        jump[at], error[at], z[at] = _jumps_before(path, at)
+    return jump, error, z
+
+
+def _jumps_before(path: SampledPath, at: Ticks) -> tuple[Array, Array, Array]:
+    """What `_scan_jumps` returns, before the frames `at`."""
+    half = path.window
     index = at[:, None] + np.arange(-half, half)
     weight = np.where(path.good[index], 1 / path.sigma[index], 0.0)
     middle = 0.5 * (path.ticks[at] + path.ticks[at - 1])
@@ -212,11 +222,9 @@ def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
     best = np.einsum("njk,nik,ni->nj", inverse, design, value)
     speed, spread = best[:, 1] / half, np.sqrt(inverse[:, -1, -1])
     usable = enough & (np.abs(speed) > 1e-6)
-    jump, error, z = np.zeros(n + 1), np.full(n + 1, np.inf), np.zeros(n + 1)
-    jump[at[usable]] = best[usable, -1] / speed[usable]
-    error[at[usable]] = spread[usable] / np.abs(speed[usable])
-    z[at[usable]] = np.abs(best[usable, -1]) / spread[usable]
-    return jump, error, z
+    with np.errstate(divide="ignore", invalid="ignore"):
+        jump, error, z = best[:, -1] / speed, spread / np.abs(speed), np.abs(best[:, -1]) / spread
+    return np.where(usable, jump, 0.0), np.where(usable, error, np.inf), np.where(usable, z, 0.0)
 
 
 def _strongest_slip(path: SampledPath, noise: float, refused: set[int]) -> Slip | None:

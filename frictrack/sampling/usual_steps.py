@@ -8,6 +8,7 @@ from frictrack.records import Array
 
 REACH_STEPS = 12  # steps on either side from which the usual step is taken
 MIN_KNOWN_STEPS = 3  # known steps that can show it
+ROWS_AT_ONCE = 1 << 14  # whose quantiles are computed together
 
 
 def usual_steps(steps: Array, share: float = 0.5) -> Array:
@@ -29,9 +30,11 @@ def usual_steps(steps: Array, share: float = 0.5) -> Array:
     """
     padded = np.pad(steps, REACH_STEPS, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH_STEPS + 1)
-    enough = np.sum(np.isfinite(windows), axis=1) >= MIN_KNOWN_STEPS
     out = np.full(len(steps), np.nan)
-    out[enough] = _row_quantile(windows[enough], share)
+    for first in range(0, len(steps), ROWS_AT_ONCE):
+        some = windows[first : first + ROWS_AT_ONCE]
+        enough = np.sum(np.isfinite(some), axis=1) >= MIN_KNOWN_STEPS
+        out[first : first + ROWS_AT_ONCE][enough] = _row_quantile(some[enough], share)
     return out
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import BinaryIO
 
 SCHEMA = 2  # of the layout; 1 had no checksums
 HEADER_BYTES = 512  # bytes before the HDF5 part
@@ -21,13 +22,13 @@ _FIRST_LINE = re.compile(r"frictrack results, schema (\d+), written by (.+?)(?:,
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def with_header(hdf5: bytes, version: str, sign: Callable[[memoryview], str] | None = None) -> bytes:
-    """Return the whole file: the header, then the finished HDF5 part.
+def header_of(hdf5: bytes | memoryview, version: str, sign: Callable[[memoryview], str] | None = None) -> bytes:
+    """Return the header of a finished HDF5 part.
 
     Parameters
     ----------
     hdf5
-        The HDF5 file image, its user block included in its offsets.
+        What follows the header in the file.
     version
         Version of frictrack that writes it.
     sign
@@ -39,7 +40,7 @@ def with_header(hdf5: bytes, version: str, sign: Callable[[memoryview], str] | N
     first = f"frictrack results, schema {SCHEMA}, written by {version}" + (f", mark {signature}" if signature else "")
     digest = hashlib.sha256(f"{first}\n".encode())
     digest.update(checked)
-    return _header_bytes(first, digest.hexdigest()) + hdf5
+    return _header_bytes(first, digest.hexdigest())
 
 
 def read_header(path: Path) -> tuple[int, str] | None:
@@ -48,15 +49,11 @@ def read_header(path: Path) -> tuple[int, str] | None:
     return None if match is None else (int(match[1]), match[2])
 
 
-def read_signed(path: Path) -> tuple[str, bytes]:
-    """Return the signature of a file, empty if there is none, and the bytes that it signs.
-
-    Both come from one version of the file, even if it is replaced meanwhile.
-    """
-    with path.open("rb") as file:
-        match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
-        file.seek(CHECKSUM_START)
-        return "" if match is None else match[3] or "", file.read()
+def read_signature(file: BinaryIO) -> str:
+    """Return the signature of a file, empty if there is none, and move on to the bytes that it signs."""
+    match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
+    file.seek(CHECKSUM_START)
+    return "" if match is None else match[3] or ""
 
 
 def lacks_header(path: Path) -> bool:

@@ -7,6 +7,7 @@ block viewers, or fail on network drives.
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,8 +24,8 @@ from frictrack.files import atomic_write, lock_folder
 from frictrack.store import encoding
 from frictrack.store.checksums import CHECKSUM, add_checksums, drop_checksums
 from frictrack.store.encoding import GroupContent, Provenance
-from frictrack.store.file_header import SCHEMA, file_state, is_intact, lacks_header, read_header, with_header
-from frictrack.store.migrations import empty_file_in_memory, migrate
+from frictrack.store.file_header import SCHEMA, file_state, header_of, is_intact, lacks_header, read_header
+from frictrack.store.migrations import FORMAT, migrate
 from frictrack.store.nexus import mark_default, without_marks
 from frictrack.store.sandbox import opens_in_sandbox
 from frictrack.store.signatures import is_signed_by_user, sign
@@ -305,7 +306,8 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
     It is built in memory, because HDF5 itself would crash on a full disk.
     """
     with lock_folder(path.parent), atomic_write(path) as part:
-        with empty_file_in_memory() as file:
+        whole = io.BytesIO()  # whose bytes are written as they are; HDF5's own memory would have to be copied first
+        with h5py.File(whole, "w", **FORMAT) as file:
             if path.exists():
                 with _reading(path) as old:
                     copy_groups(old, file)
@@ -314,9 +316,10 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             yield file
             mark_default(file)
             add_checksums(file)
-            file.flush()
-            whole = with_header(file.id.get_file_image(), __version__, sign)
-        part.write_bytes(whole)
+            begin = file.userblock_size
+        content = whole.getbuffer()
+        content[:begin] = header_of(content[begin:], __version__, sign)
+        part.write_bytes(content)
 
 
 def copy_groups(old: h5py.File, new: h5py.File) -> None:

@@ -16,14 +16,15 @@ from frictrack.store.encoding import new_group, write_array
 from frictrack.store.file_header import HEADER_BYTES, SCHEMA
 from frictrack.store.size_checks import read_array
 
-FORMAT = {"libver": ("v108", "v108"), "locking": False}  # HDF5 1.8: MATLAB and HDFView of the last ten years read it
+# HDF5 1.8: MATLAB and HDFView of the last ten years read it
+FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": HEADER_BYTES}
 _NUMBER = count()
 
 
 def empty_file_in_memory() -> h5py.File:
     """Create an empty file that never reaches the disk."""
     name = f"in memory {next(_NUMBER)}"  # HDF5 knows open files by name
-    return h5py.File(name, "w", driver="core", backing_store=False, userblock_size=HEADER_BYTES, **FORMAT)
+    return h5py.File(name, "w", driver="core", backing_store=False, **FORMAT)
 
 
 def migrate(file: h5py.File) -> h5py.File:

@@ -6,23 +6,24 @@ without this user's signature first (`frictrack.store.sandbox`).
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import secrets
 from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import BinaryIO
 
 from platformdirs import user_data_path
 
 from frictrack.errors import FrictrackError
 from frictrack.files import atomic_write
-from frictrack.store.file_header import file_state, read_signed
+from frictrack.store.file_header import file_state, read_signature
 
 _BYTES = 32
-_Buffer = bytes | memoryview
 
 
-def sign(checked: _Buffer) -> str:
+def sign(checked: bytes | memoryview | BinaryIO) -> str:
     """Return the signature of the bytes of a file from `CHECKSUM_START` on; empty if the secret cannot be stored.
 
     References
@@ -31,7 +32,12 @@ def sign(checked: _Buffer) -> str:
 
     """
     secret = _secret()
-    return hmac.new(secret, checked, "sha256").hexdigest() if secret else ""
+    made = hmac.new(secret, digestmod="sha256")
+    if isinstance(checked, bytes | memoryview):
+        made.update(checked)
+    else:
+        hashlib.file_digest(checked, lambda: made)  # type: ignore[arg-type] # an HMAC is no hash in types
+    return made.hexdigest() if secret else ""
 
 
 def is_signed_by_user(path: Path) -> bool:
@@ -42,8 +48,9 @@ def is_signed_by_user(path: Path) -> bool:
 @lru_cache(maxsize=4096)
 def _is_signed_by_user(path: Path, *_: int) -> bool:
     """Check one state of a file."""
-    signature, signed = read_signed(path)
-    return signature != "" and hmac.compare_digest(signature, sign(signed))
+    with path.open("rb") as file:
+        signature = read_signature(file)
+        return signature != "" and hmac.compare_digest(signature, sign(file))
 
 
 @cache

@@ -15,7 +15,7 @@ from frictrack.motion.smoother.structure import Event, Structure
 from frictrack.motion.smoother.structure_average import (
     ChangeGroup,
     StructureChange,
-    added_variance,
+    added_variances,
     alternatives,
     mean_shift,
 )
@@ -34,7 +34,7 @@ __all__ = [
     "Structure",
     "StructureChange",
     "StructureSearch",
-    "added_variance",
+    "added_variances",
     "alternatives",
     "cutoff_of",
     "deviations",

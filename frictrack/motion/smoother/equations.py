@@ -15,15 +15,22 @@ correlated from frame to frame is one more component c with the difference c_j -
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import groupby, islice, pairwise
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
-from frictrack.motion.smoother import selected_inverse
+from frictrack.motion.smoother.block_elimination import (
+    FactoredPart,
+    add_corners,
+    factor_part,
+    following_corner,
+    reversed_part,
+)
+from frictrack.motion.smoother.equation_layout import EquationLayout, EquationPart, Index, equation_layout
+from frictrack.motion.smoother.selected_inverse import BlockEquations
 from frictrack.motion.smoother.smoother_data import (
     NO_LINES,
     TREND_ORDER,
@@ -33,161 +40,184 @@ from frictrack.motion.smoother.smoother_data import (
 )
 from frictrack.records import Array
 
-FOURTH_DIFFERENCE, SECOND_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])
-BLOCK_FRAMES = 8  # frames per block of the covariance
+PART_FRAMES = 4000  # frames of a part
+END_FRAMES, MIN_END_MEASURED = 100, 12  # last frames of a part, and how many of them are measured
+MAX_KEPT_PARTS = 8  # whose factors are kept
+REACH = 8  # frames of a combination at most
+PARTS_AT_ONCE = 4  # of which variances are computed together
 LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that separates noise from lost signal
 MISSING_WEIGHT = 1e-10  # of a missing frame in the covariance: keeps that of an extrapolation finite
-Index = NDArray[np.int64]
+Stencils = Array | Callable[[slice], Array]
 
 
-class EquationLayout:
-    """Positions of all unknowns in the banded equations of n frames and K lines.
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Solution of a smoother.
 
-    The equations are the augmented ones, [A, P'; P, -1] [u; s] = [W y; p], with the weighted differences P and their
-    expected values p. Their condition number is the square root of that of A + P'P, which is large for a low cut-off.
-    The unknowns of one frame are adjacent.
+    Attributes
+    ----------
+    components
+        Trend, lines and correlated noise, (components, n, ...).
+    differences
+        Weighted differences of each penalty, (n - order, ...) each.
+
     """
 
-    def __init__(self, n: int, lines: int, has_sensor: bool, has_colour: bool) -> None:
-        self.n, self.k = n, lines
-        # Components and order of each difference.
-        self.terms: list[tuple[tuple[int, ...], int]] = [((0,), TREND_ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
-        if has_colour:
-            self.terms.append(((lines + 1,), 1))
-        if has_sensor:
-            self.terms.append((tuple(range(lines + 1)), 2))
-        n_components = 1 + lines + has_colour  # components of the positions
-        keys = [np.arange(n) + 0.01 * k for k in range(n_components)]
-        keys += [np.arange(n - d) + d / 2 + 0.3 + 0.01 * k for k, (_, d) in enumerate(self.terms)]
-        order = np.argsort(np.concatenate(keys), kind="stable")
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(len(order))
-        found = np.split(place, np.cumsum([len(k) for k in keys])[:-1])
-        self.components, self.multiplier = found[:n_components], found[n_components:]
-        self.frame = self.components[: 1 + lines]  # components of the signal
-        self.size, self.group = len(order), n_components + len(self.terms)
-        steps = [
-            int(np.abs(m - self.components[k][i : len(m) + i]).max())
-            for (components, d), m in zip(self.terms, self.multiplier, strict=True)
-            for k in components
-            for i in range(d + 1)
-        ]
-        self.band = max([*steps, n_components - 1])
-        rows, columns = np.meshgrid(np.arange(n_components), np.arange(n_components), indexing="ij")
-        self._of_weights = self._place(np.array(self.components)[rows], np.array(self.components)[columns])
-        self._of_terms = [self._places_of_term(*term) for term in zip(self.terms, self.multiplier, strict=True)]
-        self._constant = np.zeros(((3 * self.band + 1) * self.size,))
-        self._constant[self._place(m := np.concatenate(self.multiplier), m)] = -1.0
-
-    def _place(self, row: Index, column: Index) -> Index:
-        """Positions of matrix elements in band storage, column after column."""
-        return (3 * self.band + 1) * column + 2 * self.band + row - column
-
-    def _places_of_term(self, term: tuple[tuple[int, ...], int], m: Index) -> Index:
-        """Positions of the coefficients of one difference in rows and in columns, (2, components, order + 1, m)."""
-        components, order = term
-        x = np.array([[self.components[k][i : len(m) + i] for i in range(order + 1)] for k in components])
-        rows = np.broadcast_to(m, x.shape)
-        return np.array([self._place(rows, x), self._place(x, rows)])
-
-    @property
-    def block(self) -> int:
-        """Unknowns per block; the last block must not be short, or trend and line would be degenerate in it."""
-        sizes = range(BLOCK_FRAMES * self.group, 2 * BLOCK_FRAMES * self.group)
-        return next(b for b in sizes if self.size % b == 0 or self.size % b >= b // 2)
-
-    def equations(self, data: SmootherData, w: Array, lam: Array, lines: LineParameters) -> Array:
-        """Equations in LAPACK band storage (3 band + 1, size) for weights w (n,); the top rows are for fill-in."""
-        colour = data.colour
-        flat = self._constant.copy()
-        flat[self._of_weights] = w
-        if colour:
-            first = self.components[-1][:1]
-            flat[self._place(first, first)] += 1.0 / colour.share
-        for places, (strength, difference) in zip(self._of_terms, _differences(data, lam, lines), strict=True):
-            flat[places] = difference[:, None] * strength
-        return flat.reshape((3 * self.band + 1, self.size), order="F")
-
-
-def _differences(data: SmootherData, lam: Array, lines: LineParameters) -> Iterator[tuple[Array | float, Array]]:
-    """Yield the strength of each difference and its coefficients."""
-    yield np.sqrt(lam), FOURTH_DIFFERENCE
-    for omega, mu in zip(lines.omega, lines.mu, strict=True):
-        yield np.sqrt(mu), np.array([1.0, -2.0 * np.cos(omega), 1.0])
-    if data.colour:
-        yield data.colour.shocks**-0.5, np.array([-data.colour.correlation, 1.0])
-    if data.second_difference_weights is not None:
-        yield np.sqrt(data.second_difference_weights), SECOND_DIFFERENCE
-
-
-@lru_cache(maxsize=64)
-def equation_layout(n: int, lines: int, has_sensor: bool, has_colour: bool) -> EquationLayout:
-    """Layout for n frames, cached."""
-    return EquationLayout(n, lines, has_sensor, has_colour)
+    components: Array
+    differences: list[Array]
 
 
 @dataclass(frozen=True, eq=False)
 class FactoredSmoother:
-    """Equations of a smoother, factored at the first solution.
+    """Equations of a smoother, factored part by part when they are solved.
 
     Attributes
     ----------
-    layout
-        Positions of the unknowns.
     data
         Measurements of n frames.
     lam
         Penalties of the trend, (n - 4,).
     lines
         Frequencies and penalties of the lines.
+    penalty_factor
+        Factor on all penalties.
+    min_weight
+        Smallest weight of a frame.
 
     """
 
-    layout: EquationLayout
     data: SmootherData
     lam: Array
     lines: LineParameters
+    penalty_factor: float = 1.0
+    min_weight: float = 0.0
+    _kept: dict[int, FactoredPart] = field(default_factory=dict, init=False, repr=False)
+    _corners: list[Array] = field(default_factory=list, init=False, repr=False)
+    _logdets: list[float] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def n(self) -> int:
+        """Number of frames."""
+        return len(self.data.w)
+
+    @property
+    def k(self) -> int:
+        """Number of lines."""
+        return len(self.lines.omega)
 
     @cached_property
-    def _lu(self) -> tuple[Array, Array]:
-        """Factors in LAPACK band storage, and pivots."""
-        s = self.layout
-        equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
-        lu, pivots, _ = scipy.linalg.lapack.dgbtrf(equations, s.band, s.band, overwrite_ab=1)
-        return lu, pivots
+    def layout(self) -> EquationLayout:
+        """Layout of these equations for the first part."""
+        return self._layout(min(self.cuts[1] + TREND_ORDER, self.n))
 
-    def _solve(self, frames: Array, components: list[Index], sensor: Array | None = None) -> Array:
-        """Solve for all unknowns (size, ...): right-hand side (n, ...) of components, (n - 2, ...) of the sensor."""
-        s = self.layout
-        full = np.zeros((s.size, *frames.shape[1:]))
-        for row in components:
-            full[row] = frames
-        if sensor is not None:
-            full[s.multiplier[-1]] = sensor
-        out: Array = scipy.linalg.lapack.dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
+    @cached_property
+    def cuts(self) -> list[int]:
+        """First frames of all parts, and n; no part ends in a gap, beyond which rounding errors would grow."""
+        w = self.data.w
+        cuts = range(PART_FRAMES, self.n - PART_FRAMES + 1, PART_FRAMES)
+        return [0, *(i for i in cuts if np.count_nonzero(w[i - END_FRAMES : i]) >= MIN_END_MEASURED), self.n]
+
+    def _layout(self, n: int) -> EquationLayout:
+        """Layout of these equations for n frames."""
+        return equation_layout(n, self.k, self.data.second_difference_weights is not None, self.data.colour is not None)
+
+    def part(self, first: int, stop: int) -> EquationPart:
+        """Equations of the frames first to stop (exclusive)."""
+        begin, end = max(first - TREND_ORDER, 0), min(stop + TREND_ORDER, self.n)
+        layout, data = self._layout(end - begin), self.data.part(begin, end)
+        w = np.maximum(data.precision, self.min_weight)
+        lines = LineParameters(self.lines.omega, self.lines.mu * self.penalty_factor)
+        bands = layout.equations(data, w, self.lam[begin : end - TREND_ORDER] * self.penalty_factor, lines)
+        return layout.part(bands, first - begin, stop - begin, begin)
+
+    def _factored(self, i: int) -> FactoredPart:
+        """Part i, factored; the parts before it were eliminated."""
+        if i not in self._kept:
+            part = self.part(*self.cuts[i : i + 2])
+            found = factor_part(part, self._corners[i - 1] if i else None)
+            if i == len(self._logdets):
+                self._logdets.append(found.logdet)
+                if part.frames.stop < self.n:
+                    self._corners.append(following_corner(found))
+            if len(self._kept) == MAX_KEPT_PARTS:
+                self._kept.popitem()
+            self._kept[i] = found
+        return self._kept[i]
+
+    def corners(self) -> list[Array]:
+        """Corrections of the first equations of each part but the first, by eliminating all earlier frames."""
+        for i in range(len(self._logdets), len(self.cuts) - 1):
+            self._factored(i)
+        return self._corners
+
+    def _solutions(self, right: Callable[[FactoredPart], Array]) -> Iterator[tuple[FactoredPart, Array]]:
+        """Yield the parts, the last one first, and their solutions (size, ...) for right-hand sides."""
+        count = len(self.cuts) - 1
+        carried: list[Array | float] = [0.0]
+        for i in range(count - 1):
+            part = self._factored(i)
+            carried.append(part.carry(part.solve(right(part), carried[i])))
+        found: Array | None = None
+        for i in reversed(range(count)):
+            part = self._factored(i)
+            following = 0.0 if found is None else part.after @ found[: len(part.after)]
+            found = part.solve(right(part), carried[i], following)
+            yield part, found
+
+    def _right(self, frames: Array, *, weighted: bool, sensor: Array | None = None) -> Callable[[FactoredPart], Array]:
+        """Right-hand sides of frames (n, ...): of the signal, or weighted ones of all components; of the sensor."""
+
+        def right(part: FactoredPart) -> Array:
+            out = np.zeros((part.size, *frames.shape[1:]))
+            own = frames[part.frames]
+            if weighted:
+                own = weighted_columns(self.data.part(part.frames.start, part.frames.stop).precision, own)
+            for row in part.components[: None if weighted else 1 + self.k]:
+                out[row] = own
+            if sensor is not None:
+                rows, place = part.differences[-1]
+                out[place] = sensor[rows]
+            return out
+
+        return right
+
+    def _signal(self, right: Callable[[FactoredPart], Array], shape: tuple[int, ...]) -> Array:
+        """Trend plus lines of a solution."""
+        out = np.empty(shape)
+        for part, found in self._solutions(right):
+            out[part.frames] = np.sum([found[row] for row in part.components[: 1 + self.k]], axis=0)
         return out
 
-    def signal(self, unknowns: Array) -> Array:
-        """Sum of trend and lines, (n, ...)."""
-        out: Array = np.sum([unknowns[row] for row in self.layout.frame], axis=0)
-        return out
+    def _unknowns(self, right: Callable[[FactoredPart], Array]) -> Unknowns:
+        """All unknowns of a solution."""
+        components = np.empty((len(self.layout.components), self.n))
+        differences = [np.empty(self.n - order) for _, order in self.layout.terms]
+        for part, found in self._solutions(right):
+            for column, row in zip(components, part.components, strict=True):
+                column[part.frames] = found[row]
+            for difference, (rows, place) in zip(differences, part.differences, strict=True):
+                difference[rows] = found[place]
+        return Unknowns(components, differences)
 
-    def unknowns(self) -> Array:
-        """Solution for the data, (size,)."""
+    def signal(self, unknowns: Unknowns) -> Array:
+        """Sum of trend and lines, (n,)."""
+        return np.asarray(sum(unknowns.components[1 : 1 + self.k], start=unknowns.components[0]))
+
+    def unknowns(self) -> Unknowns:
+        """Solution for the data."""
         d = self.data
         if d.second_difference_weights is None or d.second_differences is None:
-            return self._solve(d.precision * d.y, self.layout.components)
+            return self.unknowns_of(d.y)
         sensor = np.sqrt(d.second_difference_weights) * d.second_differences
-        return self._solve(d.precision * d.y, self.layout.components, sensor)
+        return self._unknowns(self._right(d.y, weighted=True, sensor=sensor))
 
-    def residual(self, unknowns: Array) -> Array:
+    def residual(self, unknowns: Unknowns) -> Array:
         """Data minus signal and correlated noise, (n,); 0 in missing frames."""
-        explained = np.sum([unknowns[row] for row in self.layout.components], axis=0)
-        return np.where(self.data.w > 0, self.data.y - explained, 0.0)
+        return np.where(self.data.w > 0, self.data.y - np.sum(unknowns.components, axis=0), 0.0)
 
     def shocks(self) -> Array:
         """Weighted fourth differences of the trend, (n - 4,): its innovations."""
-        return np.asarray(self.unknowns()[self.layout.multiplier[0]])
+        return self.unknowns().differences[0]
 
     def smooth(self, y: Array) -> Array:
         """Smooth columns with the weights of the data, without the sensor.
@@ -203,15 +233,15 @@ class FactoredSmoother:
             Trend plus lines, (n, ...).
 
         """
-        return self.signal(self.unknowns_of(y))
+        return self._signal(self._right(y, weighted=True), y.shape)
 
-    def unknowns_of(self, y: Array) -> Array:
-        """Solution (size, ...) for other positions y (n, ...), without the sensor."""
-        return self._solve(weighted_columns(self.data.precision, y), self.layout.components)
+    def unknowns_of(self, y: Array) -> Unknowns:
+        """Solution for other positions y (n,), without the sensor."""
+        return self._unknowns(self._right(y, weighted=True))
 
     def posterior_covariance_times(self, frames: Array) -> Array:
         """Posterior covariance of the signal for unit noise times columns (n, ...)."""
-        return self.signal(self._solve(frames, self.layout.frame))
+        return self._signal(self._right(frames, weighted=False), frames.shape)
 
     def covariance(self, rows: Index) -> Array:
         """Posterior covariance of the signal for unit noise.
@@ -227,11 +257,11 @@ class FactoredSmoother:
             Covariance of all frames with those frames, (n, m).
 
         """
-        unit = np.zeros((self.layout.n, len(rows)))
+        unit = np.zeros((self.n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self.posterior_covariance_times(unit)
 
-    def restricted_likelihood(self) -> tuple[float, float, Array]:
+    def restricted_likelihood(self) -> tuple[float, float, Unknowns]:
         """Compute the restricted likelihood (REML) of the data.
 
         Each of the two amplitudes of a line has a prior of the size of the noise, so the result does not depend on the
@@ -240,37 +270,36 @@ class FactoredSmoother:
         Returns
         -------
         tuple
-            Twice the negative log-likelihood, the noise variance at its maximum, and all unknowns (size,).
+            Twice the negative log-likelihood, the noise variance at its maximum, and all unknowns.
 
         References
         ----------
         Wahba 1985, Ann. Stat. 13, 1378-1402.
 
         """
-        s, d, lines = self.layout, self.data, self.lines
+        d, lines = self.data, self.lines
         unknowns = self.unknowns()
-        residual = d.precision @ self.residual(unknowns) ** 2 + sum(
-            float(np.sum(unknowns[m] ** 2)) for m in s.multiplier
-        )
+        residual = d.precision @ self.residual(unknowns) ** 2 + sum(float(q @ q) for q in unknowns.differences)
         if d.colour:
-            residual += unknowns[s.components[-1][0]] ** 2 / d.colour.share
-        degrees = d.count - TREND_ORDER - 2 * s.k
+            residual += unknowns.components[-1, 0] ** 2 / d.colour.share
+        degrees = d.count - TREND_ORDER - 2 * self.k
         variance = max(float(residual), np.finfo(float).tiny) / degrees
-        logdet = float(np.sum(np.log(np.abs(self._lu[0][2 * s.band]))))
-        penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
+        self.corners()
+        logdet = sum(self._logdets)
+        penalties = float(np.sum(np.log(self.lam))) + (self.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
-        noise = d.colour.log_likelihood_cost(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
+        noise = d.colour.log_likelihood_cost(int(np.sum(d.w > 0)), self.n) if d.colour else 0.0
         return (d.count - TREND_ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
 
-    def variances(self, start: Index, stencils: Array) -> Array:
+    def variances(self, start: Index, stencils: Stencils) -> Array:
         """Posterior variance of linear combinations of neighbouring frames of the signal, for unit noise.
 
         Parameters
         ----------
         start
-            First frame of each combination, (n,).
+            First frame of each combination, (n,), not falling.
         stencils
-            Weights, (..., n, m) with m at most `BLOCK_FRAMES`.
+            Weights, (..., n, m) with m at most `REACH`, or a function that returns those of a slice of the rows.
 
         Returns
         -------
@@ -278,13 +307,15 @@ class FactoredSmoother:
             Variances, (..., n).
 
         """
-        return variances_of([self], start, stencils)[0]
+        return np.asarray(variances_of([self], start, stencils)[0])
 
-    def noise_variances(self, start: Index, stencils: Array) -> Array:
+    def noise_variances(self, start: Index, stencils: Stencils) -> Array:
         """The part of those variances that is noise let through, not signal removed; arguments as in `variances`."""
         return self.posterior_and_noise_variance(start, stencils)[1]
 
-    def posterior_and_noise_variance(self, start: Index, stencils: Array) -> tuple[Array, Array]:
+    def posterior_and_noise_variance(
+        self, start: Index, stencils: Stencils, combine: Callable[[Array, slice], Array] = lambda both, _: both
+    ) -> Array:
         """Posterior variances, and the part of them that is noise let through.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
@@ -293,50 +324,92 @@ class FactoredSmoother:
         ----------
         start, stencils
             As in `variances`.
+        combine
+            Function of both variances (2, ..., m) of a slice of rows that returns what is wanted of them.
 
         Returns
         -------
-        tuple of arrays
-            Both variances for unit noise, (..., n) each.
+        Array
+            Both variances for unit noise, (2, ..., n), or what is wanted of them.
 
         """
-        neighbours = (self._stiffer(np.exp(d)) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP))
-        posterior, up, down = variances_of([self, *neighbours], start, stencils)
-        rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
-        return posterior, np.asarray(np.maximum(posterior + (up - down) / (2.0 * LOG_PENALTY_STEP), rounding))
+        neighbours = [replace(self, penalty_factor=float(np.exp(d))) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP)]
 
-    def _stiffer(self, factor: float) -> FactoredSmoother:
-        return factor_smoother(self.data, self.lam * factor, LineParameters(self.lines.omega, self.lines.mu * factor))
+        def with_noise(found: Array, rows: slice) -> Array:
+            posterior, up, down = found
+            return combine(np.stack([posterior, posterior + (up - down) / (2.0 * LOG_PENALTY_STEP)]), rows)
 
-    def equations(self) -> Array:
-        """Equations in bands (2 band + 1, size), with a small weight for missing frames."""
-        w = np.maximum(self.data.precision, MISSING_WEIGHT)
-        return self.layout.equations(self.data, w, self.lam, self.lines)[self.layout.band :]
+        return variances_of([self, *neighbours], start, stencils, with_noise)
+
+    def following_corners(self) -> list[Array]:
+        """Corrections of the last equations of each part and `REACH` frames more, by eliminating all later frames."""
+        stops = [*(cut + REACH for cut in self.cuts[1:-1]), self.n]
+        corners: list[Array] = []
+        for first, stop in reversed(list(pairwise(stops))):
+            part = reversed_part(self.part(first, stop))
+            corners.append(following_corner(factor_part(part, corners[-1] if corners else None)))
+        return [corner[::-1, ::-1] for corner in reversed(corners)]
+
+    def enclosed_parts(self) -> Iterator[EquationPart]:
+        """Yield the equations of each part and `REACH` frames more, after all other frames were eliminated."""
+        before, after = [None, *self.corners()], [*self.following_corners(), None]
+        for i, (first, stop) in enumerate(pairwise(self.cuts)):
+            part = self.part(first, min(stop + REACH, self.n))
+            add_corners(part, before[i], after[i])
+            yield part
 
 
-def variances_of(factors: Sequence[FactoredSmoother], start: Index, stencils: Array) -> Array:
+def variances_of(
+    factors: Sequence[FactoredSmoother],
+    start: Index,
+    stencils: Stencils,
+    combine: Callable[[Array, slice], Array] = lambda found, _: found,
+) -> Array:
     """Posterior variances of several smoothers of the same frames at once.
 
     Parameters
     ----------
     factors
-        F smoothers with the same layout.
+        F smoothers with the same unknowns.
     start, stencils
         As in `FactoredSmoother.variances`.
+    combine
+        Function of the variances (F, ..., m) of a slice of rows that returns what is wanted of them.
 
     Returns
     -------
     Array
-        Variances for unit noise, (F, ..., n).
+        Variances for unit noise, (F, ..., n), or what is wanted of them.
 
     """
-    s = factors[0].layout
-    m = stencils.shape[-1]
-    place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
-    weights = np.concatenate([stencils.reshape(-1, *stencils.shape[-2:])] * len(s.frame), axis=-1)
-    found = selected_inverse.selected_variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
-    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is that accurate
-    return np.asarray(np.maximum(found.reshape(len(factors), *stencils.shape[:-1]), rounding))
+    factors = [replace(f, min_weight=MISSING_WEIGHT) for f in factors]
+    signal = 1 + factors[0].k  # components
+    out: Array | None = None
+    for group in _alike(zip(*(f.enclosed_parts() for f in factors), strict=True)):
+        blocks = BlockEquations([part for parts in group for part in parts], factors[0].layout)
+        for i, (part, *_) in enumerate(group):
+            first, stop = part.frames.start, part.frames.stop - (REACH if part.frames.stop < factors[0].n else 0)
+            rows = slice(*np.searchsorted(start, [first, stop]).tolist())
+            weights = stencils(rows) if callable(stencils) else stencils[..., rows, :]
+            place = start[rows, None] - first + np.arange(weights.shape[-1])
+            found = blocks.variances(
+                slice(i * len(factors), (i + 1) * len(factors)),
+                np.concatenate([row[place] for row in part.components[:signal]], axis=1),
+                np.concatenate([weights.reshape(-1, *weights.shape[-2:])] * signal, axis=-1),
+            ).reshape(len(factors), *weights.shape[:-1])
+            rounding = np.finfo(float).eps * np.sum(weights**2, axis=-1)  # a stiff cubic is that accurate
+            found = np.maximum(combine(np.maximum(found, rounding), rows), rounding)
+            out = np.empty((*found.shape[:-1], len(start))) if out is None else out
+            out[..., rows] = found
+    assert out is not None
+    return out
+
+
+def _alike(parts: Iterable[tuple[EquationPart, ...]]) -> Iterator[list[tuple[EquationPart, ...]]]:
+    """Yield neighbouring parts of one size together, at most `PARTS_AT_ONCE`."""
+    for _, some in groupby(parts, key=lambda found: found[0].bands.shape[1]):
+        while group := list(islice(some, PARTS_AT_ONCE)):
+            yield group
 
 
 def factor_smoother(data: SmootherData, lam: Array, lines: LineParameters = NO_LINES) -> FactoredSmoother:
@@ -354,10 +427,7 @@ def factor_smoother(data: SmootherData, lam: Array, lines: LineParameters = NO_L
     Returns
     -------
     FactoredSmoother
-        The equations, factored at the first solution.
+        The equations, factored when they are solved.
 
     """
-    layout = equation_layout(
-        len(data.w), len(lines.omega), data.second_difference_weights is not None, data.colour is not None
-    )
-    return FactoredSmoother(layout, data, lam, lines)
+    return FactoredSmoother(data, lam, lines)

@@ -11,18 +11,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from frictrack.motion.smoother.posterior_deviations import weighted_cubic
 from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
 from frictrack.motion.smoother.structure import Event, Structure
 from frictrack.motion.smoother.structure_search import MAX_LINES, STIFF_LINE, StructureSearch
-from frictrack.records import Array, Mask
 
 MAX_WHOLE_FRAMES = 4000  # longer records are treated in windows
 WINDOW_FRAMES, OVERLAP_FRAMES = 2500, 200  # frames of a window, and on either side of it
 MAX_WINDOW_WORK = 1_500_000  # frames in all likelihoods of one window
 MIN_MEASURED_FRAMES = 100  # from which a window's structure can be found
 KNOTS_PER_WINDOW = 5  # of the stiffness
+POINTS_PER_CYCLE = 128  # per record, at which the residual of a line is largest
 FREQUENCY_STEPS = (-0.25, -0.125, -0.0625, 0.0625, 0.125, 0.25)  # cycles per record, tried about a frequency
 LINE_STIFFNESSES = (10.0, 14.0, 18.0, 24.0, STIFF_LINE)  # log mu of a line
 
@@ -90,15 +91,12 @@ def window_data(data: SmootherData, first: int, stop: int) -> SmootherData | Non
         None if fewer than `MIN_MEASURED_FRAMES` were measured.
 
     """
-    y, w = data.y[first:stop], data.w[first:stop]
-    if np.sum(w > 0) < MIN_MEASURED_FRAMES:
+    part = data.part(first, stop)
+    if np.sum(part.w > 0) < MIN_MEASURED_FRAMES:
         return None
-    cubic = weighted_cubic(y, w)
-    rest = np.where(w > 0, y - cubic, 0.0)
-    if data.second_differences is None or data.second_difference_weights is None:
-        return SmootherData(rest, w, colour=data.colour)
-    bent = data.second_differences[first : stop - 2] - np.diff(cubic, 2)
-    return SmootherData(rest, w, bent, data.second_difference_weights[first : stop - 2], data.colour)
+    cubic = weighted_cubic(part.y, part.w)
+    bent = None if part.second_differences is None else part.second_differences - np.diff(cubic, 2)
+    return replace(part, y=np.where(part.w > 0, part.y - cubic, 0.0), second_differences=bent)
 
 
 def _stiffness(windows: Sequence[RecordWindow], n: int) -> tuple[float, ...]:
@@ -127,7 +125,7 @@ def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[Recor
     search = StructureSearch(data)
     used = np.zeros(0)
     cell = 2 * np.pi / WINDOW_FRAMES
-    for omega in _frequencies(windows, cell)[:MAX_LINES]:
+    for omega in _frequencies(windows, cell):
         if np.any(np.abs(used - omega) < cell):
             continue
         used = np.append(used, omega)
@@ -139,16 +137,16 @@ def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[Recor
 
 
 def _frequencies(windows: Sequence[RecordWindow], cell: float) -> list[float]:
-    """Frequencies of lines, radians per frame, ordered by the number of windows that contain them."""
+    """Frequencies of lines, radians per frame, the `MAX_LINES` that most windows contain."""
     found = np.array([omega for window in windows for omega, _ in window.structure.lines])
     if not len(found):
         return []
-    same_line: Mask = np.abs(found[:, None] - found) < cell
-    order = np.argsort(-np.sum(same_line, axis=1), kind="stable")
+    found.sort()
+    low, high = np.searchsorted(found, [found - cell, found + cell])  # the same line
     chosen: list[float] = []
-    for i in order:
-        if all(abs(found[i] - omega) >= cell for omega in chosen):
-            chosen.append(float(np.median(found[same_line[i]])))
+    for i in np.argsort(low - high, kind="stable"):
+        if len(chosen) < MAX_LINES and all(abs(found[i] - omega) >= cell for omega in chosen):
+            chosen.append(float(np.median(found[low[i] : high[i]])))
     return chosen
 
 
@@ -156,10 +154,9 @@ def _peak(search: StructureSearch, structure: Structure, omega: float, cell: flo
     """Frequency near `omega` where the residual of the whole record is largest, radians per frame."""
     factor = structure.factor_smoother(search.data)
     residual = factor.residual(factor.unknowns())
-    frequencies = 2 * np.pi * np.arange(8 * search.n + 1) / (16 * search.n)
-    power: Array = np.abs(np.fft.rfft(residual, 16 * search.n)) ** 2
-    inside = np.flatnonzero(np.abs(frequencies - omega) < cell)
-    return float(frequencies[inside[np.argmax(power[inside])]])
+    frequencies = np.linspace(omega - cell, omega + cell, int(POINTS_PER_CYCLE * search.n * cell / np.pi))
+    amplitudes = scipy.signal.zoom_fft(residual, frequencies[[0, -1]], len(frequencies), fs=2 * np.pi, endpoint=True)
+    return float(frequencies[np.argmax(np.abs(amplitudes))])
 
 
 def _refine_last_line(structure: Structure, search: StructureSearch) -> Structure:

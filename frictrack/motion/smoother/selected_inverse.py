@@ -9,25 +9,28 @@ neighbouring blocks equals that part of the full inverse. Several matrices of on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
+from frictrack.motion.smoother.equation_layout import EquationLayout, EquationPart, Index
 from frictrack.records import Array
 
-Index = NDArray[np.int64]
 PAIRS_AT_ONCE = 256  # pairs of blocks solved in one call
 
 
 class BlockEquations:
-    """F symmetric banded matrices (F, 2 band + 1, size) in blocks of `block` unknowns; the last block is padded."""
+    """F parts of one size in blocks of unknowns, of which the last one is padded."""
 
-    def __init__(self, equations: Array, block: int) -> None:
-        self.block, self.band = block, equations.shape[1] // 2
-        self.many = max(-(-equations.shape[2] // block), 2)
-        self.padded = np.zeros((len(equations), equations.shape[1], self.many * block))
+    def __init__(self, parts: Sequence[EquationPart], layout: EquationLayout) -> None:
+        size, self.band = parts[0].bands.shape[1], layout.band
+        self.block = layout.block(size)
+        self.many = max(-(-size // self.block), 2)
+        self.padded = np.zeros((len(parts), 2 * self.band + 1, self.many * self.block))
         self.padded[:, self.band] = 1.0
-        self.padded[:, :, : equations.shape[2]] = equations
+        for own, part in zip(self.padded, parts, strict=True):
+            own[:, :size] = part.bands[self.band :]
         self.before, self.after = self._corners()
 
     def _corners(self) -> tuple[Array, Array]:
@@ -53,59 +56,56 @@ class BlockEquations:
             after[:, pairs - k - 1] = -down.swapaxes(1, 2) @ found[f:, :b]
         return before, after
 
-    def solutions(self, first: int, stop: int, right: Array) -> Array:
+    def variances(self, own: slice, place: Index, weights: Array) -> Array:
+        """Compute variances of linear combinations of unknowns that lie at most one block apart.
+
+        Parameters
+        ----------
+        own
+            Those of the matrices that count.
+        place
+            Unknowns of each combination, (n, p).
+        weights
+            Q sets of weights, (Q, n, p).
+
+        Returns
+        -------
+        Array
+            Variances, (F, Q, n).
+
+        References
+        ----------
+        Takahashi, Fagan & Chen 1973, 8th PICA Conference Proc.
+
+        """
+        window = np.minimum(place.min(axis=1) // self.block, self.many - 2)
+        slot = np.arange(len(place)) - np.searchsorted(window, window)
+        inside = place - window[:, None] * self.block
+        out = np.empty((len(self.padded[own]), *weights.shape[:2]))
+        kinds = np.arange(len(weights))[:, None, None]
+        for first in range(0, self.many - 1, PAIRS_AT_ONCE):
+            stop = min(first + PAIRS_AT_ONCE, self.many - 1)
+            rows = slice(*np.searchsorted(window, [first, stop]))
+            at = (window[rows, None] - first, inside[rows], slot[rows, None] * len(weights) + kinds)
+            right = np.zeros((stop - first, 2 * self.block, (int(np.max(slot[rows], initial=0)) + 1) * len(weights)))
+            right[at] = weights[:, rows]
+            found = self._solutions(own, first, stop, right)
+            out[:, :, rows] = np.sum(found[:, *at] * weights[:, rows], axis=-1)
+        return out
+
+    def _solutions(self, own: slice, first: int, stop: int, right: Array) -> Array:
         """Solutions (F, W, 2 block, columns) of W pairs first to stop (exclusive), for right-hand sides (W, ...)."""
         b, wide = self.band, 2 * self.block
         column = self.block * np.arange(first, stop)[:, None] + np.arange(wide)
         row = np.arange(wide) + np.arange(-b, b + 1)[:, None]
-        bands = np.where(((row >= 0) & (row < wide))[:, None], self.padded[:, :, column], 0.0)
+        bands = np.where(((row >= 0) & (row < wide))[:, None], self.padded[own][:, :, column], 0.0)
         i, j = np.indices((b, b))
-        bands[:, b + i - j, :, j] += np.moveaxis(self.before[:, first:stop], 1, -1).transpose(1, 2, 0, 3)
-        bands[:, b + i - j, :, wide - b + j] += np.moveaxis(self.after[:, first:stop], 1, -1).transpose(1, 2, 0, 3)
+        bands[:, b + i - j, :, j] += np.moveaxis(self.before[own, first:stop], 1, -1).transpose(1, 2, 0, 3)
+        bands[:, b + i - j, :, wide - b + j] += np.moveaxis(self.after[own, first:stop], 1, -1).transpose(1, 2, 0, 3)
         flat = bands.reshape(len(bands), 2 * b + 1, -1)
         return np.stack([_solve_banded(b, each, right.reshape(-1, right.shape[-1])) for each in flat]).reshape(
             -1, *right.shape
         )
-
-
-def selected_variances(equations: Array, block: int, place: Index, weights: Array) -> Array:
-    """Compute variances of linear combinations of unknowns that lie at most one block apart.
-
-    Parameters
-    ----------
-    equations
-        F symmetric matrices in bands, (F, 2 band + 1, size).
-    block
-        Unknowns per block, at least `band`.
-    place
-        Unknowns of each combination, (n, p).
-    weights
-        Q sets of weights, (Q, n, p).
-
-    Returns
-    -------
-    Array
-        Variances, (F, Q, n).
-
-    References
-    ----------
-    Takahashi, Fagan & Chen 1973, 8th PICA Conference Proc.
-
-    """
-    blocks = BlockEquations(equations, block)
-    window = np.minimum(place.min(axis=1) // block, blocks.many - 2)
-    slot = np.arange(len(place)) - np.searchsorted(window, window)
-    inside = place - window[:, None] * block
-    out = np.empty((len(equations), *weights.shape[:2]))
-    kinds = np.arange(len(weights))[:, None, None]
-    for first in range(0, blocks.many - 1, PAIRS_AT_ONCE):
-        stop = min(first + PAIRS_AT_ONCE, blocks.many - 1)
-        own = slice(*np.searchsorted(window, [first, stop]))
-        at = (window[own, None] - first, inside[own], slot[own, None] * len(weights) + kinds)
-        right = np.zeros((stop - first, 2 * block, (int(np.max(slot[own], initial=0)) + 1) * len(weights)))
-        right[at] = weights[:, own]
-        out[:, :, own] = np.sum(blocks.solutions(first, stop, right)[:, *at] * weights[:, own], axis=-1)
-    return out
 
 
 def _solve_banded(band: int, equations: Array, right: Array) -> Array:

@@ -130,6 +130,12 @@ class SmootherData:
         """Weights (n,) with respect to the white part of the noise."""
         return self.w / (1.0 - self.colour.share) if self.colour else self.w
 
+    def part(self, first: int, stop: int) -> SmootherData:
+        """The data of frames first to stop (exclusive)."""
+        sensor = (self.second_differences, self.second_difference_weights)
+        bent, weights = (None if q is None else q[first : stop - 2] for q in sensor)
+        return SmootherData(self.y[first:stop], self.w[first:stop], bent, weights, self.colour)
+
     def probes(self, rng: np.random.Generator, many: int) -> Array:
         """Random series (n, many) with the covariance of the noise, from random signs."""
         white = rng.choice([-1.0, 1.0], (len(self.w), many))

@@ -62,12 +62,14 @@ class Structure:
         """A plain low-pass with a cut-off (Hz) at a frame interval (s)."""
         return cls((float(np.log(penalty(cutoff, interval))),))
 
-    def log_lambda(self, n: int) -> Array:
-        """Log lambda of each fourth difference of n frames, (n - 4,)."""
-        place = np.linspace(0.0, 1.0, n - TREND_ORDER)
-        out = np.interp(place, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
+    def log_lambda(self, n: int, first: int = 0, stop: int | None = None) -> Array:
+        """Log lambda of the fourth differences first to stop (exclusive, by default all) of n frames."""
+        rows = np.arange(first, n - TREND_ORDER if stop is None else stop) / max(n - TREND_ORDER - 1, 1)
+        out = np.interp(rows, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
         for e in self.events:
-            out[e.first : e.last + 1] -= e.boosts
+            low, high = max(e.first - first, 0), min(e.last + 1 - first, len(out))
+            if low < high:
+                out[low:high] -= e.boosts[low + first - e.first : high + first - e.first]
         return np.asarray(out)
 
     def _knots(self) -> tuple[float, ...]:
@@ -81,9 +83,8 @@ class Structure:
         """Set up the smoother of a part of a record; `window` is first frame, stop, and frames of the record."""
         first, stop, n = window
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
-        return factor_smoother(
-            data, np.exp(self.log_lambda(n)[first : stop - TREND_ORDER]), LineParameters(omega, np.exp(log_mu))
-        )
+        lam = np.exp(self.log_lambda(n, first, stop - TREND_ORDER))
+        return factor_smoother(data, lam, LineParameters(omega, np.exp(log_mu)))
 
     def numbers(self) -> Array:
         """All continuous parameters as one vector."""

@@ -129,8 +129,8 @@ def _events(s: Structure, i: int, n: int) -> Iterator[StructureChange]:
 
 def _period(s: Structure, place: int, n: int) -> float:
     """Period of the trend's cut-off at a difference, frames."""
-    without_events = replace(s, events=()).log_lambda(n)
-    return float(2.0 * np.pi * np.exp(without_events[place] / (2 * TREND_ORDER)))
+    without_events = replace(s, events=()).log_lambda(n, place, place + 1)
+    return float(2.0 * np.pi * np.exp(without_events[0] / (2 * TREND_ORDER)))
 
 
 def _weigh_changes(data: SmootherData, s: Structure, changes: Sequence[StructureChange]) -> ChangeGroup | None:
@@ -209,8 +209,10 @@ def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) 
     return out
 
 
-def added_variance(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup], interval: float) -> Array:
-    """Variance of x, v and a that the average adds.
+def added_variances(
+    data: SmootherData, s: Structure, groups: Sequence[ChangeGroup], interval: float
+) -> Iterator[tuple[slice, Array]]:
+    """Yield the frames of each group, and the variance of x, v and a that the average adds there.
 
     Parameters
     ----------
@@ -221,16 +223,14 @@ def added_variance(data: SmootherData, s: Structure, groups: Sequence[ChangeGrou
     interval
         Frame interval, s.
 
-    Returns
-    -------
-    Array
-        Variance, (3, n).
+    Yields
+    ------
+    tuple of slice and Array
+        m frames, and their variances, (3, m).
 
     """
-    out = np.zeros((3, len(data.w)))
     for g in groups:
-        out[:, g.first : g.stop] += _group_variance(data, s, g, interval)
-    return out
+        yield slice(g.first, g.stop), _group_variance(data, s, g, interval)
 
 
 def _group_variance(data: SmootherData, s: Structure, g: ChangeGroup, interval: float) -> Array:
