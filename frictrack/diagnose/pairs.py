@@ -8,7 +8,7 @@ best are fitted along the measured motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -20,14 +20,6 @@ from frictrack.records import Array
 
 RELATIVE_STEP = 1e-3  # of a setting, over which the change of columns is taken
 MIN_SQUARE_LEFT = 1e-9  # of a column, beside the model or the others of a pair; less is rounding
-
-
-@dataclass(frozen=True, eq=False)
-class _Span:
-    """What one effect may add beside the model: directions (C, m) among the columns of all effects."""
-
-    trial: CandidateTrial
-    directions: Array
 
 
 def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> dict[tuple[str, str], float]:

@@ -6,7 +6,6 @@ from frictrack.fit.stepwise.growth import (
     rebuild_problem,
     refine_to_end,
     remove_effect,
-    rename_effects,
     reorder_effects,
     simulate_trial,
 )
@@ -22,8 +21,6 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     misfit_left_by_other,
     try_effect,
-    try_known_effect,
-    try_linear_effects,
     try_together,
 )
 
@@ -44,14 +41,11 @@ __all__ = [
     "rebuild_problem",
     "refine_to_end",
     "remove_effect",
-    "rename_effects",
     "reorder_effects",
     "reversed_ties",
     "scan_effect",
     "simulate_trial",
     "ties_are_resolved",
     "try_effect",
-    "try_known_effect",
-    "try_linear_effects",
     "try_together",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -222,15 +222,6 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     if problem.simulates:  # a motion up to its stop may not be found again from afar
         problem = problem.beginning_at(solution.responses)
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
-
-
-def rename_effects(solution: Solution, names: Mapping[str, str]) -> Solution:
-    """Return the same solution with other names of effects, to which none is tied; `names` maps old to new ones."""
-    old = solution.problem.layout
-    model = Model(tuple(e.called(names.get(e.name, e.name)) for e in old.model.effects))
-    absent = frozenset((names.get(name, name), run) for name, run in old.absent)
-    problem = solution.problem.rebuild(replace(old, model=model, absent=absent), solution.problem.pieces)
-    return replace(solution, problem=problem)
 
 
 def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL) -> Solution:

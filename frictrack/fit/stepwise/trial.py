@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
-from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout, Slot
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
 from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
 from frictrack.fit.stepwise.scan_starts import MIN_GAIN_SHARE, Start, starts_of_scans
-from frictrack.models import Model
 from frictrack.records import Array
 
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
@@ -76,19 +74,6 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     return free_amplitudes if shared_amplitude.misfit > limit else shared_amplitude
 
 
-def try_known_effect(linearised: LinearisedModel, known: Solution, effect: Effect) -> CandidateTrial:
-    """Fit a model with one more effect along the measured motion, from its values in another fit that has it."""
-    old, name = linearised.solution.problem.layout, effect.name
-    fitted = next(e for e in known.problem.model.effects if e.name == name)
-    absent = {pair for pair in known.problem.layout.absent if pair[0] == name}
-    layout = replace(old, model=old.model + fitted, absent=old.absent | absent)
-    values = dict(zip(known.problem.layout.names, known.p, strict=True))
-    values |= dict(zip(old.names, linearised.solution.p, strict=True))
-    problem = _projected_problem(linearised, layout)
-    state = problem.at(np.array([values[n] for n in layout.names]))
-    return _trial(effect, *_refined(problem, state))
-
-
 def try_together(
     linearised: LinearisedModel,
     effects: Sequence[Effect],
@@ -127,22 +112,6 @@ def try_together(
     p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
     state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
     return _trial(effects[-1], problem, state)
-
-
-def try_linear_effects(
-    linearised: LinearisedModel, effects: Sequence[Effect], *, rough: bool = False
-) -> CandidateTrial:
-    """Fit a model with several more effects whose free parameters are all linear; `rough` is enough for a ranking."""
-    old = linearised.solution.problem.layout
-    layout = replace(old, model=Model((*old.model.effects, *effects)))
-    known_values = dict(zip(old.names, linearised.solution.p, strict=True))
-    problem = _projected_problem(linearised, layout)
-    p = np.array(
-        [known_values.get(name, _start_value({}, s)) for name, s in zip(layout.names, layout.slots, strict=True)]
-    )
-    if rough:
-        return _trial(effects[0], problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))
-    return _trial(effects[0], *_refined(problem, problem.at(p)))
 
 
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
