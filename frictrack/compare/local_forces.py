@@ -27,6 +27,7 @@ from frictrack.compare.bump_dictionary import (
     width_limits,
 )
 from frictrack.compare.bumps import Bump, NodeMotion, motion_at_nodes
+from frictrack.compare.effect_forces import effect_force_at_nodes
 from frictrack.compare.global_significance import GlobalSignificance
 from frictrack.compare.refitting import fit_at_one_level, refit_with_forces
 from frictrack.errors import FrictrackError
@@ -119,7 +120,7 @@ def start_search(law: ModelProjection) -> LocalForces:
     return LocalForces([], law, law, at, dictionary, *search_significance(dictionary))
 
 
-def find_local_forces(solution: Solution) -> LocalForces:
+def find_local_forces(solution: Solution, explained: Solution | None = None) -> LocalForces:
     """Find the local forces in the residual of a fit.
 
     A model with a large misfit is far from its linearisation: it is refitted once or twice together with the forces
@@ -131,6 +132,8 @@ def find_local_forces(solution: Solution) -> LocalForces:
     ----------
     solution
         The fit.
+    explained
+        The fit with forces more that explain everything; the model is then refitted together with these.
 
     Returns
     -------
@@ -138,11 +141,28 @@ def find_local_forces(solution: Solution) -> LocalForces:
         The finished search.
 
     """
+    if explained is not None and (beside := _beside_known_forces(solution, explained)) is not None:
+        return continue_search(start_search(model_projection(beside)))
     law = model_projection(solution)
     if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
         return continue_search(start_search(law))
     found = _search_and_refit(model_projection(fit_at_one_level(solution)), solution.problem, estimate_scatter=True)
     return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, estimate_scatter=False)
+
+
+def _beside_known_forces(solution: Solution, explained: Solution) -> Solution | None:
+    """The model refitted together with the forces that a larger one adds; None where it differs in something else."""
+    names = set(explained.problem.model.names) - set(solution.problem.model.names)
+    added = [e for e in explained.problem.model.effects if e.name in names]
+    if not added or any(e.acts_on != "force" or e.modifies or e.replaces for e in added):
+        return None
+    forces = [np.sum([effect_force_at_nodes(explained, r, e.name) for e in added], axis=0) for r in explained.responses]
+    if any(len(f) != len(p.panels.t) for f, p in zip(forces, solution.problem.pieces, strict=True)):
+        return None
+    try:
+        return refit_with_forces(solution, solution.problem, forces, estimate_scatter=True)
+    except FrictrackError:
+        return None
 
 
 def _search_and_refit(law: ModelProjection, bare: LeastSquaresProblem, *, estimate_scatter: bool) -> LocalForces:

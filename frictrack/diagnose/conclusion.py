@@ -141,7 +141,9 @@ class Conclusion:
     @cached_property
     def _pattern(self) -> FailurePattern:
         """What the misfit has in common from run to run."""
-        return find_failure_pattern(self.search.start, self.search.generators[1])
+        explained = bool(self.search.found) and not self.search.last.leaves_misfit
+        last = self.search.last.solution if explained else None
+        return find_failure_pattern(self.search.start, self.search.generators[1], last)
 
     @property
     def _nothing_missing(self) -> bool:

@@ -37,11 +37,14 @@ class FailurePattern:
         The fit, with the frames that are compared.
     rng
         Random generator.
+    explained
+        The fit with effects that explain everything; None if there are none.
 
     """
 
     fit: Solution
     rng: np.random.Generator
+    explained: Solution | None = None
 
     @cached_property
     def local(self) -> LocalForces:
@@ -50,7 +53,7 @@ class FailurePattern:
         A fit with a large misfit is far from its linearisation; what runs have in common is estimated with the model
         refitted together with these forces.
         """
-        return find_local_forces(self.fit)
+        return find_local_forces(self.fit, self.explained)
 
     @cached_property
     def repeats(self) -> Repeatability:
@@ -80,7 +83,9 @@ class FailurePattern:
         return WaveScan(self._solution)
 
 
-def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
+def find_failure_pattern(
+    solution: Solution, rng: np.random.Generator, explained: Solution | None = None
+) -> FailurePattern:
     """Find what the misfit of a fit has in common from run to run.
 
     Parameters
@@ -89,13 +94,16 @@ def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> Failur
         The fit.
     rng
         Random generator.
+    explained
+        The fit with effects that explain everything; None if there are none.
 
     Returns
     -------
     FailurePattern
 
     """
-    return FailurePattern(keep_compared_frames(solution), rng)
+    fit = keep_compared_frames(solution)
+    return FailurePattern(fit, rng, explained if fit is solution else None)
 
 
 def residual_figures(
