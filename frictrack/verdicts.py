@@ -47,12 +47,28 @@ def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
     """
     if diagnosis["verdict"] == "undetermined":
         return f"{VERDICTS['undetermined']}: {describe_open_question(diagnosis)}"
+    if diagnosis["verdict"] == "unexplained":
+        return "; ".join([VERDICTS["unexplained"], *describe_leads(diagnosis)])
     if diagnosis["verdict"] != "ambiguous":
         return ": ".join(filter(None, (VERDICTS[diagnosis["verdict"]], ", ".join(diagnosis["missing"]))))
     certain, group = certain_effects(diagnosis), ", ".join(indistinguishable_effects(diagnosis))
     if not certain:
         return f"{VERDICTS['ambiguous']}: {group}"
     return f"{VERDICTS['missing']}: {', '.join(certain)}; several effects explain the rest equally well: {group}"
+
+
+def describe_leads(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Say which effects explain a part of a misfit that none explains: leads, and no causes.
+
+    Examples
+    --------
+    >>> describe_leads({"leads": ["patch", "drag"]})
+    ['patch and drag explain a part of it: leads, no causes']
+
+    """
+    leads = diagnosis.get("leads") or []
+    verb, kind = ("explains", "a lead, no cause") if len(leads) == 1 else ("explain", "leads, no causes")
+    return [f"{' and '.join(leads)} {verb} a part of it: {kind}"] if leads else []
 
 
 def certain_effects(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -83,7 +99,7 @@ def _rivals(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
 def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     """Select the first effect of a diagnosis that these runs cannot distinguish from others, and these; else the best.
 
-    Formulas that explain as much as all effects found are one of the others, and so is a set in place of one effect.
+    A formula that explains as much as all effects found is one of the others.
 
     Parameters
     ----------
@@ -100,13 +116,9 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"rival": "a formula of place"}}
     >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
     ['patch', 'a formula of place']
-    >>> pair = {"effects": ["drag", "thermal"], "delta_bic": 2.0}
-    >>> found = {"missing": ["spring"], "candidates": [], "verdict": "ambiguous"}
-    >>> indistinguishable_effects(found | {"alternatives": [pair]})
-    ['spring', 'drag with thermal']
 
     """
-    rivals, whole = _rivals(diagnosis), [*_sets_in_place_of_one(diagnosis), *_formula_rival(diagnosis)]
+    rivals, whole = _rivals(diagnosis), _formula_rival(diagnosis)
     names = diagnosis["missing"] or [diagnosis["candidates"][0]["effect"]]
     first = next((name for name in names if rivals.get(name)), None)
     if first is None:
@@ -125,12 +137,6 @@ def join_as_one(names: Sequence[str]) -> str:
     """
     first, *others = names
     return f"{first} with {' and '.join(others)}" if others else first
-
-
-def _sets_in_place_of_one(diagnosis: Mapping[str, Any]) -> list[str]:
-    """The sets of effects that explain as much as the one effect that is named."""
-    others = diagnosis.get("alternatives") or [] if len(diagnosis["missing"]) == 1 else []
-    return [join_as_one(one["effects"]) for one in others]
 
 
 def _formula_rival(diagnosis: Mapping[str, Any]) -> list[str]:

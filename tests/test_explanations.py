@@ -15,9 +15,10 @@ from scipy.integrate import solve_ivp
 
 from frictrack import models
 from frictrack.diagnose import diagnose, explanations
-from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
+from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
 from frictrack.diagnose.explanations import Explanation, Explanations
+from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.diagnose.refined_candidates import RefinedCandidate

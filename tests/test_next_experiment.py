@@ -23,7 +23,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import (
     EvidenceForecast,
-    Explanation,
+    FittedExplanation,
     ModelDiscrimination,
     RunDesign,
     candidate_experiments,
@@ -278,7 +278,7 @@ def test_a_pair_that_no_run_parts_is_told_what_else_does():
     runs = runs_with("slope", {"F": 1.2}, (4.0, 4.2))
     bare, grown = explained(runs, "slope", "spring")
     assert plan_for_candidates(bare, [], ()) == []  # nothing passes, nothing to part
-    one = Explanation("spring", grown["spring"], 0.0, grown["spring"])
+    one = FittedExplanation("spring", grown["spring"], 0.0, grown["spring"])
     told = propose_experiments([one, replace(one, effect="spring")])
     assert [(step["kind"], step["separates"], step["expected_delta_bic"]) for step in told] == [("none", [], 0.0)]
     pair = [make_explanation(n, s, bare) for n, s in grown.items()]

@@ -8,9 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion import Derivatives, FilterMethod
+from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencil_start, stencil_weights
 from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
-from frictrack.motion.stencil import STENCIL_FRAMES, stencil_start, stencil_weights
 from frictrack.records import Array, Filtered, Motion
 
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held

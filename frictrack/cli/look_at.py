@@ -70,6 +70,6 @@ def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
 
 
 def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
-    if diagnosis["missing"]:
-        return f"Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
+    if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
+        return f"Then: frictrack add {study} {named[0]} shows by how much the error falls"
     return f"Then: frictrack plan {study} lists which runs would tell more"

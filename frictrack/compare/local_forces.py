@@ -141,8 +141,8 @@ def find_local_forces(solution: Solution, explained: Solution | None = None) -> 
         The finished search.
 
     """
-    if explained is not None and (beside := _beside_known_forces(solution, explained)) is not None:
-        return continue_search(start_search(model_projection(beside)))
+    if explained is not None and (refitted := _refitted_with_known_forces(solution, explained)) is not None:
+        return continue_search(start_search(model_projection(refitted)))
     law = model_projection(solution)
     if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
         return continue_search(start_search(law))
@@ -150,7 +150,7 @@ def find_local_forces(solution: Solution, explained: Solution | None = None) -> 
     return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, estimate_scatter=False)
 
 
-def _beside_known_forces(solution: Solution, explained: Solution) -> Solution | None:
+def _refitted_with_known_forces(solution: Solution, explained: Solution) -> Solution | None:
     """The model refitted together with the forces that a larger one adds; None where it differs in something else."""
     names = set(explained.problem.model.names) - set(solution.problem.model.names)
     added = [e for e in explained.problem.model.effects if e.name in names]

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.verdict import Candidate, Importance
 from frictrack.fit.least_squares import Solution
-
-if TYPE_CHECKING:
-    from frictrack.diagnose.conclusion import FinishedSearch
 
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance

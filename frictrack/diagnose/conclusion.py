@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from frictrack.compare import failing_spans
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
@@ -20,6 +18,7 @@ from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effe
 from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
@@ -29,42 +28,14 @@ from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.rivals import AlternativeSet
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
-from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
-
-
-@dataclass(frozen=True, eq=False)
-class FinishedSearch:
-    """Result of a search.
-
-    `first` and `last` are the examinations of the model and of that with the effects found, `tried` all effects alone
-    beside the model, best first, and `generators` the random numbers of the later steps. `cut` says what was left out
-    because the budget of evaluations was spent; None if nothing was. `alternatives` are other sets of effects that
-    explain as much as those found; `is_beaten` says that one formula explains far more than these.
-    """
-
-    start: Solution
-    first: Examination
-    last: Examination
-    tried: list[RefinedCandidate]
-    found: list[RefinedCandidate]
-    generators: list[np.random.Generator]
-    cut: str | None = None
-    alternatives: Sequence[AlternativeSet] = ()
-    is_beaten: bool = False
-
-    @property
-    def passing(self) -> list[RefinedCandidate]:
-        """Effects that pass alone, best first."""
-        return [t for t in self.tried if t.passes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +148,12 @@ class Conclusion:
             )
         )
         named = [] if verdict == "undetermined" else found
+        names = [t.effect.title for t in named if not t.objection]
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
-            missing=[t.effect.title for t in named if not t.objection],
+            missing=[] if verdict == "unexplained" else names,
+            leads=names if verdict == "unexplained" else [],
             noise_um=1e6 * noise if kind.unit == "um" else None,
             noise_N=noise if kind.unit == "N" else None,
             reduced_chi2=misfit,
@@ -224,7 +197,7 @@ class Conclusion:
         if found.verdict == "unexplained" and not formulas["decisive"]:
             return found
         if formulas["decisive"]:
-            return replace(found, verdict="unexplained", missing=[], unexplained=formulas)
+            return replace(found, verdict="unexplained", missing=[], leads=[], unexplained=formulas)
         doubtful = formulas["rival"] is not None and found.verdict == "missing"
         return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=formulas)
 
@@ -247,7 +220,7 @@ class Conclusion:
     def _fails_at(self) -> list[dict[str, Any]]:
         """The spans where the missing force acts or, if none is known, where the residual is significant."""
         found = self._named
-        if found and found[0].effect.acts_on == "force":
+        if found and found[0].effect.acts_on == "force" and not found[0].effect.frees:
             return failing_spans(found[0].law, self.fit.runs, found[0].effect.name)
         return failing_spans(self.fit.solution, self.fit.runs)
 
@@ -256,7 +229,7 @@ class Conclusion:
         search, found = self.search, self._before_formulas
         known = KnownFindings()
         if search.found:
-            known = KnownFindings(found.candidates[0].delta_bic, search.last.solution, found.missing)
+            known = KnownFindings(found.candidates[0].delta_bic, search.last.solution, [*found.missing, *found.leads])
         return self._kind.auxiliary_evidence(search.start, self.fit.runs, search.generators[0], auxiliary, known)
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
@@ -275,7 +248,7 @@ class Conclusion:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
         first, last, effects = self.search.first, self.search.last, self.search.found
         if found.verdict == "unexplained":
-            solution = last.solution if found.missing or not effects else first.solution
+            solution = last.solution if found.leads or not effects else first.solution
             return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.title for t in effects[:1]]
         order = sorted(self.search.passing, key=lambda t: t.effect.title not in best)

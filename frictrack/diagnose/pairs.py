@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, small_grids
+from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, products_of_grids
 from frictrack.fit.stepwise import CandidateTrial, effect_for_scan, try_together
 from frictrack.records import Array
 
@@ -39,7 +39,7 @@ def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> di
 
     """
     own = [_grids_at(law, t) for t in trials]
-    products = small_grids(law, [grid for grids in own for grid in grids], measured_series(law))
+    products = products_of_grids(law, [grid for grids in own for grid in grids], measured_series(law))
     projector = law.residual_projector(law.solution.tau)
     projected = products.coordinates @ projector
     gram = products.gram + projected @ products.coordinates.T

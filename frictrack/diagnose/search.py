@@ -16,9 +16,10 @@ import numpy as np
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals
-from frictrack.diagnose.conclusion import Conclusion, FinishedSearch
+from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
+from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion

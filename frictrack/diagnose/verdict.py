@@ -134,7 +134,9 @@ class Diagnosis(NotebookView):
     verdict
         "complete", "missing", "ambiguous", "unexplained" or "undetermined".
     missing
-        Effects that the model lacks.
+        Effects that the model lacks: with them nothing is left. Empty where none explain it.
+    leads
+        Effects that explain a part of what is left unexplained.
     noise_um, noise_N
         Noise of a frame, um, or N for measured friction.
     reduced_chi2, p_lack_of_fit
@@ -202,11 +204,13 @@ class Diagnosis(NotebookView):
         default_factory=Repeatability
     )  # whether the failure is common to the runs, and along which axis
     alpha: float = ALPHA
+    leads: list[str] = field(default_factory=list)  # of "unexplained"
     complete: bool = True  # False: the verdict, and nothing of what follows from it
     rests_on_repairs: str | None = None  # a sentence if the verdict changes without the frames that were tracked again
 
     def __repr__(self) -> str:
         model, lacks = "+".join(self.model), f": {', '.join(self.missing)}" if self.missing else ""
+        lacks += f", {' and '.join(self.leads)} explain a part" if self.leads else ""
         first = f"; first candidate {self.best!r}" if self.best and not self.missing else ""
         return f"<Diagnosis of {model}: {self.verdict}{lacks}; reduced chi-squared {self.reduced_chi2:.4g}{first}>"
 
@@ -238,6 +242,7 @@ class Diagnosis(NotebookView):
             "importance": [i.summary() for i in self.importance],
             "evidence": [e.summary() for e in self.evidence],
             "missing": self.missing,
+            "leads": self.leads,
             "noise_um": self.noise_um,
             **({} if self.noise_N is None else {"noise_N": self.noise_N}),
             "reduced_chi2": self.reduced_chi2,

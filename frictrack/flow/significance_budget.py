@@ -123,7 +123,7 @@ def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
     names = [one["effect"] for one in diagnosis["candidates"] if one["p"] is not None and one["p"] < level]
     formulas = (diagnosis.get("unexplained") or {}).get("formulas", [])
     defined = ["unexplained"] if formulas else []
-    return tuple(dict.fromkeys([*diagnosis["missing"], *names, *defined]))
+    return tuple(dict.fromkeys([*diagnosis["missing"], *diagnosis.get("leads", []), *names, *defined]))
 
 
 class SignificanceBudget:

@@ -11,7 +11,7 @@ from frictrack.motion.filter_settings import METHOD_NAMES, Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
-from frictrack.motion.stencil import STENCIL_FRAMES, stencils
+from frictrack.motion.stencil import STENCIL_FRAMES, stencil_start, stencil_weights, stencils
 
 __all__ = [
     "METHOD_NAMES",
@@ -33,5 +33,7 @@ __all__ = [
     "frame_weights",
     "low_pass",
     "noise_level",
+    "stencil_start",
+    "stencil_weights",
     "stencils",
 ]

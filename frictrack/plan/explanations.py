@@ -12,7 +12,7 @@ import numpy as np
 
 from frictrack import effects
 from frictrack.diagnose import FIRST_FORMULA
-from frictrack.diagnose.experiments import Explanation, explain_by_axes, make_explanation
+from frictrack.diagnose.experiments import FittedExplanation, explain_by_axes, make_explanation
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -26,7 +26,7 @@ MAX_EFFECTS = 4  # that are compared
 class Weighted:
     """An explanation and its probability among those listed."""
 
-    explanation: Explanation
+    explanation: FittedExplanation
     probability: float
 
 
@@ -64,7 +64,7 @@ def list_explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[
     return _weighted([*fitted, *kept], probability)
 
 
-def _effects_near(solution: Solution, listed: Mapping[str, Any], doubtful: str) -> list[Explanation]:
+def _effects_near(solution: Solution, listed: Mapping[str, Any], doubtful: str) -> list[FittedExplanation]:
     """The effect with rivals, and the best of its rivals and of all candidates near it."""
     rivals, best = listed[doubtful]["indistinguishable_from"], listed[doubtful]["delta_bic"]
     near = [n for n, c in listed.items() if c["delta_bic"] is not None and best - c["delta_bic"] < MAX_BIC_NEAR]
@@ -73,7 +73,7 @@ def _effects_near(solution: Solution, listed: Mapping[str, Any], doubtful: str) 
     return sorted(_fitted(solution, known), key=lambda e: (e.effect != doubtful, -e.gain))[:MAX_EFFECTS]
 
 
-def _weighted(found: Sequence[Explanation], probability: float | None) -> list[Weighted]:
+def _weighted(found: Sequence[FittedExplanation], probability: float | None) -> list[Weighted]:
     """Explanations with their probabilities from BIC; a formula comes first, with its own because of its prior."""
     gains = np.array([e.gain for e in found])
     shares = np.exp((gains - gains.max(initial=0.0)) / 2)
@@ -92,7 +92,7 @@ def _rival_formula(diagnosis: Mapping[str, Any]) -> Effect | None:
     return replace(effects.definitions([effects.read_settings(table)])[0], name=FIRST_FORMULA)
 
 
-def _fitted(solution: Solution, tried: Sequence[Effect]) -> Iterator[Explanation]:
+def _fitted(solution: Solution, tried: Sequence[Effect]) -> Iterator[FittedExplanation]:
     """Explanation by every effect under which a motion can be integrated."""
     for effect in tried:
         with suppress(FrictrackError):

@@ -85,8 +85,8 @@ def _unexplained(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
             'To try the first formula under <a href="#missing">What is missing</a>, type {}: it is written into the '
             "study file and fitted."
         ).format(_command("add", study, "formula:1"))
-    elif diagnosis["missing"]:
-        yield Markup("{} explains part of the misfit.").format(_command("add", study, diagnosis["missing"][0]))
+    elif leads := diagnosis.get("leads"):
+        yield Markup("To see how much of it <b>{}</b> explains: {}.").format(leads[0], _command("add", study, leads[0]))
     yield from _experiment(diagnosis)
     if not left.get("formulas"):
         yield Markup(

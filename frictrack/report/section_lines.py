@@ -59,6 +59,8 @@ def _missing(results: Results) -> str:
     tried = f"{len(found)} effects tried"
     if not diagnosis.get("missing"):
         left = diagnosis.get("unexplained")
+        if leads := diagnosis.get("leads"):
+            return f"nothing explains it; leads: {join_words(leads)}; {tried}"
         more = f"a force over {AXES[left['axis']].name} that no effect explains; " if left else ""
         significant = sum(map(passes, found))
         return f"{more}{significant} effects are significant" if significant else f"{more}no effect is significant"

@@ -245,8 +245,8 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
     if left and left.get("words"):
         yield Markup("No effect of the library explains it: {}.").format(left["words"])
         return
-    if diagnosis["missing"]:
-        yield Markup("Adding <b>{}</b> helps, but a misfit remains.").format(join_words(diagnosis["missing"]))
+    if leads := diagnosis.get("leads"):
+        yield Markup("Leads, no causes: with <b>{}</b> a misfit remains.").format(join_words(leads))
     elif not any(passes(c) for c in diagnosis["candidates"]):
         yield Markup("No effect of the library passes.")
     if left:

@@ -2,7 +2,7 @@
 
 from frictrack.diagnose.experiments.advice_text import settled_by
 from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
-from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
+from frictrack.diagnose.experiments.expected_separation import FittedExplanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments, combined_experiments
 from frictrack.diagnose.experiments.rating import (
     plan_for_candidates,
@@ -29,7 +29,7 @@ __all__ = [
     "PLANNED_RUN_NAME",
     "EvidenceForecast",
     "Experiment",
-    "Explanation",
+    "FittedExplanation",
     "ModelDiscrimination",
     "RunConditions",
     "RunDesign",

@@ -8,11 +8,11 @@ share a, which costs part of the evidence G that the runs give it. The least of 
 from __future__ import annotations
 
 from frictrack.diagnose.effect_description import FittedEffect
-from frictrack.diagnose.experiments.expected_separation import Explanation
+from frictrack.diagnose.experiments.expected_separation import FittedExplanation
 from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck
 
 
-def direct_checks(one: Explanation, other: Explanation) -> list[tuple[DirectCheck, float, float]]:
+def direct_checks(one: FittedExplanation, other: FittedExplanation) -> list[tuple[DirectCheck, float, float]]:
     """Return the checks that separate two explanations.
 
     Parameters
@@ -35,7 +35,7 @@ def direct_checks(one: Explanation, other: Explanation) -> list[tuple[DirectChec
     return out
 
 
-def _checks_of(explained: Explanation, rival: Explanation) -> list[DirectCheck]:
+def _checks_of(explained: FittedExplanation, rival: FittedExplanation) -> list[DirectCheck]:
     effect, other = explained.fitted_effect, rival.fitted_effect
     if effect.kind == other.kind:
         return []

@@ -44,7 +44,7 @@ MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a siz
 
 
 @dataclass(frozen=True)
-class Explanation:
+class FittedExplanation:
     """A fitted model with one effect or a set of them added, and its evidence on the present runs.
 
     Parameters
@@ -153,7 +153,7 @@ class _PredictedRun:
         return out
 
 
-def make_explanation(name: str, solution: Solution, bare: Solution) -> Explanation:
+def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExplanation:
     """Make an explanation from a fit with one effect, or a set of them, added.
 
     A size that the runs do not determine (a constant pull beside Coulomb friction) may be fitted absurdly large. It
@@ -170,14 +170,14 @@ def make_explanation(name: str, solution: Solution, bare: Solution) -> Explanati
 
     Returns
     -------
-    Explanation
+    FittedExplanation
 
     """
     gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
     added = [e.name for e in solution.problem.model.effects if e.name not in bare.problem.model]
     if name in added:
-        return Explanation(name, solution, gain, _conservative_solution(name, solution, bare))
-    return Explanation(added[0], solution, gain, solution, name)
+        return FittedExplanation(name, solution, gain, _conservative_solution(name, solution, bare))
+    return FittedExplanation(added[0], solution, gain, solution, name)
 
 
 def _conservative_solution(effect: str, solution: Solution, bare: Solution) -> Solution:
@@ -218,8 +218,8 @@ def _friction_sizes(solution: Solution, effect: Effect) -> dict[str, float]:
 class ModelDiscrimination:
     """Two explanations of the same runs, the first of which is taken to be true."""
 
-    truth: Explanation
-    rival: Explanation
+    truth: FittedExplanation
+    rival: FittedExplanation
 
     @cached_property
     def fitted_rival(self) -> Solution:

@@ -17,7 +17,7 @@ from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
 from frictrack.diagnose.experiments.direct_checks import direct_checks
 from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
-from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
+from frictrack.diagnose.experiments.expected_separation import FittedExplanation, ModelDiscrimination, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.settings import last_settings, settings_of
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
@@ -74,7 +74,7 @@ class RatedExperiment:
         """95 % interval of the smallest evidence over the pairs that it separates."""
         return min(self._separating(), key=lambda e: e.expected).interval()
 
-    def summary(self, explanations: Sequence[Explanation]) -> dict[str, Any]:
+    def summary(self, explanations: Sequence[FittedExplanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
         pairs = self.separated_pairs()
         told = [e for e in explanations if any(e.name in pair for pair in pairs)]
@@ -107,7 +107,7 @@ def _group_names(names: Sequence[str], separated_pairs: Sequence[Pair]) -> list[
 
 
 def propose_experiments(
-    explanations: Sequence[Explanation],
+    explanations: Sequence[FittedExplanation],
     notify: Progress = lambda what: None,
     keys: Sequence[str] = (),
     costs: Costs = DEFAULT_COSTS,
@@ -234,7 +234,7 @@ def _pairs_per_cost(rated: RatedExperiment, open_pairs: set[Pair]) -> float:
 
 
 def rate_runs(
-    explanations: Sequence[Explanation],
+    explanations: Sequence[FittedExplanation],
     notify: Progress = lambda what: None,
     keys: Sequence[str] = (),
     costs: Costs = DEFAULT_COSTS,
@@ -282,7 +282,9 @@ def _evidence_both_ways(
     return out
 
 
-def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAULT_COSTS) -> Iterator[RatedExperiment]:
+def rate_direct_checks(
+    explanations: Sequence[FittedExplanation], costs: Costs = DEFAULT_COSTS
+) -> Iterator[RatedExperiment]:
     """Rate the direct checks that need no further run."""
     made: dict[str, RatedExperiment] = {}
     for one, other in combinations(explanations, 2):
@@ -297,12 +299,12 @@ def rate_direct_checks(explanations: Sequence[Explanation], costs: Costs = DEFAU
     yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 
-def _are_coasting(explanations: Sequence[Explanation]) -> bool:
+def _are_coasting(explanations: Sequence[FittedExplanation]) -> bool:
     """Whether all runs are followed in one piece, so that similar runs can be predicted."""
     return not any(p.turns or p.cut for e in explanations for p in e.solution.problem.pieces)
 
 
-def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation]) -> dict[str, Any]:
+def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[FittedExplanation]) -> dict[str, Any]:
     """JSON entry of a pair that no run separates."""
     inseparable = [e for e in explanations if e.name in pair]
     return {

@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.axes import AXES
 from frictrack.diagnose.compressed import compress_residual
-from frictrack.diagnose.experiments.expected_separation import Explanation
+from frictrack.diagnose.experiments.expected_separation import FittedExplanation
 from frictrack.diagnose.formulas import AXIS_SYMBOLS
 from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import Effect, Nonlinear, Parameter, Path
@@ -32,7 +32,7 @@ MAX_STEPS = 8
 MIN_CHI2_FALL = 0.1  # of a step; less does not change which runs separate two curves
 
 
-def explain_by_axes(solution: Solution) -> list[Explanation]:
+def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
     """Explain the residual of a fit by a free curve over each of its most likely axes.
 
     Parameters
@@ -42,7 +42,7 @@ def explain_by_axes(solution: Solution) -> list[Explanation]:
 
     Returns
     -------
-    list of Explanation
+    list of FittedExplanation
         Largest gain first.
 
     """
@@ -57,7 +57,7 @@ def explain_by_axes(solution: Solution) -> list[Explanation]:
         except FrictrackError:  # a curve under which no motion can be integrated
             continue
         gain = max(solution.objective - made.objective, 0.0)
-        found.append(Explanation(AXES[name].name, made, gain, made))
+        found.append(FittedExplanation(AXES[name].name, made, gain, made))
     return sorted(found, key=lambda e: -e.gain)
 
 

@@ -6,7 +6,7 @@ from frictrack.fit.linearised.measured_motion import is_linearised_about_measure
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
 from frictrack.fit.linearised.scan import CandidateScan, scan_candidate, scan_candidates
 from frictrack.fit.linearised.series import Float32Array, ScannedSeries, measured_series
-from frictrack.fit.linearised.small_grids import small_grids
+from frictrack.fit.linearised.small_grids import products_of_grids
 
 __all__ = [
     "MIN_COLUMN_SQUARE",
@@ -23,7 +23,7 @@ __all__ = [
     "linearise",
     "linearise_about_measurement",
     "measured_series",
+    "products_of_grids",
     "scan_candidate",
     "scan_candidates",
-    "small_grids",
 ]

@@ -24,7 +24,7 @@ from frictrack.fit.linearised.grid import CandidateGrid
 from frictrack.fit.linearised.model import LinearisedModel
 from frictrack.fit.linearised.products import block_sums
 from frictrack.fit.linearised.series import ScannedSeries, coordinate_rows
-from frictrack.fit.linearised.small_grids import SmallGrids, in_batches, is_small, small_grids
+from frictrack.fit.linearised.small_grids import SmallGrids, in_batches, is_small, products_of_grids
 from frictrack.fit.linearised.wave_nodes import constant_waves
 from frictrack.records import Array
 from frictrack.threads import map_in_threads
@@ -167,7 +167,7 @@ def _scan_small(law: LinearisedModel, grids: Sequence[CandidateGrid], series: Sc
     """Scan all small grids at once, each point at the scatter of the levels that suits it best."""
     scans = []
     for together in in_batches(grids):
-        sums = small_grids(law, together, series)
+        sums = products_of_grids(law, together, series)
         scans += [
             _small_scan(law, grid, (sums, rows), gains)
             for grid, rows, gains in zip(together, sums.rows, sums.gains(series), strict=True)

@@ -107,7 +107,7 @@ class SmallGrids:
         return gains[:, 0], gains[:, 1:]
 
 
-def small_grids(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> SmallGrids:
+def products_of_grids(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> SmallGrids:
     """Compute the products of the columns of small grids, piece by piece."""
     ends = np.cumsum([0, *(len(grid.values) * grid.size for grid in grids)])
     rows = [np.arange(a, b).reshape(len(g.values), -1) for a, b, g in zip(ends, ends[1:], grids, strict=False)]

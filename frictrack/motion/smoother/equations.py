@@ -385,7 +385,7 @@ def variances_of(
     factors = [replace(f, min_weight=MISSING_WEIGHT) for f in factors]
     signal = 1 + factors[0].k  # components
     out: Array | None = None
-    for group in _alike(zip(*(f.enclosed_parts() for f in factors), strict=True)):
+    for group in _equally_placed(zip(*(f.enclosed_parts() for f in factors), strict=True)):
         blocks = BlockEquations([part for parts in group for part in parts], factors[0].layout)
         for i, (part, *_) in enumerate(group):
             first, stop = part.frames.start, part.frames.stop - (REACH if part.frames.stop < factors[0].n else 0)
@@ -405,7 +405,7 @@ def variances_of(
     return out
 
 
-def _alike(parts: Iterable[tuple[EquationPart, ...]]) -> Iterator[list[tuple[EquationPart, ...]]]:
+def _equally_placed(parts: Iterable[tuple[EquationPart, ...]]) -> Iterator[list[tuple[EquationPart, ...]]]:
     """Yield neighbouring parts of one size together, at most `PARTS_AT_ONCE`."""
     for _, some in groupby(parts, key=lambda found: found[0].bands.shape[1]):
         while group := list(islice(some, PARTS_AT_ONCE)):

@@ -20,6 +20,7 @@ MAIN_KINDS = ("named", "rival")
 MAX_OTHERS_SHOWN = 3  # where no candidate was found
 KIND_WORDS = {
     "named": "found",
+    "lead": "explains a part",
     "rival": "predicts the same data as the best one",
     "weaker": "passes, but explains less",
     "fails": "does not pass",
@@ -174,6 +175,8 @@ def _kind(c: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
         return "fails"
     if c["effect"] in diagnosis["missing"]:
         return "named"
+    if c["effect"] in diagnosis.get("leads", []):
+        return "lead"
     best = diagnosis["candidates"][0]
     rivals = best["indistinguishable_from"] if best["effect"] in diagnosis["missing"] else ()
     return "rival" if c["effect"] in rivals else "weaker"

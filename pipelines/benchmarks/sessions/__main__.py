@@ -70,8 +70,8 @@ def play(truth: Truth, folder: Path, limits: tuple[int, float], rng: np.random.G
     while diagnoses < MAX_DIAGNOSES and len(added) < additions:
         diagnoses += 1
         found = session.diagnose(seed, quick=True)
-        if found["missing"]:
-            name = found["missing"][0]
+        if named := [*found["missing"], *found["leads"]]:
+            name = named[0]
             session.add(name)
             added.append(name)
             if name.split(":")[0] not in accepted:
