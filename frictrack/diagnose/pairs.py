@@ -102,7 +102,7 @@ def _directions(gram: Array, data: Array, rows: NDArray[np.int_]) -> Array:
 
 
 def _solve(gram: Array, data: Array) -> Array:
-    size = np.sqrt(np.diag(gram))
+    size = np.sqrt(np.maximum(np.diag(gram), 0.0))
     size = np.where(size > 0, size, 1.0)
     unit = gram / size[:, None] / size
     return np.asarray(np.linalg.pinv(unit, rcond=MIN_SQUARE_LEFT, hermitian=True) @ (data / size) / size)

@@ -34,7 +34,7 @@ from frictrack.recording import open_recording, random_access
 from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
-from frictrack.store.file_header import with_header
+from frictrack.store.file_header import header_of
 from frictrack.study import load, parse, read_sensor_table, read_table, with_key
 from frictrack.units import is_coherent, parse_quantity
 from frictrack.version import __version__
@@ -273,7 +273,8 @@ def edited_results(data: bytes, folder: Path) -> None:
     with h5py.File(path, "r+") as file:
         for at in range(0, min(len(data), 40) - 3, 4):
             _edit(file, *data[at : at + 4])
-    path.write_bytes(with_header(path.read_bytes()[store.HEADER_BYTES :], __version__))  # who means harm seals it too
+    hdf5 = path.read_bytes()[store.HEADER_BYTES :]
+    path.write_bytes(header_of(hdf5, __version__) + hdf5)  # who means harm seals it too
     _used(path)
 
 
