@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,60 +22,17 @@ from frictrack.fit.uncertainty import Estimates, estimate_parameters, linear_est
 from frictrack.records import Run
 
 
-class ResidualKind(ABC):
-    """The steps of a diagnosis that depend on what was compared."""
+class ResidualKind:
+    """The steps of a diagnosis that depend on what was compared: those for residuals of the displacement.
 
-    unit: str  # of errors in the JSON: "um" or "N"
-    imitates: bool  # whether effects that were found may imitate a force of one variable
+    Attributes
+    ----------
+    unit : str
+        Unit of errors in the JSON, "um" or "N".
+    imitates : bool
+        Whether effects that were found may imitate a force of one variable.
 
-    @abstractmethod
-    def prepare(self, start: Solution) -> tuple[Solution, list[str]]:
-        """Return the solution that the search starts from, and remarks on data that were left out."""
-
-    @abstractmethod
-    def before_round(self, law: Solution) -> Solution:
-        """Return a model as the next round tests it."""
-
-    @abstractmethod
-    def accelerometer(
-        self, start: Solution, runs: Sequence[Run], auxiliary: AuxiliarySignals | None
-    ) -> Evidence | None:
-        """Return what an accelerometer on the mass says of the residual."""
-
-    @abstractmethod
-    def auxiliary_evidence(
-        self,
-        start: Solution,
-        runs: Sequence[Run],
-        rng: np.random.Generator,
-        auxiliary: AuxiliarySignals | None,
-        findings: KnownFindings,
-    ) -> list[Evidence]:
-        """Return which auxiliary signals move with the residual."""
-
-    @abstractmethod
-    def noise(self, fit: Fit) -> tuple[float, float]:
-        """Return the noise of a frame (m or N) and the reduced chi-squared."""
-
-    @abstractmethod
-    def estimates(self, solution: Solution) -> Estimates:
-        """Return the parameters of a candidate model with standard deviations."""
-
-    @abstractmethod
-    def heldout_rms(self, solution: Solution, how: str | None = None) -> tuple[float, str]:
-        """Return the held-out error (m or N) and how data were held out."""
-
-    @abstractmethod
-    def describe(self, effect: Effect, solution: Solution | None) -> dict[str, str]:
-        """Return the texts about an effect, with the numbers of the study where these are known."""
-
-    @abstractmethod
-    def remarks(self, fit: Fit) -> list[str]:
-        """Return what these records cannot say."""
-
-
-class DisplacementResiduals(ResidualKind):
-    """Residuals of the displacement, under a simulated motion."""
+    """
 
     unit, imitates = "um", True
 
@@ -86,14 +42,14 @@ class DisplacementResiduals(ResidualKind):
         start, coarse = subsample_frames(start)
         return start, [omitted, coarse]
 
-    def before_round(self, law: Solution) -> Solution:
-        """Return the model as it is."""
+    def reweighted(self, law: Solution) -> Solution:
+        """Return a model as further effects are tried beside it."""
         return law
 
     def accelerometer(
         self, start: Solution, runs: Sequence[Run], auxiliary: AuxiliarySignals | None
     ) -> Evidence | None:
-        """Return what an accelerometer on the mass says of the residual; None without one."""
+        """Return what an accelerometer on the mass says of the residual; None without one, or without a motion."""
         return assess_accelerometer(start, runs, auxiliary or {})
 
     def auxiliary_evidence(
@@ -148,10 +104,10 @@ class FrictionResiduals(ResidualKind):
 
     def prepare(self, start: Solution) -> tuple[Solution, list[str]]:
         """Weight the residuals by the noise that differs between strokes; few frames of long records remain."""
-        weighted = self.before_round(start)
+        weighted = self.reweighted(start)
         return weighted, [omitted_lines(start, weighted)]
 
-    def before_round(self, law: Solution) -> Solution:
+    def reweighted(self, law: Solution) -> Solution:
         """Return the model with residuals weighted by the noise."""
         return measured_friction.weight_by_noise(law)[0]
 
@@ -198,4 +154,4 @@ class FrictionResiduals(ResidualKind):
 
 def residual_kind(problem: LeastSquaresProblem) -> ResidualKind:
     """Return the kind of residual that a problem has."""
-    return DisplacementResiduals() if problem.simulates else FrictionResiduals()
+    return ResidualKind() if problem.simulates else FrictionResiduals()

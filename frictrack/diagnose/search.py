@@ -193,7 +193,7 @@ def _search(
         new = space.better(best, last)
         if new is not None:
             best = space.refine_fully(new)
-            last = examine_again(space.rebase(best, kind.before_round(best.law)).law, own, rng, first)
+            last = examine_again(space.rebase(best, kind.reweighted(best.law)).law, own, rng, first)
         elif size > 1 or not last.leaves_misfit:
             break
     if len(best.effects) == 1 and not last.something_is_missing and space.pair_instead(best) is not best:
