@@ -25,14 +25,17 @@ from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.power import find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
-from frictrack.diagnose.repeatability import FailurePattern, find_failure_pattern
+from frictrack.diagnose.repeatability import FailurePattern, Repeatability, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
+from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
 
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
@@ -94,7 +97,7 @@ class Conclusion:
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
         found = self._with_pattern(found, self._evidence(auxiliary))
-        if found.verdict == "unexplained" and self.search.last.leaves_misfit:
+        if found.verdict == "unexplained" and self.search.last.leaves_misfit and not self._is_formula:
             notify("looking for a run that disagrees with the others")
             suspects = suspect_run_remarks(self.search.last.solution, self.fit.runs, self.search.generators[0])
             found = replace(found, remarks=[*found.remarks, *suspects])
@@ -112,9 +115,20 @@ class Conclusion:
     @cached_property
     def _pattern(self) -> FailurePattern:
         """What the misfit has in common from run to run."""
-        explained = bool(self.search.found) and not self.search.last.leaves_misfit
-        last = self.search.last.solution if explained else None
-        return find_failure_pattern(self.search.start, self.search.generators[1], last)
+        return find_failure_pattern(self.search.start, self.search.generators[1], self._explained)
+
+    @property
+    def _explained(self) -> Solution | None:
+        """The model with the effects, or with the formula, that explain everything; None if none do."""
+        if self.search.found and not self.search.last.leaves_misfit:
+            return self.search.last.solution
+        first = self._compared.formulas.first if self._compared is not None and self._is_formula else None
+        return None if first is None else first.solution
+
+    @property
+    def _is_formula(self) -> bool:
+        """Whether a formula explains far more than the effects found."""
+        return self._compared is not None and bool(self._compared.summary["decisive"])
 
     @property
     def _nothing_missing(self) -> bool:
@@ -206,9 +220,14 @@ class Conclusion:
         """Formulas that explain as much as the effects found; None if there are none."""
         if not self._may_be_a_formula:
             return None
-        return compare_with_formulas(
-            self._pattern.forces, self.search.last.solution, lambda: self._pattern.repeats, self.functions
-        )
+        start, rng = self.search.start, self.search.generators[1]
+        forces = ResidualForces(keep_compared_frames(start))
+
+        def repeats() -> Repeatability:
+            pattern = self._pattern if not self.search.last.leaves_misfit else find_failure_pattern(start, rng)
+            return pattern.repeats
+
+        return compare_with_formulas(forces, self.search.last.solution, repeats, self.functions)
 
     @property
     def _residual(self) -> dict[str, Array]:

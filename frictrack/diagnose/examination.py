@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.diagnose.hypothesis_tests import SearchTests, lack_of_fit, list_candidates, run_tests
+from frictrack.diagnose.hypothesis_tests import (
+    SearchTests,
+    gains_of_library,
+    lack_of_fit,
+    list_candidates,
+    run_tests,
+)
 from frictrack.diagnose.model_selection import event_penalty, information_criterion, likelihood_gain
 from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.distributions import chi2_isf
@@ -121,10 +127,10 @@ def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator,
 def examine_again(
     solution: Solution, own: Sequence[Effect], rng: np.random.Generator, before: Examination
 ) -> Examination:
-    """Test a model with the effects found, with few draws where these decide: a sequential Monte Carlo test.
+    """Test a model with the effects found: few draws show its lack of fit, if they decide (sequential Monte Carlo).
 
-    Where a misfit is left for certain, no effect is tested: what effects gain by chance is known from the examination
-    of the smaller model.
+    What effects gain by chance is known from the examination of the smaller model. Where a misfit is left, none is
+    scanned.
 
     Parameters
     ----------
@@ -146,17 +152,15 @@ def examine_again(
     Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
 
     """
-    level = before.tests.level
+    level, library = before.tests.level, list_candidates(solution, own)[0]
     draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
     p = lack_of_fit(draws)
-    if p < level:
-        return replace(before, solution=solution, draws=draws, tests=before.tests.after_adding(p))
-    if p >= MIN_P_CLEAR:
-        library, excluded = list_candidates(solution, own)
-        tests = run_tests(solution, draws, library, level)
-        if min(tests.p.values(), default=1.0) >= MIN_P_CLEAR:
-            return Examination(solution, draws, tests, excluded)
-    return examine(solution, own, rng, level)
+    if level <= p < MIN_P_CLEAR:
+        draws = draw_null_ensemble(solution, rng, count_draws(level))
+        p = lack_of_fit(draws)
+    gains = {} if p < level else gains_of_library(draws.law, library)
+    tests = replace(before.tests, p_lack_of_fit=p, scanned=[], gains=gains)
+    return replace(before, solution=solution, draws=draws, tests=tests)
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:

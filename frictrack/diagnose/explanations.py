@@ -14,7 +14,7 @@ import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
 from frictrack.diagnose.examination import Examination
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates
+from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates, scan_library
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
     MIN_CHI2_SEPARATED,
@@ -36,7 +36,6 @@ from frictrack.fit.stepwise import (
     deepen_trials,
     gain_by_smaller_scatter,
     refine_to_end,
-    scan_effect,
     simulate_trial,
     try_effect,
 )
@@ -254,8 +253,7 @@ class Explanations:
         centre = self._rebased.get(centre.names, centre)
         law = linearise(centre.law)
         series = measured_series(law)
-        library, _ = list_candidates(centre.law, self._own)
-        self._propose(centre, law, [(e, scans) for e in library if (scans := scan_effect(law, e, series))])
+        self._propose(centre, law, scan_library(law, series, list_candidates(centre.law, self._own)[0]))
 
     def _exchange_law(self, size: int) -> None:
         """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
@@ -264,7 +262,7 @@ class Explanations:
             return
         laws = laws_in_place_of(best.last)
         law, series = best.trial[0], measured_series(best.trial[0])
-        self._propose(best.centre, law, [(e, scans) for e in laws if (scans := scan_effect(law, e, series))])
+        self._propose(best.centre, law, scan_library(law, series, laws))
         self.refine(size)
 
     def _propose(self, centre: Explanation, law: LinearisedModel, scanned: Scanned) -> None:

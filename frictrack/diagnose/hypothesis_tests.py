@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,14 @@ from frictrack import effects
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidates
+from frictrack.fit.linearised import (
+    CandidateScan,
+    LinearisedModel,
+    ScannedSeries,
+    candidate_grids,
+    measured_series,
+    scan_candidates,
+)
 from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, effect_for_scan, ties_are_resolved
 from frictrack.models import Model
@@ -67,6 +74,8 @@ class SearchTests:
         Significance level of each of the two tests: lack of fit, and all candidates together.
     quantiles
         Quantile of every candidate's own null distribution.
+    gains
+        What every candidate gains in its scan.
 
     """
 
@@ -75,21 +84,12 @@ class SearchTests:
     null: Array
     level: float
     quantiles: Mapping[str, float]
-
-    @classmethod
-    def of(cls, p_lack_of_fit: float, scanned: list[ScannedCandidate], n_draws: int, level: float) -> SearchTests:
-        """The tests of scanned candidates."""
-        null = np.max([s.excess for s in scanned], axis=0)[1:] if scanned else np.zeros(n_draws)
-        return cls(p_lack_of_fit, scanned, null, level, {s.effect.title: s.quantile for s in scanned})
-
-    def after_adding(self, p_lack_of_fit: float) -> SearchTests:
-        """The tests of a model with effects added, none of which is scanned: gains by chance are as before."""
-        return replace(self, p_lack_of_fit=p_lack_of_fit, scanned=[])
+    gains: Mapping[str, float]
 
     @cached_property
     def p(self) -> dict[str, float]:
         """p-value of every candidate."""
-        return {s.effect.title: _p_value(self.null, s.excess[0]) for s in self.scanned}
+        return {name: self.p_of_gain(name, gain) for name, gain in self.gains.items()}
 
     @property
     def critical(self) -> float:
@@ -204,29 +204,40 @@ def run_tests(
     SearchTests
 
     """
-    scanned = _scan(solution, draws, library)
-    return SearchTests.of(lack_of_fit(draws), scanned, draws.series.residuals.shape[1] - 1, level)
+    scanned = []
+    for effect, scans in scan_library(draws.law, draws.series, library):
+        statistic = _statistic(draws.law, scans)
+        quantile = float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE))
+        scanned.append(ScannedCandidate(effect, scans, statistic, quantile))
+    n_draws = draws.series.residuals.shape[1] - 1
+    null = np.max([s.excess for s in scanned], axis=0)[1:] if scanned else np.zeros(n_draws)
+    quantiles = {s.effect.title: s.quantile for s in scanned}
+    gains = {s.effect.title: float(s.statistic[0]) for s in scanned}
+    return SearchTests(lack_of_fit(draws), scanned, null, level, quantiles, gains)
 
 
-def _scan(solution: Solution, draws: NullEnsemble, library: Sequence[Effect]) -> list[ScannedCandidate]:
+def scan_library(
+    law: LinearisedModel, series: ScannedSeries, library: Sequence[Effect]
+) -> list[tuple[Effect, list[CandidateScan]]]:
     """Scan all candidates that have settings to scan."""
-    grids = [candidate_grids(draws.law, effect_for_scan(solution, effect)) for effect in library]
-    scans = iter(scan_candidates(draws.law, [grid for own in grids for grid in own], draws.series))
-    penalty = bic_penalty(EVENT_PARAMETERS, solution.problem.n_frames)
-    return [
-        _scanned(effect, [next(scans) for _ in own], penalty) for effect, own in zip(library, grids, strict=True) if own
-    ]
+    grids = [candidate_grids(law, effect_for_scan(law.solution, effect)) for effect in library]
+    scans = iter(scan_candidates(law, [grid for own in grids for grid in own], series))
+    return [(effect, [next(scans) for _ in own]) for effect, own in zip(library, grids, strict=True) if own]
 
 
-def _scanned(effect: Effect, scans: list[CandidateScan], penalty: float) -> ScannedCandidate:
-    """One candidate from its scans. Events of single runs each pay the penalty."""
+def gains_of_library(law: LinearisedModel, library: Sequence[Effect]) -> dict[str, float]:
+    """Compute what every candidate gains of the measured series, without draws."""
+    scanned = scan_library(law, measured_series(law), library)
+    return {effect.title: float(_statistic(law, scans)[0]) for effect, scans in scanned}
+
+
+def _statistic(law: LinearisedModel, scans: Sequence[CandidateScan]) -> Array:
+    """Best gain of a candidate for every series, (D,). Events of single runs each pay a penalty."""
     tops = np.stack([s.max_gains for s in scans])
-    if len(scans) > 1:
-        statistic = np.maximum(np.sum(np.maximum(tops - penalty, 0.0), axis=0), tops.max(axis=0) - penalty)
-    else:
-        statistic = tops[0]
-    quantile = float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE))
-    return ScannedCandidate(effect, scans, statistic, quantile)
+    if len(scans) == 1:
+        return np.asarray(tops[0])
+    left = tops - bic_penalty(EVENT_PARAMETERS, law.solution.problem.n_frames)
+    return np.maximum(np.sum(np.maximum(left, 0.0), axis=0), left.max(axis=0))
 
 
 def _p_value(null: Array, value: float) -> float:

@@ -21,6 +21,7 @@ from frictrack.records import Array
 
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
+MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
@@ -288,10 +289,10 @@ def deepen_trials(
     if best < MIN_GAIN_SHARE * min_evidence:
         return trials
     min_gain = MIN_GAIN_SHARE * max(best, min_evidence)
-    trials = [
-        _with_own_events(linearised, t) if t.effect.single and misfit - t.misfit > min_gain else t for t in trials
-    ]
     frames = sum(len(b.data) for b in linearised.blocks)
+    near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(misfit - best - frames, 0.0)
+    near = min(near, misfit - min_gain)
+    trials = [_with_own_events(linearised, t) if t.effect.single and t.misfit < near else t for t in trials]
     max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
     solution = linearised.solution
     slots = zip(solution.problem.layout.slots, solution.held, strict=True)
