@@ -50,13 +50,9 @@ def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
 def tabulate_candidates(search: FinishedSearch, heldout: HeldOutErrors) -> list[Candidate]:
     """Return all candidates with their evidence: those found first, then the others alone, best first."""
     kind, level = residual_kind(search.first.solution.problem), search.first.tests.level
-    alone, found = {t.effect.title: t for t in search.tried}, {t.effect.title for t in search.found}
-    out = []
+    found, out = {t.effect.title for t in search.found}, []
     for t in [*search.found, *(t for t in search.tried if t.effect.title not in found)]:
-        own = alone.get(t.effect.title, t)
-        shown = t if own.solution is None else own
-        shown = replace(shown, indistinguishable_from=t.indistinguishable_from, objection=t.objection)
-        listed = _candidate(shown, heldout if t.p < level else None, kind)
+        listed = _candidate(t, heldout if t.p < level else None, kind)
         out.append(replace(listed, passes=t.passes and not t.objection))
     return out
 

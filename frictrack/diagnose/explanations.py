@@ -176,16 +176,14 @@ class Explanations:
             self._propose_pairs()
         self.refine(size)
         self._exchange_law(size)
-        while rests := [
-            rest
-            for best in self.laws(size)[:1]
-            for rest in self.subsets(best)
-            if rest.is_law and rest.names not in self._expanded
-        ]:
+        while True:
+            best = next(iter(self.laws(size)), None)
+            rests = [] if best is None else [r for r in self.subsets(best) if r.names not in self._expanded]
+            rests = [one for one in map(self._simulated, rests) if one.is_law]
+            if not rests or self._budget.is_spent:
+                break
             for rest in rests:
                 self.expand(rest)
-            if self._budget.is_spent:
-                break
             self.refine(size)
 
     def better(self, best: Explanation, examined: Examination) -> Explanation | None:
@@ -319,9 +317,10 @@ class Explanations:
     def refine(self, size: int, below: float = np.inf) -> None:
         """Simulate the sets of a size, best first, until no other may explain as much as the best, and fall `below`."""
         while True:
-            best = min((one.criterion for one in self.laws(size)), default=np.inf)
+            laws = self.laws(size)
+            limit = laws[0].criterion + MIN_CHI2_SEPARATED * dispersion(laws[0].law) if laws else np.inf
             waiting = [one for one in self.of_size(size) if one.solution is None and not one.objection]
-            waiting = [one for one in waiting if self._may_reach(one, min(best + MIN_CHI2_SEPARATED, below))]
+            waiting = [one for one in waiting if self._may_reach(one, min(limit, below))]
             if not waiting:
                 break
             if self._budget.stops():
@@ -334,6 +333,12 @@ class Explanations:
     def _may_reach(self, one: Explanation, limit: float) -> bool:
         """Whether a set may reach a criterion, with the largest error of a promise seen so far."""
         return one.criterion - self._error * _excess(one) < limit
+
+    def _simulated(self, one: Explanation) -> Explanation:
+        """A set with its simulated fit, whatever it promises, unless it is no plausible one."""
+        if one.solution is None and not one.objection and not self._budget.stops():
+            self.known[one.names] = self._refined(one)
+        return self.known[one.names]
 
     def _refined(self, one: Explanation) -> Explanation:
         """Simulate a set."""
