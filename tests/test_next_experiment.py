@@ -288,18 +288,6 @@ def test_a_pair_that_no_run_parts_is_told_what_else_does():
     assert "lay a level on the course, and take the cable off" in told[-1]["what"]
 
 
-def test_a_set_of_effects_is_an_explanation_like_one_effect():
-    runs = runs_with("slope", {"F": 1.2}, (4.0, 4.2))
-    bare, grown = explained(runs, "slope", "spring")
-    pair = fit([*bare.problem.model.names, "drag", "spring"], runs).solution
-    told = plan_for_candidates(bare, [("slope", grown["slope"], 9.0), ("drag with spring", pair, 8.0)], ())
-    assert all(set(step["separates"]) <= {"slope", "drag with spring"} for step in told)
-    named = [step for step in told if "drag with spring" in (*step["separates"], *step["groups"][0])]
-    assert named
-    if named[0]["kind"] == "none":
-        assert named[0]["what"].startswith("No candidate run separates slope and drag with spring")
-
-
 def test_the_diagnosis_tells_it_in_json_best_first():
     values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
     found = diagnose(fit(LAW, runs_with("vibration", values, (4.0,), duration=0.04)))

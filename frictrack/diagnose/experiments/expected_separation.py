@@ -45,20 +45,20 @@ MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a siz
 
 @dataclass(frozen=True)
 class FittedExplanation:
-    """A fitted model with one effect or a set of them added, and its evidence on the present runs.
+    """A fitted model with one effect added, or one parameter of it freed, and its evidence on the present runs.
 
     Parameters
     ----------
     effect
-        Name of the effect; the first of a set.
+        Name of the effect in the model.
     solution
         The fit with it.
     gain
         Fall of BIC on the present runs.
     conservative
         The same fit with the effect small where the runs leave its size open; it predicts new runs.
-    set_name
-        Name of a set; empty for one effect.
+    freed
+        Address of the parameter that is freed; empty for an effect that is added.
 
     """
 
@@ -66,13 +66,13 @@ class FittedExplanation:
     solution: Solution
     gain: float
     conservative: Solution
-    set_name: str = ""
+    freed: str = ""
     _simulated: dict[tuple[RunDesign, int], _PredictedRun] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
-        """Name of the effect, or of the set."""
-        return self.set_name or self.effect
+        """Name of the effect, or address of what is freed."""
+        return self.freed or self.effect
 
     @property
     def fitted_effect(self) -> Effect:
@@ -154,7 +154,7 @@ class _PredictedRun:
 
 
 def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExplanation:
-    """Make an explanation from a fit with one effect, or a set of them, added.
+    """Make an explanation from a fit with one effect added, or one parameter freed.
 
     A size that the runs do not determine (a constant pull beside Coulomb friction) may be fitted absurdly large. It
     would promise absurd evidence for other runs, so it is held small for predictions.
@@ -162,7 +162,7 @@ def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExp
     Parameters
     ----------
     name
-        Name of the effect, or of the set.
+        Name of the effect, or address of the parameter.
     solution
         The fit with it.
     bare
@@ -174,10 +174,9 @@ def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExp
 
     """
     gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
-    added = [e.name for e in solution.problem.model.effects if e.name not in bare.problem.model]
-    if name in added:
+    if name in solution.problem.model:
         return FittedExplanation(name, solution, gain, _conservative_solution(name, solution, bare))
-    return FittedExplanation(added[0], solution, gain, solution, name)
+    return FittedExplanation(name.partition(".")[0], solution, gain, solution, name)
 
 
 def _conservative_solution(effect: str, solution: Solution, bare: Solution) -> Solution:

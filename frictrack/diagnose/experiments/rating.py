@@ -80,7 +80,7 @@ class RatedExperiment:
         told = [e for e in explanations if any(e.name in pair for pair in pairs)]
         separated = [e.name for e in told]
         each = {n: min(self._expected(n, b) for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
-        single = [e.fitted_effect for e in told if not e.set_name]  # a set has no one invariant
+        single = [e.fitted_effect for e in told if not e.freed]  # a freed value has no invariant of its own
         why = explain_separation(single) if self.kind == "film" else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
