@@ -210,7 +210,7 @@ class Diagnosis(NotebookView):
 
     def __repr__(self) -> str:
         model, lacks = "+".join(self.model), f": {', '.join(self.missing)}" if self.missing else ""
-        lacks += f", {' and '.join(self.leads)} explain a part" if self.leads else ""
+        lacks += f"; leads: {', '.join(self.leads)}" if self.leads else ""
         first = f"; first candidate {self.best!r}" if self.best and not self.missing else ""
         return f"<Diagnosis of {model}: {self.verdict}{lacks}; reduced chi-squared {self.reduced_chi2:.4g}{first}>"
 
