@@ -67,7 +67,7 @@ def _is_frozen(value: Any, kind: Any) -> bool:
     """Whether a value is an array of that type that nobody can change: it, and what it is a view of, are read-only."""
     if type(value) is not np.ndarray or value.dtype != kind:
         return False
-    while isinstance(value, np.ndarray) and not value.flags.writeable:
+    while isinstance(value, np.ndarray) and not value.flags["W"]:
         value = value.base
     return value is None
 
