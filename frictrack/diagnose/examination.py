@@ -166,7 +166,7 @@ def examine_again(
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
     """Loss of likelihood by chance by one amplitude for all runs, where the scan had one for each run."""
     layout = fitted.problem.layout
-    slots = [s for s in layout.slots if s.effect == effect.title]
+    slots = [s for s in layout.slots if s.effect == effect.name]
     phased = any(s.parameter == "phase" and s.run is not None for s in slots)
     shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
     more = len(layout.run_names) - 1

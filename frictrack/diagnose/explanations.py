@@ -14,7 +14,7 @@ import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
 from frictrack.diagnose.examination import Examination
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates, scan_library
+from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
     MIN_CHI2_SEPARATED,
@@ -36,16 +36,17 @@ from frictrack.fit.stepwise import (
     deepen_trials,
     gain_by_smaller_scatter,
     refine_to_end,
+    scan_effects,
     simulate_trial,
     try_effect,
 )
 from frictrack.fit.uncertainty import dispersion
 
-N_CENTRES = 2  # sets beside which every effect is tried, for sets with one effect more
-N_PAIRS = 24  # that are tried whatever their effects explain alone
-MAX_SIZE = 3  # effects
-MIN_ERROR_OF_PROMISE = 0.02  # of a misfit above the noise that is promised, before any error was seen
-MAX_TRIAL_RATIO = 2.0  # of the gain of a trial to that of its scan, near the noise
+N_CENTRES = 2  # best sets of one size to which every effect is added in turn
+N_PAIRS = 24  # pairs that are fitted, whatever each of their effects explains alone
+MAX_SIZE = 3  # effects in a set
+MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
+MAX_TRIAL_RATIO = 2.0  # of the gain of a fit to the gain of its scan, where the misfit is small
 Names = frozenset[str]
 Scanned = Sequence[tuple[Effect, list[CandidateScan]]]
 
@@ -61,9 +62,9 @@ class Explanation:
     criterion
         BIC with the prior of such a set; smaller is better. That of the simulated fit, or what the trial promises.
     centre
-        The set without the last effect, beside which that was tried; None for the model that is diagnosed.
+        The smaller set to which the last effect was added; None for the model that is diagnosed.
     trial
-        The model of that set, linearised, and the fit with it along the measured motion; None for the
+        The model with that smaller set, linearised, and the larger model fitted along the measured motion; None for the
         model that is diagnosed.
     solution
         The simulated fit; None if it was not simulated.
@@ -236,12 +237,10 @@ class Explanations:
                 return [*self.chain(part), whole]
         return [*self.chain(whole.centre or self.known[frozenset()]), whole]
 
-    def rebase(self, one: Explanation, solution: Solution) -> Explanation:
-        """Let further effects be tried beside a set as another problem has it, with other weights; return it so."""
-        other = replace(one, solution=solution)
+    def rebase(self, one: Explanation, solution: Solution) -> None:
+        """Add further effects to a set as another problem has it, with other weights."""
         if solution is not one.solution:
-            self._rebased[one.names] = other
-        return other
+            self._rebased[one.names] = replace(one, solution=solution)
 
     def expand(self, centre: Explanation) -> None:
         """Propose every set with one effect more than a law has."""
@@ -250,23 +249,25 @@ class Explanations:
         self._expanded.add(centre.names)
         centre = self._rebased.get(centre.names, centre)
         law = linearise(centre.law)
-        series = measured_series(law)
-        self._propose(centre, law, scan_library(law, series, list_candidates(centre.law, self._own)[0]))
+        library, _ = list_candidates(centre.law, self._own)
+        self._propose(centre, law, scan_effects(law, library, measured_series(law)))
 
     def _exchange_law(self, size: int) -> None:
         """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
         best = next(iter(self.laws(size)), None)
         if best is None or best.trial is None or best.centre is None or len(best.centre.effects) < size - 1:
             return
-        laws = laws_in_place_of(best.last)
-        law, series = best.trial[0], measured_series(best.trial[0])
-        self._propose(best.centre, law, scan_library(law, series, laws))
-        self.refine(size)
+        if laws := laws_in_place_of(best.last):
+            law, _ = best.trial
+            self._propose(best.centre, law, scan_effects(law, laws, measured_series(law)))
+            self.refine(size)
 
     def _propose(self, centre: Explanation, law: LinearisedModel, scanned: Scanned) -> None:
         """Try scanned effects beside a centre along the measured motion, and enter the sets that they make."""
         misfit = baseline_misfit(law)
-        trials = _promising_trials(law, scanned, misfit) if centre.effects else _trials(law, scanned)
+        is_strong = misfit >= STRONG_MISFIT_CHI2 * law.solution.problem.n_frames
+        every = is_strong or not centre.effects
+        trials = _all_trials(law, scanned) if every else _promising_trials(law, scanned, misfit)
         for t in deepen_trials(law, trials):
             self._enter(centre, law, t, law.solution.objective / misfit)
 
@@ -387,27 +388,25 @@ class Explanations:
         return one
 
 
-def _trials(law: LinearisedModel, scanned: Scanned) -> list[CandidateTrial]:
-    """All scanned effects, each fitted along the measured motion."""
+def _all_trials(law: LinearisedModel, scanned: Scanned) -> list[CandidateTrial]:
+    """Fit every scanned effect along the measured motion."""
     data = measured_series(law).coordinates[:, 0]
     return [try_effect(law, effect, scans, data) for effect, scans in scanned]
 
 
 def _promising_trials(law: LinearisedModel, scanned: Scanned, misfit: float) -> list[CandidateTrial]:
-    """The scanned effects that may be the best: near the noise, a trial gains little more than its scan.
+    """Fit the scanned effects that may be the best, where the misfit is small: a fit gains little more than its scan.
 
     A scan holds the shape of the law only in linear approximation, and underrates effects that remember or delay.
     """
-    if misfit >= STRONG_MISFIT_CHI2 * law.solution.problem.n_frames:
-        return _trials(law, scanned)
     data, best, found = measured_series(law).coordinates[:, 0], 0.0, []
+    slots, frames = len(law.solution.problem.layout.slots), law.solution.problem.n_frames
     for effect, scans in sorted(scanned, key=lambda pair: -_scan_gain(pair[1])):
-        sure = not effect.memory and (effect.sized or not effect.modifies)
-        if sure and MAX_TRIAL_RATIO * _scan_gain(scans) + MIN_CHI2_SEPARATED < best:
+        is_linear = not effect.memory and (effect.sized or not effect.modifies)
+        if is_linear and MAX_TRIAL_RATIO * _scan_gain(scans) + MIN_CHI2_SEPARATED < best:
             continue
         found.append(try_effect(law, effect, scans, data))
-        extra = len(found[-1].layout.slots) - len(law.solution.problem.layout.slots)
-        best = max(best, misfit - found[-1].misfit - bic_penalty(extra, law.solution.problem.n_frames))
+        best = max(best, misfit - found[-1].misfit - bic_penalty(len(found[-1].layout.slots) - slots, frames))
     return found
 
 
@@ -432,7 +431,7 @@ def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effec
     pairs = {its.name: mine.name for mine, its in zip(small.linear, large.linear, strict=True)}
     pairs |= {q.name: q.name for q in small.nonlinear}
     for slot, x in zip(found.problem.layout.slots, found.p, strict=True):
-        if slot.effect != large.title:
+        if slot.effect != large.name:
             values[slot.effect, slot.parameter, slot.run] = x
         elif slot.parameter in pairs:
             values[small.name, pairs[slot.parameter], slot.run] = x

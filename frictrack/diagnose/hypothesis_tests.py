@@ -16,13 +16,10 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import (
     CandidateScan,
     LinearisedModel,
-    ScannedSeries,
-    candidate_grids,
     measured_series,
-    scan_candidates,
 )
 from frictrack.fit.measured_friction import is_measured_friction
-from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, effect_for_scan, ties_are_resolved
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -205,7 +202,7 @@ def run_tests(
 
     """
     scanned = []
-    for effect, scans in scan_library(draws.law, draws.series, library):
+    for effect, scans in scan_effects(draws.law, library, draws.series):
         statistic = _statistic(draws.law, scans)
         quantile = float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE))
         scanned.append(ScannedCandidate(effect, scans, statistic, quantile))
@@ -216,18 +213,9 @@ def run_tests(
     return SearchTests(lack_of_fit(draws), scanned, null, level, quantiles, gains)
 
 
-def scan_library(
-    law: LinearisedModel, series: ScannedSeries, library: Sequence[Effect]
-) -> list[tuple[Effect, list[CandidateScan]]]:
-    """Scan all candidates that have settings to scan."""
-    grids = [candidate_grids(law, effect_for_scan(law.solution, effect)) for effect in library]
-    scans = iter(scan_candidates(law, [grid for own in grids for grid in own], series))
-    return [(effect, [next(scans) for _ in own]) for effect, own in zip(library, grids, strict=True) if own]
-
-
 def gains_of_library(law: LinearisedModel, library: Sequence[Effect]) -> dict[str, float]:
     """Compute what every candidate gains of the measured series, without draws."""
-    scanned = scan_library(law, measured_series(law), library)
+    scanned = scan_effects(law, library, measured_series(law))
     return {effect.title: float(_statistic(law, scans)[0]) for effect, scans in scanned}
 
 

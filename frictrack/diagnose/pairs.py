@@ -38,12 +38,12 @@ def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> di
         Fall of chi-squared by the names of both effects.
 
     """
-    own = [_grids_at(law, t) for t in trials]
-    products = products_of_grids(law, [grid for grids in own for grid in grids], measured_series(law))
+    own, series = [_grids_at(law, t) for t in trials], measured_series(law)
+    products = products_of_grids(law, [grid for grids in own for grid in grids], series)
     projector = law.residual_projector(law.solution.tau)
     projected = products.coordinates @ projector
     gram = products.gram + projected @ products.coordinates.T
-    data = products.data + projected @ measured_series(law).coordinates[:, 0]
+    data = products.data + projected @ series.coordinates[:, 0]
     absorbed = np.diag(gram) < MIN_SQUARE_LEFT * (np.diag(products.gram) + np.sum(products.coordinates**2, axis=1))
     gram[absorbed], gram[:, absorbed], data[absorbed] = 0.0, 0.0, 0.0
     rows = iter(products.rows)

@@ -1,7 +1,7 @@
 """Search for the effects that a fitted model lacks.
 
-Each round tests the model, adds the best effect and tests again. The search ends when no misfit is left, or when no
-effect reduces it.
+Every effect is tried alone, then pairs, then sets of three, each size best first (`Explanations`). The search ends when
+a set leaves no misfit, or when no larger set explains more.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
 from frictrack.verdicts import join_as_one
 
-N_LISTED = 2  # effects that are listed where nothing is missing
+N_LISTED, MAX_P_LISTED = 2, 0.05  # effects that are always listed; p-value of the others
 MIN_SIZE_IMITATING = 2  # of a set of effects that may imitate one formula
 MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no larger set is searched
 MAX_UNKNOWNS_OF_FORMULA = 4
@@ -65,8 +65,8 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
 ) -> Diagnosis:
     """Search the effect library for what a fitted model lacks.
 
-    The search is a forward selection. It adds the best effect while one passes the test, and drops effects that a
-    later one makes unnecessary. Validation runs are not used.
+    The search compares sets of effects, best first: every single effect, then pairs, then sets of three. It ends when a
+    set leaves no misfit, or when no larger set explains more. Validation runs are not used.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     costs
         Costs of the next experiments, and what the set-up can do: they are rated by evidence over cost.
     progress
-        Called with the number of rounds done, their total, and the current step.
+        Called with the size of the sets that are searched, the largest size, and the current step.
     quick
         Return the verdict and the candidates as soon as they are known, with `complete` False.
     on_verdict
@@ -193,13 +193,19 @@ def _search(
         new = space.better(best, last)
         if new is not None:
             best = space.refine_fully(new)
-            last = examine_again(space.rebase(best, kind.reweighted(best.law)).law, own, rng, first)
+            law = kind.reweighted(best.law)
+            space.rebase(best, law)
+            last = examine_again(law, own, rng, first)
         elif size > 1 or not last.leaves_misfit:
             break
-    if len(best.effects) == 1 and not last.something_is_missing and space.pair_instead(best) is not best:
-        best = space.refine_fully(space.pair_instead(best))
-        last = examine_again(best.law, own, rng, first)
-    tried = [_tried(one, first, space) for one in space.of_size(1)]
+    if len(best.effects) == 1 and not last.something_is_missing:
+        pair = space.pair_instead(best)
+        if pair is not best:
+            best = space.refine_fully(pair)
+            last = examine_again(best.law, own, rng, first)
+    misfit = baseline_misfit(first.draws.law)
+    alone = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
+    tried = [t for i, t in enumerate(alone) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
     found = _found(space, best, first)
     rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
@@ -211,19 +217,17 @@ def _search(
 def _describe_step(best: Explanation, size: int) -> str:
     if size == 1:
         return "refining every effect that may explain the misfit"
-    known = join_as_one([e.title for e in best.effects]) if best.effects else "no effect alone"
-    return f"{known} leaves misfit: trying sets of {size}" if best.effects else f"{known} passes: trying sets of {size}"
+    if not best.effects:
+        return f"no effect alone passes: trying sets of {size}"
+    return f"{join_as_one([e.title for e in best.effects])} leaves misfit: trying sets of {size}"
 
 
-def _tried(one: Explanation, first: Examination, space: Explanations) -> RefinedCandidate:
-    """An effect alone beside the model, with its evidence."""
-    empty = space.known[frozenset()]
+def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:
+    """An effect alone, with its evidence; `misfit` is what the model leaves without it along the measured motion."""
     assert one.trial is not None
-    law, trial = one.trial
-    misfit = baseline_misfit(law)
     p = first.p_of_gain(one.last, one.gain(empty, one.last))
     passes = p < first.tests.level and one.is_law and first.confirms(one.law, one.last)
-    share = (misfit - trial.misfit) / max(misfit - first.solution.problem.n_frames, 1e-300)
+    share = (misfit - one.trial[1].misfit) / max(misfit - first.solution.problem.n_frames, 1e-300)
     return RefinedCandidate(
         one.last, one.solution, one.evidence(empty), p, (), one.objection, float(np.clip(share, 0.0, 1.0)), passes
     )

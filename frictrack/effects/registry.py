@@ -72,8 +72,10 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
 
     """
     whole, dot, parameter = name.partition(".")
-    if dot and parameter in {p.name for p in get(whole, extra).parameters}:
-        return get(whole, extra).freed(parameter)
+    if dot:
+        effect = get(whole, extra)
+        if parameter in {p.name for p in effect.parameters}:
+            return effect.freed(parameter)
     kind, colon, suffix = name.partition(":")
     if kind == "atm2":
         return atm2(order(name) if colon else 2)

@@ -11,7 +11,7 @@ from frictrack.fit.stepwise.growth import (
 )
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
 from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
-from frictrack.fit.stepwise.scan_starts import scan_effect
+from frictrack.fit.stepwise.scan_starts import scan_effect, scan_effects
 from frictrack.fit.stepwise.trial import (
     STRONG_MISFIT_CHI2,
     CandidateTrial,
@@ -44,6 +44,7 @@ __all__ = [
     "reorder_effects",
     "reversed_ties",
     "scan_effect",
+    "scan_effects",
     "simulate_trial",
     "ties_are_resolved",
     "try_effect",

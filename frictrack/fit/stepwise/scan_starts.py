@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.linearised import CandidateScan, LinearisedModel, ScannedSeries, candidate_grids, scan_candidate
+from frictrack.fit.linearised import CandidateScan, LinearisedModel, ScannedSeries, candidate_grids, scan_candidates
 from frictrack.fit.stepwise.order import effect_for_scan
 from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
 from frictrack.records import Array
@@ -37,8 +39,17 @@ def scan_effect(linearised: LinearisedModel, effect: Effect, series: ScannedSeri
         One, or one of every run for an event of single runs.
 
     """
-    grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
-    return [scan_candidate(linearised, grid, series) for grid in grids]
+    found = scan_effects(linearised, [effect], series)
+    return found[0][1] if found else []
+
+
+def scan_effects(
+    linearised: LinearisedModel, effects: Sequence[Effect], series: ScannedSeries
+) -> list[tuple[Effect, list[CandidateScan]]]:
+    """Scan several effects, each alone; those for which the runs lack what they need are left out."""
+    grids = [candidate_grids(linearised, effect_for_scan(linearised.solution, effect)) for effect in effects]
+    scans = iter(scan_candidates(linearised, [grid for own in grids for grid in own], series))
+    return [(effect, [next(scans) for _ in own]) for effect, own in zip(effects, grids, strict=True) if own]
 
 
 def starts_of_scans(

@@ -258,9 +258,7 @@ def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> flo
     return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
 
 
-def deepen_trials(
-    linearised: LinearisedModel, trials: list[CandidateTrial], min_evidence: float = 0.0
-) -> list[CandidateTrial]:
+def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
     """Search those trials again that may be best but were not found in one scan.
 
     Events of single runs were found one by one, beside a model that lacked them all. If much is missing, and no trial
@@ -273,8 +271,6 @@ def deepen_trials(
         The fitted model.
     trials : list of CandidateTrial
         First trials.
-    min_evidence : float
-        Fall of BIC that another explanation reaches already. A trial far below is not searched again.
 
     Returns
     -------
@@ -286,9 +282,9 @@ def deepen_trials(
         return trials
     misfit = baseline_misfit(linearised)
     best = misfit - min(t.misfit for t in trials)
-    if best < MIN_GAIN_SHARE * min_evidence:
+    if best < 0:
         return trials
-    min_gain = MIN_GAIN_SHARE * max(best, min_evidence)
+    min_gain = MIN_GAIN_SHARE * best
     frames = sum(len(b.data) for b in linearised.blocks)
     near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(misfit - best - frames, 0.0)
     near = min(near, misfit - min_gain)
