@@ -233,9 +233,9 @@ def test_a_study_file_without_end(tmp_path: Path) -> None:
 
 def test_many_runs_are_read_in_linear_time(study: Path) -> None:
     text = '[study]\nmass = "1 kg"\n' + "".join(RUN.format(name=f'"run {i}"') for i in range(3000))
-    start = time.process_time()
+    start = time.thread_time()
     assert len(parse(study, text).runs) == 3000
-    assert time.process_time() - start < 1  # quadratic in the runs: 5 s
+    assert time.thread_time() - start < 1  # quadratic in the runs: 5 s
 
 
 @pytest.mark.parametrize(
@@ -249,9 +249,9 @@ def test_many_runs_are_read_in_linear_time(study: Path) -> None:
 )
 def test_many_faults_are_found_in_linear_time_and_the_first_of_them_listed(study: Path, line: str, said: str) -> None:
     text = "".join(map(line.format, range(12_000)))
-    start = time.process_time()
+    start = time.thread_time()
     assert said in refused(study, text)
-    assert time.process_time() - start < 1.5  # quadratic: minutes
+    assert time.thread_time() - start < 1.5  # quadratic: minutes
 
 
 def test_an_error_is_one_line_that_no_terminal_obeys() -> None:
