@@ -17,10 +17,10 @@ from frictrack.fit.least_squares import Solution
 class FinishedSearch:
     """Result of a search.
 
-    `first` and `last` are the examinations of the model and of the model with the effects found. `tried` are the effects
+    `first` and `last` are the examinations of the model and of the model with the effects found. `tried` are effects
     that gain something alone, best first, and `generators` the random numbers of the later steps. `cut` says what was
-    left out because the budget of evaluations was spent; it is None if nothing was. `alternatives` are other sets of
-    effects that explain as much as those found; `is_beaten` says that one formula explains far more than these.
+    left out because the budget of evaluations was spent; it is None if nothing was. `alternatives` are other sets that
+    explain as much as the effects found; `is_beaten` says that one formula explains far more than these.
     """
 
     start: Solution
