@@ -101,8 +101,7 @@ def test_pixel_noise_is_what_the_smoother_lets_through(cutoff):
 
 def again(filtered):
     """The same low-pass or window once more, as a map of columns: what was smoothed with a column less without."""
-    if filtered.x_measured is not None:
-        method = Smoother.read(filtered.smoother).method
+    if method := Smoother.read(filtered.smoother).method:
         return lambda columns: method.derived(columns, 2) * FPS**2
 
     def through(x):

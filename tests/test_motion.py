@@ -277,7 +277,19 @@ def test_a_cutoff_that_takes_signal_away_says_so():
     noise = NOISE * np.random.default_rng(0).normal(size=len(t))
     reason = low_pass(displacement(t, x + noise), 45.0).reason
     assert reason.startswith("cut-off 45 Hz as given, maximum likelihood would take 1")
-    assert reason.endswith("Hz: the deviations do not cover the signal lost")
+    assert reason.endswith("Hz: the deviations count the signal lost")
+
+
+@pytest.mark.parametrize("cutoff", [20.0, 45.0, 150.0, 400.0])
+def test_deviations_of_a_given_cutoff_hold_the_signal_lost_too(cutoff):
+    t, x, v, a = tustin_slide(2.0)
+    z = []
+    for seed in range(4):
+        noise = NOISE * np.random.default_rng(seed).normal(size=len(t))
+        m = differentiate(low_pass(displacement(t, x + noise), cutoff))
+        z.append([rms(e) for e in ((m.x - x) / m.sigma_x, (m.v - v) / m.sigma_v, (m.a - a) / m.sigma_a)])
+    mean = np.mean(z, axis=0)
+    assert np.all((mean > 0.8) & (mean < 1.25)), mean
 
 
 def test_stiff_smoother_is_the_cubic_of_least_squares():

@@ -27,7 +27,7 @@ from frictrack.budget.filter_response import FilterResponse
 from frictrack.budget.frame_rate import frame_rate_error
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
-from frictrack.motion import noise_level
+from frictrack.motion import Derivatives, noise_level
 from frictrack.number_format import format_number
 from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 
@@ -95,7 +95,7 @@ def budget(
         return Budget(run.name, mean, (_cell(result.sigma_F, free),))
     del result  # of a long run it takes much memory
     errors = _RunErrors(run, free, weights)
-    response = FilterResponse(filtered, run.motion)
+    response = FilterResponse(Derivatives.of_x(filtered), run.motion)
     rows = (
         *errors.noise_and_filter(response, film is not None),
         errors.scale(),
@@ -192,7 +192,7 @@ class _RunErrors:
         size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
         if size is None or error is None:
             return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
-        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.filtered.x / pitch, pitch)  # of one px
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.x / pitch, pitch)  # of one px
         if size < MIN_SIGMAS_LOCKING * error:
             largest = size + 2 * error
             most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))

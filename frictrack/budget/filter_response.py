@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencil_start, stencil_weights
 from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
-from frictrack.records import Array, Filtered, Motion
+from frictrack.records import Array, Motion
 
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
 
@@ -26,11 +26,15 @@ class AccelerationError:
 class FilterResponse:
     """The low-pass and its derivatives as one linear map from displacement to acceleration."""
 
-    def __init__(self, filtered: Filtered, motion: Motion) -> None:
-        self.filtered, self.motion = filtered, motion
-        self._derived = Derivatives.of_x(filtered)
+    def __init__(self, derived: Derivatives, motion: Motion) -> None:
+        self.motion, self._derived = motion, derived
         self._grid, self._noise = self._derived.grid, self._derived.noise
         self._structure, self._method = self._derived.smoother.structure, self._derived.smoother.method
+
+    @property
+    def x(self) -> Array:
+        """Low-passed positions, m, (n,)."""
+        return self._derived.x
 
     @property
     def noise(self) -> float:
@@ -83,7 +87,7 @@ class FilterResponse:
         return AccelerationError(self._noise * rows, self._noise * float(np.sqrt(variance)))
 
     def lost_signal(self, weights: Array, transmitted_noise: AccelerationError) -> AccelerationError:
-        """Signal that the low-pass removes; with a structural smoother also the error of the line frequencies.
+        """Signal that the low-pass removes, the error of line frequencies included.
 
         Parameters
         ----------
@@ -97,17 +101,15 @@ class FilterResponse:
         AccelerationError
 
         """
-        if self._method is None:
-            total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
-        else:
-            measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
-            accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
-            total = abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1])))
+        total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
         rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
         return AccelerationError(rows, total)
 
     def total_error(self, weights: Array) -> float:
-        """Noise and lost signal of a structural smoother together, in the weighted sum, m/s^2."""
+        """Noise and lost signal together, in the weighted sum, m/s^2; see `Derivatives.best`."""
+        if (best := self._derived.best) is not None:
+            away = weights @ (self._derived.values() - best.values())[2]
+            return float(np.hypot(FilterResponse(best, self.motion).total_error(weights), away))
         return self._noise * float(np.sqrt(self._unit_variance(self._derived.factor, weights * self._scale)))
 
     def noise_reductions(self, weights: Array, factors: Sequence[float]) -> dict[float, tuple[float, float]]:
@@ -151,7 +153,7 @@ class FilterResponse:
     @cached_property
     def _line_changes(self) -> list[Array]:
         """Change of the acceleration (n,) by one standard deviation of each line frequency, for unit noise."""
-        x = self._grid.to_frames(self.filtered.x) / self._noise
+        x = self._grid.to_frames(self._derived.x) / self._noise
         return [
             self._grid.to_rows(change[2])
             for change in line_frequency_errors(self._derived.factor, x, self._grid.interval)

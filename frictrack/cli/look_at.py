@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {
     "track": "{output}/<run>_track.png: the frame must lie on the slider in every picture. Then: frictrack run {study}",
     "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong. "
     "frictrack export {study} writes the curves as tables",
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
-    "fit": "displacement, rms: close to the noise of the positions, the model suffices. "
-    "frictrack diagnose {study} finds what is missing",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
     "edit": "held out, before and after: if it falls, the effect belongs to the law. "
     "frictrack diagnose {study} looks for a further one",
@@ -39,6 +38,26 @@ def look_at(command: str, **places: Any) -> str:
 
     """
     return _TEXTS[command].format(**places)
+
+
+def after_fit(fit: Mapping[str, Any], study: Any) -> str:
+    """Return what a fit leaves, and what to do next.
+
+    Parameters
+    ----------
+    fit
+        JSON of `frictrack fit`.
+    study
+        Path of the study file.
+
+    """
+    chi2 = fit.get("errors", {}).get("reduced_chi2")
+    if chi2 is None:  # one fit per group
+        return f"the parameters by group. frictrack compare {study} compares models"
+    more = f"frictrack diagnose {study} names what is missing, if anything is"
+    if chi2 > MIN_CHI2_MISFIT:
+        return f"the model misses the data by {chi2**0.5:.3g} times their noise (square root of chi-squared). {more}"
+    return f"what the model leaves is as large as the noise of the data. {more}"
 
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:

@@ -23,7 +23,7 @@ from frictrack.cli.common import (
     print_result,
     print_verdict,
 )
-from frictrack.cli.look_at import after_diagnosis, after_run, look_at
+from frictrack.cli.look_at import after_diagnosis, after_fit, after_run, look_at
 from frictrack.errors import FrictrackError
 from frictrack.export import FORMATS, export_results
 
@@ -194,7 +194,7 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
-    print_result(result, as_json, "fit", session.path, look_at("fit", study=study))
+    print_result(result, as_json, "fit", session.path, after_fit(result, study))
 
 
 @command()

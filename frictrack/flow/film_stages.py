@@ -310,14 +310,14 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
     plane = plane_before_tracking(pipeline) or plane_map(
         run.scale, lens=run.lens, track=track, film=pipeline.recording, axis=run.axis
     )
-    target_track = align_track(track, anchor.get("track")) if anchor else track
     min_shake = min_shake_px(run)
-    clean, notes, numbers = correct_track(
-        target_track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake
-    )
+    clean, notes, numbers = correct_track(track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake)
+    clean = replace(clean, notes=(*track.notes, *notes))
+    if anchor:  # after the checks: they compare tracks of one film, which follow one point
+        clean = align_track(clean, anchor.get("track"))
     unseen = (NOTE_NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     displacement = calibrate(
-        replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
+        replace(clean, notes=tuple(dict.fromkeys((*clean.notes, *unseen)))),
         plane,
         axis=run.axis,
         origin_px=run.origin_px,

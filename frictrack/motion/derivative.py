@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.filter import MISSING_SIGMA, frame_weights, sensor_weights
+from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
 from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
 from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
@@ -26,7 +26,7 @@ from frictrack.motion.smoother import (
     weighted_cubic,
 )
 from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
-from frictrack.records import Array, Filtered, Mask, Motion
+from frictrack.records import Array, Displacement, Filtered, Mask, Motion
 
 COLUMNS_AT_ONCE = 256  # unit responses computed in one call
 QUANTITIES = ("x", "v", "a")
@@ -175,6 +175,10 @@ class Derivatives:
         Weights of the second differences that a sensor measured, (N - 2,).
     measured
         Unfiltered series on the grid, (N,), where the method derives from it.
+    best
+        Derivatives by the structural smoother, where another filter was asked for. Given the data, the motion lies
+        about these by their deviations, whatever the filter: the error of the filter asked for is what lies between,
+        noise that it passes and signal that it loses.
 
     """
 
@@ -186,6 +190,7 @@ class Derivatives:
     smoother: Smoother
     sensor_weights: Array | None = None
     measured: Array | None = None
+    best: Derivatives | None = None
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
@@ -210,7 +215,11 @@ class Derivatives:
         noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
         raw = None if measured is None else grid.to_frames(np.nan_to_num(measured))
         w = grid.to_frames(frame_weights(sigma, known))
-        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
+        best = None
+        if filtered.asked and measured is not None:
+            none = np.full(len(x), np.nan)
+            best = cls.of_x(low_pass(Displacement(filtered.t, measured, none, none, sigma, none, known)))
+        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw, best=best)
 
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
@@ -225,9 +234,8 @@ class Derivatives:
 
     def deviations(self) -> Array:
         """Standard deviations of `values`, (3, n)."""
-        if self.smoother.method is not None:
-            passed, lost = self._passed_noise(self.smoother.method), self._lost_signal(self.smoother.method)
-            return self.grid.to_rows(np.sqrt(passed + lost**2))
+        if self.best is not None:
+            return np.asarray(np.hypot(self.best.deviations(), self.values() - self.best.values()))
         best, structure, measured = self._on_grid(), self.smoother.structure, self.measured
         if structure is None or measured is None or not self.smoother.alternatives:
             spread = deviations(self.factor, best, self.noise, self.grid.interval)
@@ -300,10 +308,9 @@ class Derivatives:
             Covariance, (m, m).
 
         """
-        if self.smoother.method is not None:
-            passed = [b[order, self.grid.frames[rows]] * s for b, s in self.unit_responses(self.smoother.method)]
-            factors = np.concatenate(passed, axis=1)
-            return factors @ factors.T
+        if self.best is not None:
+            away = (self.values() - self.best.values())[order, rows]
+            return self.best.covariance(order, rows) + np.outer(away, away)
         start, table = stencils(self.grid.n, self.grid.interval)
         frames = self.grid.frames[rows]
         nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
@@ -347,22 +354,6 @@ class Derivatives:
             unit = np.zeros((self.grid.n, len(part)))
             unit[part, np.arange(len(part))] = 1.0
             yield self._apply_method(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
-
-    def _passed_noise(self, method: FilterMethod) -> Array:
-        """Variance of the derivatives, (3, N), by noise let through."""
-        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.unit_responses(method)], axis=0)
-        return out
-
-    def _lost_signal(self, method: FilterMethod) -> Array:
-        """Signal removed from the derivatives, (3, N): rms over one period of what filtering once more removes."""
-        whole = self._on_grid()
-        assert self.measured is not None
-        taken = self._apply_method(method, interpolate_missing(self.measured, self.w > 0)) - self._apply_method(
-            method, whole
-        )
-        reach = min(max(int(1 / method.cutoff), 1) | 1, (self.grid.n - 1) | 1)
-        padded = np.pad(taken**2, ((0, 0), (reach // 2, reach // 2)), mode="reflect")
-        return np.sqrt(np.stack([np.convolve(row, np.full(reach, 1 / reach), "valid") for row in padded]))
 
 
 def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:

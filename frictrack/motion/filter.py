@@ -131,7 +131,7 @@ def low_pass(
         sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
-        asked=cutoff is not None,
+        asked=cutoff is not None or method in METHODS,
         repaired=displacement.repaired,
         x_measured=x.measured,
         y_measured=y.measured,
@@ -198,7 +198,7 @@ class _Coordinate:
 
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _LowPassed:
         """Low-pass by a method, or at a given cut-off (Hz)."""
-        interval = self.grid.interval
+        interval, asked = self.grid.interval, cutoff is not None
         search = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
         stiff = search.stiff
         level = float(np.sqrt(stiff.factor_smoother(search.data).restricted_likelihood()[1]))
@@ -225,7 +225,7 @@ class _Coordinate:
         return replace(
             self._result(signal, level, cutoff or best),
             smoother=str(Smoother(structure, None, groups, search.data.colour)),
-            measured=self._measured() if groups else None,
+            measured=self._measured() if groups or (asked and acceleration is None) else None,
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),

@@ -13,7 +13,7 @@ from frictrack.motion.smoother import TREND_ORDER, ChangeGroup, Event, NoiseColo
 
 STRUCTURAL, KALMAN = "structural", "kalman"
 METHOD_NAMES = (STRUCTURAL, KALMAN, *METHODS)
-MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it more signal is lost than sigma covers
+MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it signal is lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,5 +104,5 @@ def describe_given_cutoff(used: float, best: float) -> str:
     """Describe a given cut-off; say if it is too low."""
     reason = f"cut-off {used:.3g} Hz as given"
     if used < MIN_CUTOFF_RATIO * best:
-        reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
+        reason += f", maximum likelihood would take {best:.3g} Hz: the deviations count the signal lost"
     return reason

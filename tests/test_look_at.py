@@ -1,0 +1,14 @@
+"""What a command says of its result is a finding about this result."""
+
+import pytest
+
+from frictrack.cli.look_at import after_fit
+
+
+@pytest.mark.parametrize(("chi2", "said"), [(563.0, "misses the data by 23.7 times"), (1.03, "as large as the noise")])
+def test_a_fit_is_judged_by_what_it_leaves(chi2, said):
+    assert said in after_fit({"errors": {"reduced_chi2": chi2}}, "study.toml")
+
+
+def test_fits_of_groups_are_not_judged_as_one():
+    assert "by group" in after_fit({"groups": {}}, "study.toml")
