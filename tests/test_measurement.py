@@ -72,6 +72,25 @@ def said(displacement, words):
     return [note for note in displacement.notes if words in note]
 
 
+# ---- the targets of several films
+
+
+def test_films_with_other_rectangles_are_not_said_to_depend_on_the_direction(tmp_path):
+    """With areas drawn, the second film follows a point one pixel aside, which is moved after it was checked."""
+    filmed(tmp_path)
+    path = tmp_path / "study.toml"
+    head, run = path.read_text().split("[[run]]\n")
+    x, y = (int(at) for at in Session(open_study(path)).runs[0].get("track").target[:2])
+    twice = [
+        run.replace('"v3"', f'"{name}"') + f"target = [{x + off}, {y}, 50, 36]\nobstacles = [[300, 80, 10, 10]]\n"
+        for name, off in (("a", 0), ("b", 1))
+    ]
+    path.write_text("[[run]]\n".join([head, *twice]))
+    notes = [work.get("displacement").notes for work in Session(open_study(path)).runs]
+    assert not [note for own in notes for note in own if "tracked backward" in note]
+    assert [note for note in notes[1] if note.startswith("tracked point moved by (-1.0")]
+
+
 # ---- the fixed reference
 
 
