@@ -12,7 +12,7 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.uncertainty import Estimates
 from frictrack.records import Array, Mask
 

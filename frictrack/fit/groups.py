@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.free_run import free_errors
+from frictrack.fit.prediction import free_errors
 from frictrack.fit.result import Fit, StorableFit
 from frictrack.lazy import imported
 from frictrack.models import Model

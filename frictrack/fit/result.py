@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.fit.collisions import collisions
-from frictrack.fit.free_run import FreeRun, free_errors
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.objectives import FittedRuns, Objective, objective_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
+from frictrack.fit.pieces import noise_free_remark
+from frictrack.fit.prediction import FreeRun, free_errors
 from frictrack.fit.prior_transfer import prior_of
-from frictrack.fit.segments import noise_free_remark
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
