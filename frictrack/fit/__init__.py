@@ -13,7 +13,6 @@ from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
-from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.measured_friction import (
     MeasuredFrictionProblem,
@@ -47,7 +46,7 @@ from frictrack.fit.pieces import (
 )
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
-from frictrack.fit.result import Fit, with_uncertainty
+from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
