@@ -32,10 +32,9 @@ from frictrack.fit.uncertainty import (
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
-from frictrack.notebook_view import NotebookView
 from frictrack.priors import Prior
 from frictrack.randomness import as_seed
-from frictrack.records import Array, Curve, ModelledMotion, Run
+from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
 
 if TYPE_CHECKING:
