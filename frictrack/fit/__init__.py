@@ -11,20 +11,10 @@ import numpy as np
 from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
+from frictrack.fit import measured_friction
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.measured_friction import (
-    MeasuredFrictionProblem,
-    check_effects,
-    fit_measured_friction,
-    friction_pieces,
-    friction_spans,
-    is_measured_friction,
-    reference_load,
-    search_measured_friction,
-    uses_measured_friction,
-)
 from frictrack.fit.parameters import (
     MASS_EFFECT,
     ParameterLayout,
@@ -171,9 +161,9 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     _check_runs(runs)
-    if uses_measured_friction(runs, domain):
-        check_effects(law)
-        reference = Reference(1.0, reference_load(runs))
+    if measured_friction.uses_measured_friction(runs, domain):
+        measured_friction.check_effects(law)
+        reference = Reference(1.0, measured_friction.reference_load(runs))
         law = law if prior is None else apply_prior(law, prior, reference.load)
         fit_group = partial(_fit_friction, law, route=Route("force", search, rng, over), reference=reference)
     else:
@@ -207,12 +197,12 @@ def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float
 def _fit_friction(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
     """The fit of runs whose friction a load cell measured, in newtons at the load of the reference."""
     fitted, names, fps = _runs_to_fit(runs)
-    pieces = friction_pieces(fitted, reference.load)
+    pieces = measured_friction.friction_pieces(fitted, reference.load)
     if route.search == "varpro":
-        found = FitOutcome(fit_measured_friction(law, pieces, names, fps))
+        found = FitOutcome(measured_friction.fit_measured_friction(law, pieces, names, fps))
     else:
         how = route.search, route.over, np.random.default_rng(route.rng)
-        solution, optima = search_measured_friction(law, pieces, (names, fps), how)
+        solution, optima = measured_friction.search_measured_friction(law, pieces, (names, fps), how)
         found = FitOutcome(solution, None, *optima)
     return _finish(found, runs, reference, route, (0,) * len(fitted))
 
@@ -307,7 +297,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "measured": is_measured_friction(result.solution.problem),
+        "measured": measured_friction.is_measured_friction(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,
@@ -349,9 +339,12 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
     if saved.get("measured", False):
         reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
-        pieces = friction_pieces(fitted, reference.load)
-        layout = ParameterLayout(law, names, friction_spans(pieces, fps), absent)
-        measured, held = MeasuredFrictionProblem(law, layout, pieces), np.zeros(len(layout.slots), dtype=bool)
+        pieces = measured_friction.friction_pieces(fitted, reference.load)
+        layout = ParameterLayout(law, names, measured_friction.friction_spans(pieces, fps), absent)
+        measured, held = (
+            measured_friction.MeasuredFrictionProblem(law, layout, pieces),
+            np.zeros(len(layout.slots), dtype=bool),
+        )
         solution = refine(measured, p, measured.first_starts(), tau=tau, free=held, max_steps=0)
         return _finish(FitOutcome(solution, None, *optima), runs, reference, route, lengths)
     reference = reference_of(fitted, float(saved["reference_mass"]))

@@ -36,12 +36,13 @@ class Constraint:
 
 def constraints_of(model: Model) -> tuple[Constraint, ...]:
     """Collect the constraints of a model; a parameter follows only parameters before it, without circles."""
-    found = [
-        Constraint(e, p, p.fixed if p.tie is None else Tie.read(p.tie))
-        for e in model.effects
-        for p in e.parameters
-        if p.tie or (p.fixed is not None and (p.name in e.quoted or (MASS in model and _is_force_coefficient(e, p))))
-    ]
+    found = []
+    for e in model.effects:
+        for p in e.parameters:
+            if p.tie is not None:
+                found.append(Constraint(e, p, Tie.read(p.tie)))
+            elif p.fixed is not None and (p.name in e.quoted or (MASS in model and _is_force_coefficient(e, p))):
+                found.append(Constraint(e, p, p.fixed))
     same = {(c.effect.name, c.parameter.name): c for c in found if not c.is_reported_differently}
     leaders = {key: [(c.value.effect, c.value.parameter)] for key, c in same.items() if isinstance(c.value, Tie)}
     order = TopologicalSorter({key: [at for at in leaders.get(key, []) if at in same] for key in same}).static_order()
