@@ -305,10 +305,10 @@ def is_moving(run: Run) -> Mask:
     return np.asarray(np.abs(run.motion.v) > MIN_MOVING_SIGMAS * run.motion.sigma_v)
 
 
-def split_by_direction(run: Run, frames: Mask) -> list[slice]:
-    """Return the stretches of some frames (n,), cut where the direction of motion changes between two frames."""
+def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
+    """Return the spans of a run, cut where the direction of motion changes between two frames."""
     out = []
-    for s in stretches(frames):
+    for s in spans:
         reversals = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
         out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *reversals, s.stop])]
     return out
@@ -473,8 +473,7 @@ def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     t, v = run.motion.t, run.motion.v
     motions = [s for s in stretches(is_moving(run)) if s.start <= stop and s.stop > first]
     inside = [slice(max(s.start, first), min(s.stop, stop + 1)) for s in motions]
-    moves = [part for s in inside for part in _split_by_direction(v, s)]
-    moves = [part for part in moves if is_motion(run, part)]
+    moves = [part for part in split_by_direction(run, inside) if is_motion(run, part)]
     for before, after in pairwise(moves):
         fastest = [part.start + int(np.argmax(np.abs(v[part]))) for part in (before, after)]
         row_before, row_after = fastest
@@ -484,10 +483,3 @@ def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
             if abs(v[row_after] - v[row_before]) > IMPACT_RATIO * typical * (t[row_after] - t[row_before]):
                 return row_before, row_after
     return None
-
-
-def _split_by_direction(v: Array, s: slice) -> list[slice]:
-    """Split a span where the velocity changes its sign."""
-    cuts = np.flatnonzero(np.diff(np.sign(v[s]))) + 1
-    edges = [0, *cuts.tolist(), s.stop - s.start]
-    return [slice(s.start + a, s.start + b) for a, b in pairwise(edges)]

@@ -42,27 +42,10 @@ class UnmodelledMotion(NamedTuple):
 def modelled_motion(
     solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
 ) -> tuple[ModelledMotion, ...]:
-    """Compute the modelled motion of every run, with its bands.
+    """Compute the modelled motion of every run with its bands, validation runs, each with its prediction, last.
 
-    A band includes parameters, starts and camera noise. Mass and scale are common to all runs and are stated
-    separately.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        Covariance of its unknowns.
-    runs : sequence of Run
-        The fitted runs, in the order of the solution.
-    validation : sequence of (Solution, Run)
-        Validation runs with their predictions.
-
-    Returns
-    -------
-    tuple of ModelledMotion
-        Motion and bands of every run, validation runs last.
-
+    `covariance` (P, P) is that of the unknowns. A band includes parameters, starts and camera noise. Mass and scale are
+    common to all runs and are stated separately.
     """
     fitted = [_run_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
     predicted = [_run_motion(own, _predicted_covariance(solution, covariance, own), 0, run) for own, run in validation]

@@ -50,25 +50,7 @@ MIN_SINGULAR_VALUE = 1e-6  # relative; smaller ones are not determined
 def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
     """Predict a validation run: shared parameters as fitted, start and per-run parameters from this run.
 
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    run : Run
-        The validation run.
-    reference : Reference
-        Mass and load at which newtons are reported.
-
-    Returns
-    -------
-    Solution
-        The model on this run.
-
-    Raises
-    ------
-    FrictrackError
-        If the run has no usable part.
-
+    Newtons are reported at the mass and load of `reference`. Raises FrictrackError if the run has no usable part.
     """
     old, model = solution.problem, solution.problem.model
     events = frozenset((e.name, 0) for e in model.effects if _is_event(e))
@@ -124,24 +106,9 @@ class FreeRun:
 
 
 def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0) -> FreeRun | None:
-    """Simulate one free run of a fitted model over a whole record of displacement.
+    """Simulate one free run of a fit, or of a prediction, over a whole record; None if it cannot be followed.
 
-    Parameters
-    ----------
-    solution : Solution
-        The fit, or the prediction of a validation run.
-    run : Run
-        The record; its drive is interpolated between samples.
-    reference : Reference
-        Mass and load at which newtons are reported.
-    index : int
-        Index of the run in the solution, for per-run parameters.
-
-    Returns
-    -------
-    FreeRun or None
-        None if the motion cannot be simulated to the end of the record.
-
+    `index` is the number of the run in the solution, for per-run parameters. The drive is interpolated.
     """
     mine = [r for r in solution.responses if r.piece.run == index]
     if run.drive is None and len(mine) == 1:  # the fit is already a simulation from the release
@@ -167,19 +134,9 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
 
 
 def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dict[str, Any]:
-    """Compute the errors of free runs.
+    """Compute the errors of free runs, as JSON: rms in um, and relative to the displacement; None if one is missing.
 
-    Parameters
-    ----------
-    found : sequence of FreeRun or None
-        Free runs; None for one that could not be simulated.
-    role : str, optional
-        Role of the runs, "fit" or "validation", to be included.
-
-    Returns
-    -------
-    dict
-        JSON: rms in um, and relative to the displacement; None if a run could not be simulated.
+    The `role` of the runs, "fit" or "validation", is included where it is given.
 
     Examples
     --------

@@ -24,21 +24,10 @@ MIN_RELATIVE_EIGENVALUE = 1e-9  # of the correlation matrix of a prior; less is 
 
 
 def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "displacement") -> Model:
-    """Give the parameters of a model the prior of another set-up.
+    """Give the parameters of a model the prior of another set-up, at the normal `load` (N) of this study, if known.
 
     Only parameters that carry over (`carries_over`) and are free take part. A parameter that has a prior of its own, is
     fixed or tied keeps its setting; the prior of the others is then the marginal distribution.
-
-    Parameters
-    ----------
-    model
-        The model, with the settings of the new study.
-    prior
-        The prior.
-    load
-        Normal load at which the new study reports newtons, N; None or NaN if it is not known.
-    domain
-        What is compared: "displacement" (also for measured friction), or "force" computed from the motion.
 
     Raises
     ------
@@ -101,24 +90,8 @@ def prior_of(
     """Convert a fit to a prior: the parameters that carry over, with their full covariance.
 
     The covariance includes noise, the effect of a missing force on a rejected model, and the errors of scale and mass,
-    which are common to all runs of a set-up.
-
-    Parameters
-    ----------
-    fitted
-        The fit.
-    estimates, misfit
-        Its estimates and its misfit.
-    from_motion
-        Whether forces were computed from the motion, so that they scale with length and mass.
-    study
-        Name of the study.
-
-    Raises
-    ------
-    FrictrackError
-        If no parameter carries over.
-
+    which are common to all runs of a set-up. Forces scale with length and mass where they were computed `from_motion`.
+    Raises FrictrackError if no parameter carries over.
     """
     problem, reference = fitted.solution.problem, fitted.reference
     layout, effects = problem.layout, {e.name: e for e in problem.model.effects if e.name != MASS}

@@ -50,18 +50,7 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
 
 
 def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values: Values) -> None:
-    """Fill in the constrained values of one run, in place.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    constraints : tuple of Constraint
-        Its constraints, from `constraints_of`.
-    values : dict
-        Effect name to parameter name to internal value; numbers, or arrays (P,) of a population.
-
-    """
+    """Fill in the constrained values of one run, in place: internal ones, numbers or arrays (P,) of a population."""
     q = mass_unit_ratio(values)
     for c in constraints:
         target: Any = c.value

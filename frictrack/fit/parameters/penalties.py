@@ -102,22 +102,9 @@ class JacobianBasis:
 
 
 def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) -> JacobianBasis:
-    """Compute an orthonormal basis of a whitened Jacobian.
+    """Compute an orthonormal basis of a whitened Jacobian (N, P) with its priors.
 
-    Parameters
-    ----------
-    jac : array of shape (N, P)
-        Whitened Jacobian.
-    levels : list of int
-        Columns of the friction levels.
-    known : array of shape (m, P), optional
-        Rows of the priors of parameters.
-
-    Returns
-    -------
-    JacobianBasis
-        The basis with its priors.
-
+    `levels` are the columns of the friction levels, `known` (m, P) rows of the priors of parameters.
     """
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
@@ -137,24 +124,10 @@ def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) ->
 
 
 def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None) -> Array:
-    """Compute the Jacobian of the penalties: friction levels about one, then the priors of parameters.
+    """Compute the Jacobian (m, P) of the penalties: friction levels about one, then the priors, in standard deviations.
 
-    Each level is held to within tau. With too few runs only their mean is held.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The layout.
-    tau : float
-        Relative standard deviation of the levels.
-    p : array of shape (P,), optional
-        Where priors are linearised; it matters only where the mass is fitted too.
-
-    Returns
-    -------
-    array of shape (m, P)
-        One row per penalty, in standard deviations.
-
+    Each level is held to within tau. With too few runs only their mean is held. Priors are linearised at p (P,); it
+    matters only where the mass is fitted too.
     """
     return np.vstack([_level_jacobian(layout, tau), prior_jacobian(layout, p)])
 

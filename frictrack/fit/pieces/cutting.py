@@ -104,13 +104,13 @@ def pieces_of(runs: Sequence[Run], reference: Reference, *, through_reversals: b
 def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals: bool) -> list[Piece]:
     if run.mass is None and run.drive is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
-    sections = moving_sections(run)
-    if through_reversals and run.drive is not None and sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1:
+    spans = moving_sections(run)
+    if through_reversals and run.drive is not None and sum(s.stop - s.start >= MIN_FRAMES for s in spans) > 1:
         return [whole_piece(run, index, reference)]
     context, noise = run_context(run, reference), _noise_of(run)
     made = []
-    for section, slack in join_swings(run, sections):
-        rows = np.arange(section.start, section.stop)
+    for span, slack in join_swings(run, spans):
+        rows = np.arange(span.start, span.stop)
         rows = rows[run.displacement.valid[rows] & np.isfinite(run.displacement.x[rows])]
         if len(rows) >= MIN_FRAMES:
             made.append(replace(_piece(run, index, rows, noise, context), turns=slack > 0, slack=slack))
