@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_motion, is_moving, release_time, split_by_direction
+from frictrack.friction.force import is_motion, is_moving, release_time, split_by_direction
 from frictrack.records import Array, Run, RunEvents, stretches
 
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
