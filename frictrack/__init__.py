@@ -35,15 +35,13 @@ if TYPE_CHECKING:
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
     from frictrack.errors import FrictrackError
-    from frictrack.events import find_events
     from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
-    from frictrack.friction import free_section, friction
+    from frictrack.friction import find_events, free_section, friction, with_earlier_runs
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
     from frictrack.priors import Prior
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
     from frictrack.repairing import repair, suspect_spans
-    from frictrack.run_history import with_earlier_runs
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
     from frictrack.version import __version__
 
@@ -54,8 +52,7 @@ _MODULE_OF = module_of(
         "repairing": "repair suspect_spans",
         "calibration": "calibrate plane_map",
         "motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
-        "friction": "free_section friction",
-        "events": "find_events",
+        "friction": "free_section friction find_events with_earlier_runs",
         "budget": "budget",
         "fit": "fit profile bootstrap Fit GroupFits",
         "compare": "compare history Comparison",
@@ -64,7 +61,6 @@ _MODULE_OF = module_of(
         "priors": "Prior",
         "covariates": "trend CovariateTrends",
         "effects": "effect",
-        "run_history": "with_earlier_runs",
         "errors": "FrictrackError",
         "version": "__version__",
     }

@@ -10,6 +10,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -128,19 +129,18 @@ class Model:
             The friction force F as a sum, then the measurement effects after semicolons.
 
         """
-        force = [self._effect_equation(e, estimates or {}) for e in self.effects if e.acts_on == "force"]
-        picture = [self._effect_equation(e, estimates or {}) for e in self.effects if e.acts_on == "measurement"]
-        return "F = " + (" + ".join(force) or "0") + "".join(f"; {p}" for p in picture)
+        texts = [(e.acts_on, self._effect_equation(e, estimates or {})) for e in self.effects]
+        force = " + ".join(text for on, text in texts if on == "force") or "0"
+        return "; ".join([f"F = {force}", *(text for on, text in texts if on == "measurement")])
 
     def _effect_equation(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
         """Equation of one effect; the symbols of a second instance end with its number."""
-        _, _, number = effect.name.partition(":")
-        text = effect.equation
-        others = {p.name: f"{e.name}.{p.name}" for e in self.effects for p in e.parameters if e is not effect}
-        own = {p.name: f"{effect.name}.{p.name}" for p in effect.parameters}
-        for name, address in (others | own).items():
-            found = estimates.get(address)
-            symbol = f"{name}_{number}" if number and name in own and effect.kind != effect.name else name
+        number = effect.name.partition(":")[2] if effect.kind != effect.name else ""
+        text, others = effect.equation, [e for e in self.effects if e is not effect]
+        owner = {p.name: e for e in (*others, effect) for p in e.parameters}
+        for name, of in owner.items():
+            found = estimates.get(f"{of.name}.{name}")
+            symbol = f"{name}_{number}" if number and of is effect else name
             if found is not None and found.value is not None:
                 symbol = format_concise(found.value, found.std)
             text = re.sub(rf"\b{name}\b", symbol, text)
@@ -174,13 +174,11 @@ class Model:
     @property
     def settings(self) -> list[str]:
         """Differences to the library as text: `stribeck.delta free`, `vibration.frequency = 60 Hz`."""
-        out = []
+        out: list[str] = []
         for e in self.effects:
-            try:
+            with suppress(FrictrackError):  # not from the library: no settings to compare with
                 different = effects.differences(e, self.base(e))
-            except FrictrackError:  # not from the library: no settings to compare with
-                continue
-            out += [_setting_text(e, name, key, value) for key, of in different.items() for name, value in of.items()]
+                out += [_setting_text(e, name, key, v) for key, of in different.items() for name, v in of.items()]
         return out
 
     def adjusted(self, settings: Iterable[EffectSettings]) -> Model:
@@ -209,9 +207,7 @@ class Model:
         tables = tomlkit.aot()
         for name, keys in self._tables().items():
             table = tomlkit.table()
-            table["effect"] = name
-            for key, value in keys.items():
-                table[key] = value if isinstance(value, str) else _inline(value)
+            table.update({"effect": name} | {k: v if isinstance(v, str) else _inline(v) for k, v in keys.items()})
             tables.append(table)
         if len(tables):
             document["effect"] = tables
@@ -361,8 +357,7 @@ class Model:
         """
         effect = next(e for e in self.effects if e.name == name)
         if effect.modifies:
-            rest = Model(tuple(e for e in self.effects if e.name != name))
-            return np.asarray(self.force(path, values) - rest.force(path, values))
+            return np.asarray(self.force(path, values) - (self - name).force(path, values))
         columns = self.force_columns if effect.acts_on == "force" else self.measurement_columns
         return np.asarray(columns(path, values)[name] @ self.coefficients(name, values))
 
@@ -376,17 +371,13 @@ def _columns_run_by_run(e: Effect, path: Path, values: Mapping[str, Any], inner:
     """Columns of an effect; of one that looks along the path, run by run if the path joins several."""
     if not path.runs or e.varies_with is not None:
         return e.columns(path, values, *inner)
-    return np.concatenate(
-        [
-            e.columns(own, {k: _value_in(v, rows) for k, v in values.items()}, *(part[rows] for part in inner))
-            for rows, own in path.apart()
-        ]
-    )
-
-
-def _value_in(value: Any, rows: slice) -> float:
-    """The value of a parameter in one of the runs that a path joins."""
-    return float(np.ravel(value)[rows.start]) if isinstance(value, np.ndarray) else float(value)
+    made = []
+    for rows, own in path.apart():
+        values_there = {
+            k: float(np.ravel(v)[rows.start] if isinstance(v, np.ndarray) else v) for k, v in values.items()
+        }
+        made.append(e.columns(own, values_there, *(part[rows] for part in inner)))
+    return np.concatenate(made)
 
 
 def _inline(value: Mapping[str, Any]) -> Any:
@@ -456,12 +447,7 @@ def stribeck_model() -> Model:
     ['coulomb', 'stribeck', 'viscous']
 
     """
-    free = effects.get("stribeck").adjusted(delta={"fixed": None})
-    return of(["coulomb", free, "viscous"])
-
-
-def _instances(kind: str, n: int) -> list[str]:
-    return [kind if i == 1 else f"{kind}:{i}" for i in range(1, n + 1)]
+    return of(["coulomb", effects.get("stribeck").adjusted(delta={"fixed": None}), "viscous"])
 
 
 def atm1(n: int) -> Model:
@@ -473,7 +459,9 @@ def atm1(n: int) -> Model:
     ['coulomb', 'stribeck', 'viscous', 'vibration']
 
     """
-    return of(["coulomb", "stribeck", "viscous", *_instances("vibration", n)])
+    return of(
+        ["coulomb", "stribeck", "viscous", *(f"vibration:{i}" if i > 1 else "vibration" for i in range(1, n + 1))]
+    )
 
 
 def atm2(n: int) -> Model:

@@ -1,4 +1,4 @@
-"""Run independent tasks in worker processes of this machine; `frictrack.cluster` runs them on a Dask cluster.
+"""Run independent tasks in worker processes of this machine; `frictrack.batch.cluster` runs them on a Dask cluster.
 
     with local_workers(workers) as pool:
         future = pool.submit(function, *arguments)  # a concurrent.futures.Future

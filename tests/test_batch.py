@@ -22,8 +22,8 @@ from campaigns import campaign, die_once, killed_workers, results, short_study, 
 from rich.console import Console
 from scipy import stats
 
-from frictrack import cluster, workers
-from frictrack.batch import BatchState, batch, find_studies
+from frictrack import workers
+from frictrack.batch import BatchState, batch, cluster, find_studies
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
 from frictrack.batch.scheduler import Scheduler

@@ -14,9 +14,8 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
-from frictrack.fit.segments.pieces import pieces_of
+from frictrack.fit.pieces import pieces_of
 from frictrack.flow.contradictions import withhold_verdict
-from frictrack.friction import free_section
 from frictrack.plausibility import Finding
 from frictrack.simulate import Conditions, Start, simulate, simulate_displacement
 
@@ -150,7 +149,7 @@ def test_a_long_motion_is_simulated_in_true_time_too():
 
 def test_a_piece_has_one_clock_at_a_time():
     (run, *_) = recorded({})
-    (piece,) = pieces_of(run, 0, free_section(run)[0], reference_of([run]))
+    ((piece,),) = pieces_of([run], reference_of([run]))
     twice = piece.with_clock(1.5).with_clock(1.2)
     np.testing.assert_allclose(twice.t, 1.2 * piece.t)
     np.testing.assert_allclose(twice.a_hat, piece.a_hat / 1.44)

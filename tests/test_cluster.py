@@ -21,8 +21,7 @@ from typing import Any
 import pytest
 from campaigns import campaign, results
 
-from frictrack import cluster
-from frictrack.batch import BatchState, batch
+from frictrack.batch import BatchState, batch, cluster
 from frictrack.errors import FrictrackError
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals")]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from frictrack.cluster import _ClusterPool, _ClusterTask
+from frictrack.batch.cluster import _ClusterPool, _ClusterTask
 from frictrack.errors import FrictrackError
 
 distributed = pytest.importorskip("distributed")

@@ -57,13 +57,13 @@ def test_categories_are_compared_and_the_p_value_is_fair():
     rng, at = np.random.default_rng(3), ["steel", "brass"] * 4
     true = {"steel": np.array([1.0, 0.5]), "brass": np.array([1.2, 0.5])}
     inside, rejected = [], []
-    for _ in range(N_CAMPAIGNS):
+    for _ in range(2 * N_CAMPAIGNS):
         found = ft.trend(campaign(rng, 0.02, at, true.__getitem__), at, "material")
         for term, (low, high) in zip(found[NAMES[0]].terms, found[NAMES[0]].intervals, strict=True):
             inside.append(low <= true[term][0] <= high)
         rejected.append(found[NAMES[1]].p < 0.05)
     assert 0.92 <= np.mean(inside) <= 0.98
-    assert np.mean(rejected) <= 0.05 + 2.6 * np.sqrt(0.05 * 0.95 / N_CAMPAIGNS)
+    assert np.mean(rejected) <= 0.05 + 2.6 * np.sqrt(0.05 * 0.95 / (2 * N_CAMPAIGNS))
     assert found[NAMES[0]].p < 0.01
     assert found[NAMES[0]].predict("brass").value == found[NAMES[0]].coefficients[1]
     with pytest.raises(FrictrackError, match='expected one of steel, brass but got "gold"'):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from frictrack.events import find_events
+from frictrack.friction import find_events
 from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.records import Displacement, Run
 

@@ -12,7 +12,7 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, global_search, restore, state, unfitted_problem
 from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters
-from frictrack.fit.segments.acceleration_chain import acceleration_chain
+from frictrack.fit.pieces.acceleration_chain import acceleration_chain
 from frictrack.fit.separable import PopulationMisfit, displacement_block
 from frictrack.motion import differentiate, low_pass
 from frictrack.simulate import Conditions, simulate

@@ -21,7 +21,7 @@ from frictrack.diagnose.formula_comparison import _log_prior_odds, _probability
 from frictrack.diagnose.power import find_undetermined, mean_friction
 from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.subsampling import MAX_PIECES, subsample_pieces
-from frictrack.fit import add_effect, cut_into_segments, fit
+from frictrack.fit import add_effect, cut_into_pieces, fit
 from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.stepwise import refine_to_end
@@ -187,7 +187,7 @@ def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
 
 def test_a_short_record_is_searched_in_all_its_segments(four_runs):
     problem = four_runs.solution.problem
-    pieces = [part for p in problem.pieces for part in cut_into_segments([p], len(p.t) // 10)]
+    pieces = [part for p in problem.pieces for part in cut_into_pieces([p], len(p.t) // 10)]
     assert len(pieces) > MAX_PIECES
     divided = problem.rebuild(problem.layout, pieces)
     cut = fit_with_scatter(divided, four_runs.solution.p, divided.first_starts())

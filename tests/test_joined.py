@@ -12,7 +12,7 @@ from test_reality import swinging
 from frictrack import effects, models
 from frictrack.effects import LIBRARY, Path
 from frictrack.fit import fit
-from frictrack.fit.segments import JoinedPieces
+from frictrack.fit.pieces import JoinedPieces
 from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 
 LAW = ["coulomb", "stribeck", "viscous"]

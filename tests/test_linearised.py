@@ -24,9 +24,8 @@ from frictrack.fit.linearised import (
 )
 from frictrack.fit.linearised.gains import _inverse_root
 from frictrack.fit.parameters import jacobian_basis
-from frictrack.fit.segments.pieces import pieces_of
+from frictrack.fit.pieces import pieces_of
 from frictrack.fit.stepwise import baseline_misfit, deepen_trials, misfit_left_by_other, simulate_trial, try_effect
-from frictrack.friction import free_section
 from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse
 
@@ -176,7 +175,7 @@ def test_a_run_that_rested_before_it_was_pushed_begins_with_that_rest():
     moving = np.maximum(t - 0.02, 0.0)
     x = 0.01 + 20.0 * moving**2
     run = measured(t, x, sigma=1e-6, rng=np.random.default_rng(3), drive=np.where(t > 0.02, 20.0, 0.0))
-    first = pieces_of(run, 0, free_section(run)[0], reference_of([run]))[0]
+    first = pieces_of([run], reference_of([run]))[0][0]
     _, places, speeds = first.path.before
     assert speeds[0] == 0.0  # unbent: a state that follows the motion begins at nothing
     assert places[0] == pytest.approx(0.01, abs=2e-6)
@@ -186,10 +185,10 @@ def test_a_record_that_begins_with_its_push_begins_at_rest():
     t = np.arange(300) / 2000
     x = 0.01 + 40.0 * t**2
     run = measured(t, x, sigma=1e-5, rng=np.random.default_rng(4), drive=np.full(300, 40.0))
-    first = pieces_of(run, 0, free_section(run)[0], reference_of([run]))[0]
+    first = pieces_of([run], reference_of([run]))[0][0]
     assert first.path.before[2, 0] == 0.0
     moving = measured(t, x + 2.0 * t, sigma=1e-5, rng=np.random.default_rng(4), drive=np.full(300, 40.0))
-    first = pieces_of(moving, 0, free_section(moving)[0], reference_of([moving]))[0]
+    first = pieces_of([moving], reference_of([moving]))[0][0]
     assert first.path.before[2, 0] == pytest.approx(2.0, abs=0.2)  # bent already
 
 

@@ -14,8 +14,7 @@ from frictrack import models
 from frictrack.effects import Path, direction_of_motion, get
 from frictrack.effects.library.presliding import bending
 from frictrack.fit import reference_of
-from frictrack.fit.segments.pieces import pieces_of
-from frictrack.friction import free_section
+from frictrack.fit.pieces import pieces_of
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate
 
@@ -161,12 +160,12 @@ def test_a_run_that_rested_as_its_push_set_in_begins_unbent(flicker):
     displacement = Displacement(t, x, nan, nan, nan, nan, one > 0)
     motion = Motion(t, x, v, np.gradient(v, t), nan, 1e-6 * one, 1e-3 * one, 0.1 * one, nan, 0)
     run = Run(displacement, motion, mass=1.0, drive=100.0 * one)
-    (piece,) = pieces_of(run, 0, free_section(run)[0] & (t > 1e-3), reference_of([run]))
+    ((piece,),) = pieces_of([run], reference_of([run]))
     began = piece.path.before[:, 0]
     assert began[2] == 0.0
     assert began[0] + run.motion.t[0] <= 4 / 4000
     assert bending(replace(piece.path, x=piece.x_hat, v=piece.v_hat), 1e-3, 1.0)[0] < 0.05
-    (same,) = pieces_of(run, 0, free_section(run)[0], reference_of([run]), through_reversals=True)
+    ((same,),) = pieces_of([run], reference_of([run]), through_reversals=True)
     assert not same.turns  # it goes one way: nothing is to be followed through a stop
 
 

@@ -21,8 +21,7 @@ from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit, restore, state
 from frictrack.fit.measured_friction import friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.noise import strokes
-from frictrack.fit.segments.swings import join_swings
-from frictrack.friction import moving_sections
+from frictrack.friction import join_swings, moving_sections
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.sampling import screened

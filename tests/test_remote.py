@@ -19,10 +19,10 @@ from range_server import serving
 
 from frictrack import remote
 from frictrack.batch.file_states import are_unchanged, file_states
-from frictrack.byte_ranges import find_ranges
 from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
+from frictrack.recording.byte_ranges import find_ranges
 from frictrack.remote import RemoteFile
 from frictrack.study import parse
 from frictrack.study.loading import TABLES

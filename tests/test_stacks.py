@@ -12,7 +12,7 @@ from frictrack import effects, models
 from frictrack.effects import LIBRARY
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise
-from frictrack.fit.segments.whitening import Whitening
+from frictrack.fit.pieces.whitening import Whitening
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, are_stackable
 
 LAW = ["coulomb", "stribeck", "viscous"]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from frictrack.batch.cluster import cluster_workers
 from frictrack.batch.conditions import condition_trends
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
@@ -18,7 +19,6 @@ from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends
-from frictrack.cluster import cluster_workers
 from frictrack.files import make_internal_folder
 from frictrack.report import write_campaign
 from frictrack.results import to_builtins

@@ -14,8 +14,8 @@ from frictrack.blind.foreign_effects import FOREIGN
 from frictrack.blind.ideal_detector import IdealDetector, unexplained_part
 from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.errors import FrictrackError
+from frictrack.friction import after_run
 from frictrack.records import Array, EarlierRuns
-from frictrack.run_history import after_run
 
 KINDS = ("one", "none", "two", "three", "foreign", "fault")
 N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others

@@ -15,7 +15,7 @@ from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.lazy import imported
-from frictrack.notebook_view import NotebookView
+from frictrack.records import NotebookView
 from frictrack.threads import one_thread
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from frictrack.fit.least_squares import (
     displacement_response,
     model_projection,
 )
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search

@@ -33,7 +33,7 @@ from frictrack.fit.least_squares import (
     position_and_velocity,
 )
 from frictrack.fit.measured_friction import MeasuredFrictionPiece, keep_compared_frames
-from frictrack.fit.segments import Rows
+from frictrack.fit.pieces import Rows
 from frictrack.records import Array, Mask, Run, stretches
 
 SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian

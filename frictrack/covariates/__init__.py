@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.covariates.regression import Design, Regression, design_of
+from frictrack.covariates.regression import Design, design_of, fit_trends
 from frictrack.covariates.results import CovariateTrend, CovariateTrends, Prediction
 from frictrack.errors import FrictrackError
 from frictrack.priors import Prior
@@ -71,7 +71,7 @@ def trend(laws: Sequence[Any], at: Sequence[float | str], condition: str = "cond
             usage=True,
         )
     units = {name: unit for one in converted for name, unit in zip(one.names, one.units, strict=True)}
-    fitted = dict(Regression(converted, design, kept).trends(units))
+    fitted = fit_trends(converted, design, kept, units)
     return CovariateTrends(condition, fitted, load, left_out)
 
 

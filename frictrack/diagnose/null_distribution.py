@@ -20,7 +20,7 @@ from scipy.fft import idct
 
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import Float32Array, LinearisedModel, ScannedSeries, linearise
-from frictrack.fit.segments import Piece, Rows
+from frictrack.fit.pieces import Piece, Rows
 from frictrack.motion.noise import (
     DIFFERENCE_ORDER,
     FALLBACK_ORDER,

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece, has_known_history
+from frictrack.fit.pieces import Piece, has_known_history
 
 MAX_PIECES = 32  # of a long record that are searched, unless there are more runs
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`

@@ -6,7 +6,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.parameters import MASS
-from frictrack.fit.segments import sections_of
+from frictrack.fit.pieces import pieces_of
 
 MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 
@@ -32,8 +32,8 @@ def join_segments(fit: Fit) -> Solution | None:
     if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):
         return None
     fine = max(e.fine for e in old.model.effects)
-    sections = sections_of(fit.runs, fit.reference, through_reversals=old.model.turns)
-    pieces = [p.refined(fine) for own in sections for p in own]
+    whole = pieces_of(fit.runs, fit.reference, through_reversals=old.model.turns)
+    pieces = [p.refined(fine) for own in whole for p in own]
     problem = old.rebuild(old.layout, pieces)
     try:
         solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)

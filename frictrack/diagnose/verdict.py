@@ -9,8 +9,7 @@ from frictrack.diagnose.auxiliary_signals import Evidence
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeatability import Repeatability
-from frictrack.notebook_view import NotebookView
-from frictrack.records import Array
+from frictrack.records import Array, NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd

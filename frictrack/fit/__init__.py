@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
@@ -10,21 +11,10 @@ import numpy as np
 from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
+from frictrack.fit import measured_friction
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
-from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.measured_friction import (
-    MeasuredFrictionProblem,
-    check_effects,
-    fit_measured_friction,
-    friction_pieces,
-    friction_spans,
-    is_measured_friction,
-    reference_load,
-    search_measured_friction,
-    uses_measured_friction,
-)
 from frictrack.fit.parameters import (
     MASS_EFFECT,
     ParameterLayout,
@@ -34,21 +24,20 @@ from frictrack.fit.parameters import (
     with_mass,
     without_mass,
 )
-from frictrack.fit.prediction import predict_run
-from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
-from frictrack.fit.result import Fit, with_uncertainty
-from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
-from frictrack.fit.segments import (
+from frictrack.fit.pieces import (
     Piece,
     Reference,
-    cut_into_segments,
+    cut_into_pieces,
     guess_mass,
-    in_mass_units,
+    piece_frames,
+    pieces_of,
     reference_of,
-    sections_of,
-    segment_frames,
     spans_of,
 )
+from frictrack.fit.prediction import predict_run
+from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
+from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
+from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
@@ -172,37 +161,16 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     _check_runs(runs)
-    if uses_measured_friction(runs, domain):
-        return _by_cell(law, runs, Route("force", search, rng), per, prior)
-    domain = domain or "displacement"
-    if per == "group":
-        how: dict[str, Any] = {"domain": domain, "search": search, "rng": rng, "over": over, "callback": callback}
-        how["prior"] = prior
-        mass = reference_mass or runs[0].mass
-        groups = by_group(runs)
-        return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
-    fitted = [r for r in runs if r.role == "fit"]
-    if not fitted:
-        raise FrictrackError('expected at least one run to fit but all have role = "validation"')
-    _names_differ(fitted)
-    reference = reference_of(fitted, reference_mass)
-    mass_unknown = is_mass_unknown(fitted)
-    if prior is not None:
-        law = apply_prior(law, prior, None if mass_unknown else reference.load, domain)
-    sections = sections_of(fitted, reference, through_reversals=law.turns)
-    if mass_unknown:
-        law, mass = with_mass(law), guess_mass([p for own in sections for p in own])
-        sections = [[in_mass_units(p, mass) for p in own] for own in sections]
-    lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))
-    pieces = _divided(sections, lengths)
-    names = tuple(r.name for r in fitted)
-    route = Route(domain, search, rng, over)
-    if search == "varpro":
-        solution = fit_displacement(law, pieces, names, _fps(fitted))
-        found = fit_in_force_domain(solution, fitted) if domain == "force" else FitOutcome(solution)
+    if measured_friction.uses_measured_friction(runs, domain):
+        measured_friction.check_effects(law)
+        reference = Reference(1.0, measured_friction.reference_load(runs))
+        law = law if prior is None else apply_prior(law, prior, reference.load)
+        fit_group = partial(_fit_friction, law, route=Route("force", search, rng, over), reference=reference)
     else:
-        found = fit_by_search(unfitted_problem(law, pieces, names, _fps(fitted)), fitted, route, callback)
-    return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
+        mass = reference_mass if per is None else reference_mass or runs[0].mass  # the same for all groups
+        route = Route(domain or "displacement", search, rng, over)
+        fit_group = partial(_fit_motion, law, route=route, mass=mass, prior=prior, callback=callback)
+    return fit_group(runs) if per is None else GroupFits({g: fit_group(own) for g, own in by_group(runs).items()})
 
 
 def _check_runs(given: object) -> None:
@@ -215,81 +183,90 @@ def _check_runs(given: object) -> None:
         raise FrictrackError(f"expected a list of runs, such as ft.samples.runs(), but got {other}", usage=True)
 
 
-def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None, prior: Prior | None) -> Any:
-    """The fit of runs whose friction a load cell measured, in newtons at the first run's load."""
-    check_effects(law)
-    reference = Reference(1.0, reference_load(runs))
-    law = law if prior is None else apply_prior(law, prior, reference.load)
-    if per == "group":
-        return GroupFits({g: _of_series(law, mine, route, reference) for g, mine in by_group(runs).items()})
-    return _of_series(law, runs, route, reference)
-
-
-def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
-    """The fit of one group of such runs."""
+def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float]:
+    """The runs that are fitted, their names and their frame rate, 1/s."""
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
-    _names_differ(fitted)
-    pieces = friction_pieces(fitted, reference.load)
-    names, lengths = tuple(r.name for r in fitted), (0,) * len(fitted)
+    names = tuple(r.name for r in fitted)
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
+    return fitted, names, float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in fitted])))
+
+
+def _fit_friction(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
+    """The fit of runs whose friction a load cell measured, in newtons at the load of the reference."""
+    fitted, names, fps = _runs_to_fit(runs)
+    pieces = measured_friction.friction_pieces(fitted, reference.load)
     if route.search == "varpro":
-        return _finish(
-            FitOutcome(fit_measured_friction(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths)
-        )
-    how = route.search, route.over, np.random.default_rng(route.rng)
-    solution, optima = search_measured_friction(law, pieces, (names, _fps(fitted)), how)
-    return _finish(FitOutcome(solution, None, *optima), runs, reference, (route, lengths))
+        found = FitOutcome(measured_friction.fit_measured_friction(law, pieces, names, fps))
+    else:
+        how = route.search, route.over, np.random.default_rng(route.rng)
+        solution, optima = measured_friction.search_measured_friction(law, pieces, (names, fps), how)
+        found = FitOutcome(solution, None, *optima)
+    return _finish(found, runs, reference, route, (0,) * len(fitted))
 
 
-def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
-    """Sections of all runs cut into segments."""
-    return [p for own, n in zip(sections, lengths, strict=True) for p in cut_into_segments(own, n)]
+def _fit_motion(
+    law: Model, runs: Sequence[Run], route: Route, mass: float | None, prior: Prior | None, callback: Callback | None
+) -> Fit:
+    """The fit of runs to their displacement, or to the acceleration computed from it."""
+    fitted, names, fps = _runs_to_fit(runs)
+    reference, mass_unknown = reference_of(fitted, mass), is_mass_unknown(fitted)
+    if prior is not None:
+        law = apply_prior(law, prior, None if mass_unknown else reference.load, route.domain)
+    whole = pieces_of(fitted, reference, through_reversals=law.turns)
+    if mass_unknown:
+        guess = guess_mass([p for own in whole for p in own])
+        law, whole = with_mass(law), [[p.in_mass_units(guess) for p in own] for own in whole]
+    lengths = tuple(piece_frames(law, own, run) for own, run in zip(whole, fitted, strict=True))
+    pieces = _cut(whole, lengths)
+    if route.search != "varpro":
+        found = fit_by_search(unfitted_problem(law, pieces, names, fps), fitted, route, callback)
+    elif route.domain == "force":
+        found = fit_in_force_domain(fit_displacement(law, pieces, names, fps), fitted)
+    else:
+        found = FitOutcome(fit_displacement(law, pieces, names, fps))
+    return _finish(_in_kilograms(found, fitted, route), runs, reference, route, lengths)
+
+
+def _cut(whole: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
+    """The pieces of all runs, cut to the frames per piece of each run."""
+    return [p for own, n in zip(whole, lengths, strict=True) for p in cut_into_pieces(own, n)]
 
 
 def _in_kilograms(found: FitOutcome, runs: Sequence[Run], route: Route) -> FitOutcome:
     """The same fit in units of the fitted mass, where the mass was unknown."""
-    problem, layout = found.solution.problem, found.solution.problem.layout
-    q = mass_ratio(layout, found.solution.p)
+    solution, layout = found.solution, found.solution.problem.layout
+    q = mass_ratio(layout, solution.p)
     if q == 1.0:
         return found
-    pieces = [in_mass_units(p, p.mass / q) for p in problem.pieces]
-    p = rescale_to_mass(layout, found.solution.p, q)
+    pieces = [p.in_mass_units(p.mass / q) for p in solution.problem.pieces]
+    problem = LeastSquaresProblem(solution.problem.model, layout, pieces)
     optima = np.array([rescale_to_mass(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
-    where = found.solution.starts, found.solution.tau
-    return _standing(LeastSquaresProblem(problem.model, layout, pieces), p, where, runs, (route, (optima, found.costs)))
+    where = solution.starts, solution.tau
+    return _outcome_at(problem, rescale_to_mass(layout, solution.p, q), where, runs, route, (optima, found.costs))
 
 
-def _standing(
+def _outcome_at(
     problem: LeastSquaresProblem,
     p: Array,
-    where: tuple[list[Array], float],
+    starts_and_scatter: tuple[list[Array], float],
     runs: Sequence[Run],
-    how: tuple[Route, tuple[Array, Array]],
+    route: Route,
+    optima: tuple[Array, Array],
 ) -> FitOutcome:
-    """The outcome at known unknowns; `where` holds starts and scatter of the levels."""
-    route, optima = how
+    """The outcome at known unknowns."""
     if route.is_default:
-        return FitOutcome(refine(problem, p, where[0], tau=where[1], max_steps=1))
-    return outcome_at(problem, p, where, runs, route, optima)
+        starts, tau = starts_and_scatter
+        return FitOutcome(refine(problem, p, starts, tau=tau, max_steps=1))
+    return outcome_at(problem, p, starts_and_scatter, runs, route, optima)
 
 
-def _fps(runs: Sequence[Run]) -> float:
-    """Frame rate, 1/s."""
-    return float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in runs])))
-
-
-def _names_differ(runs: Sequence[Run]) -> None:
-    """Raise FrictrackError (usage) if two runs have the same name."""
-    names = [r.name for r in runs]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
-
-
-def _finish(found: FitOutcome, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
+def _finish(
+    found: FitOutcome, runs: Sequence[Run], reference: Reference, route: Route, lengths: tuple[int, ...]
+) -> Fit:
     """The result of a fit, with predictions of the validation runs."""
-    route, lengths = how
     if MASS_EFFECT.name in found.solution.problem.model:
         reference = Reference(found.solution.problem.pieces[0].mass, reference.load)
     validation = tuple(r for r in runs if r.role == "validation")
@@ -320,7 +297,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "measured": is_measured_friction(result.solution.problem),
+        "measured": measured_friction.is_measured_friction(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,
@@ -354,30 +331,31 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 
 
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
-    fitted = [r for r in runs if r.role == "fit"]
-    by_cell = bool(saved.get("measured", False))
+    fitted, names, fps = _runs_to_fit(runs)
     law = _law(str(saved["law"]), bool(saved["weighed"]))
-    lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
-    if by_cell:
-        reference = Reference(1.0, float(saved["reference_load"]))
-        pieces = friction_pieces(fitted, reference.load)
-    else:
-        reference = reference_of(fitted, float(saved["reference_mass"]))
-        pieces = _divided(sections_of(fitted, reference, through_reversals=law.turns), lengths)
+    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
-    spans = friction_spans(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
-    layout = ParameterLayout(law, tuple(r.name for r in fitted), spans, absent)
-    if by_cell:
-        return _cell_restored(MeasuredFrictionProblem(law, layout, pieces), saved, runs, reference)
+    p, tau = np.asarray(saved["p"]), float(saved["tau"])
+    optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
+    if saved.get("measured", False):
+        reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
+        pieces = measured_friction.friction_pieces(fitted, reference.load)
+        layout = ParameterLayout(law, names, measured_friction.friction_spans(pieces, fps), absent)
+        measured, held = (
+            measured_friction.MeasuredFrictionProblem(law, layout, pieces),
+            np.zeros(len(layout.slots), dtype=bool),
+        )
+        solution = refine(measured, p, measured.first_starts(), tau=tau, free=held, max_steps=0)
+        return _finish(FitOutcome(solution, None, *optima), runs, reference, route, lengths)
+    reference = reference_of(fitted, float(saved["reference_mass"]))
+    lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
+    pieces = _cut(pieces_of(fitted, reference, through_reversals=law.turns), lengths)
+    layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
     fine = max(e.fine for e in law.effects)
     cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
-    problem = LeastSquaresProblem(law, layout, cut)
-    tau = float(saved["tau"])
-    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     where = list(np.asarray(saved["starts"])), tau
-    optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
-    found = _standing(problem, np.asarray(saved["p"]), where, fitted, (route, optima))
-    return _finish(found, runs, reference, (route, lengths))
+    found = _outcome_at(LeastSquaresProblem(law, layout, cut), p, where, fitted, route, optima)
+    return _finish(found, runs, reference, route, lengths)
 
 
 def _law(text: str, weighed: bool) -> Model:
@@ -390,14 +368,3 @@ def _law(text: str, weighed: bool) -> Model:
             "must be declared again with @frictrack.effect"
         ) from e
     return law if weighed else with_mass(law)
-
-
-def _cell_restored(
-    problem: MeasuredFrictionProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference
-) -> Fit:
-    held = np.zeros(len(problem.layout.slots), dtype=bool)
-    p, tau = np.asarray(saved["p"]), float(saved["tau"])
-    solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
-    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
-    found = FitOutcome(solution, None, np.asarray(saved["optima"]), np.asarray(saved["costs"]))
-    return _finish(found, runs, reference, (route, (0,) * len(problem.pieces)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.uncertainty import Estimates
 from frictrack.records import Array, Mask
 
@@ -22,26 +22,12 @@ PULSE_HALF_WIDTHS = 3.0  # half length of a pulse in widths
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
-    """Summarise every collision of the fitted runs.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    estimates : Estimates
-        Its estimates.
-
-    Returns
-    -------
-    list of dict
-        JSON per collision: impulse in N s, time since release in s, and what is known of the width.
-
-    """
+    """Summarise every collision of the fitted runs as JSON: impulse, time since release, what is known of the width."""
     layout = solution.problem.layout
     return [
-        _collision(solution, estimates, effect, (i, run))
+        _collision(solution, estimates, effect, i)
         for effect in _collision_effects(solution)
-        for i, run in enumerate(layout.run_names)
+        for i in range(len(layout.run_names))
         if (effect.name, i) not in layout.absent
     ]
 
@@ -82,11 +68,20 @@ def _width(solution: Solution, covariance: Array, effect: Effect, run: int) -> t
     return values[effect.name]["width"], float(np.sqrt(covariance[at[0], at[0]])) if at else 0.0
 
 
-def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: tuple[int, str]) -> dict[str, Any]:
-    (index, run), parameters = where, estimates.parameters
+def _collision(solution: Solution, estimates: Estimates, effect: Effect, index: int) -> dict[str, Any]:
+    run, parameters = solution.problem.layout.run_names[index], estimates.parameters
     impulse, time = parameters[f"{effect.name}.J[{run}]"], parameters[f"{effect.name}.time[{run}]"]
     width, std = _width(solution, estimates.covariance, effect, index)
-    resolved = std <= MAX_RELATIVE_STD * width
+    at_most, resolved = max_width(width, std), std <= MAX_RELATIVE_STD * width
+    if not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf):
+        remark = "no significant collision in this run"
+    elif resolved:
+        remark = "its width is resolved"
+    else:
+        remark = (
+            f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * at_most:.2g} ms): "
+            "these frames determine the impulse, but not the peak force"
+        )
     return {
         "effect": effect.name,
         "run": run,
@@ -96,22 +91,7 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: 
         "time_s": time.value,
         "width_s": width,
         "width_std": std,
-        "width_at_most_s": max_width(width, std),
+        "width_at_most_s": at_most,
         "resolved": resolved,
-        "words": _width_remark(
-            width,
-            std,
-            insignificant=not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf),
-        ),
+        "words": remark,
     }
-
-
-def _width_remark(width: float, std: float, *, insignificant: bool) -> str:
-    if insignificant:
-        return "no significant collision in this run"
-    if std <= MAX_RELATIVE_STD * width:
-        return "its width is resolved"
-    return (
-        f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * max_width(width, std):.2g} ms): "
-        "these frames determine the impulse, but not the peak force"
-    )

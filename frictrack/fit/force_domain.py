@@ -28,7 +28,7 @@ from frictrack.fit.least_squares import (
     refine,
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
-from frictrack.fit.segments import AccelerationChain, acceleration_chains, acceleration_noise
+from frictrack.fit.pieces import AccelerationChain, acceleration_chains, acceleration_noise
 from frictrack.records import Array, Run
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import LeastSquaresProblem
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
-from frictrack.fit.segments import AccelerationChain, Piece, acceleration_noise, spans_of
+from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_noise, spans_of
 from frictrack.fit.separable import (
     DataBlock,
     PopulationMisfit,

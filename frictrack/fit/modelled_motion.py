@@ -11,62 +11,45 @@ noise. Its significant part is added to the bands, with its first two derivative
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import dct
-from scipy.interpolate import make_interp_spline
 from scipy.special import ndtri
 
 from frictrack.fit.collisions import frames_of_impact
 from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import mass_ratio, penalty_jacobian, without_mass
+from frictrack.fit.pieces import Piece
 from frictrack.motion import noise_level
 from frictrack.records import Array, ModelledMotion, Run
-
-MotionFunction = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations
 ALPHA_UNMODELLED = 1e-3  # false-alarm probability of unmodelled motion per run
 EXCESS_STD = 4.0  # standard deviations of chi-squared per frame: significantly above one
 
 
+class UnmodelledMotion(NamedTuple):
+    """The significant part of a residual beyond white noise."""
+
+    rms: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of x (m), v (m/s) and a (m/s^2)
+    factor: float = 1.0  # on the model's own band, for coloured noise
+    hertz: float | None = None  # where it is strongest; None if nothing is missed
+
+
 def modelled_motion(
     solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
 ) -> tuple[ModelledMotion, ...]:
-    """Compute the modelled motion of every run, with its bands.
+    """Compute the modelled motion of every run with its bands, validation runs, each with its prediction, last.
 
-    A band includes parameters, starts and camera noise. Mass and scale are common to all runs and are stated
-    separately.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        Covariance of its unknowns.
-    runs : sequence of Run
-        The fitted runs, in the order of the solution.
-    validation : sequence of (Solution, Run)
-        Validation runs with their predictions.
-
-    Returns
-    -------
-    tuple of Modelled
-        Motion and bands of every run, validation runs last.
-
+    `covariance` (P, P) is that of the unknowns. A band includes parameters, starts and camera noise. Mass and scale are
+    common to all runs and are stated separately.
     """
-    motions = [_run_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
-    for inverse_upper, run in validation:
-        motions.append(
-            replace(
-                _run_motion(inverse_upper, _predicted_covariance(solution, covariance, inverse_upper), 0, run),
-                role="validation",
-            )
-        )
-    return tuple(motions)
+    fitted = [_run_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
+    predicted = [_run_motion(own, _predicted_covariance(solution, covariance, own), 0, run) for own, run in validation]
+    return (*fitted, *(replace(motion, role="validation") for motion in predicted))
 
 
 def covariance_at_fitted_scatter(solution: Solution) -> Array:
@@ -84,83 +67,60 @@ def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solutio
     theirs, mine = fitted.problem.layout.slots, solution.problem.layout.slots
     shared = {(s.effect, s.parameter): i for i, s in enumerate(theirs) if s.run is None}
     common = [i for i, s in enumerate(mine) if s.run is None]
-    inverse_upper = [i for i, s in enumerate(mine) if s.run is not None]
+    own = [i for i, s in enumerate(mine) if s.run is not None]
     at = [shared[mine[i].effect, mine[i].parameter] for i in common]
-    known, jac = covariance[np.ix_(at, at)], solution.few_rows
-    free = np.zeros((len(mine), len(mine)))
-    free[np.ix_(common, common)] = known
-    if inverse_upper:
-        own_covariance, _ = inverse_normal_matrix(jac[:, inverse_upper])
-        follow = -own_covariance @ jac[:, inverse_upper].T @ jac[:, common]
-        free[np.ix_(inverse_upper, common)] = follow @ known
-        free[np.ix_(common, inverse_upper)] = free[np.ix_(inverse_upper, common)].T
-        free[np.ix_(inverse_upper, inverse_upper)] = own_covariance + follow @ known @ follow.T
-    return free
+    follow = np.zeros((len(mine), len(common)))  # change of all unknowns with the shared ones
+    follow[common] = np.eye(len(common))
+    own_covariance = np.zeros((len(mine), len(mine)))
+    if own:
+        jac = solution.few_rows
+        own_covariance[np.ix_(own, own)] = inverse = inverse_normal_matrix(jac[:, own])[0]
+        follow[own] = -inverse @ jac[:, own].T @ jac[:, common]
+    return np.asarray(follow @ covariance[np.ix_(at, at)] @ follow.T + own_covariance)
 
 
 def _run_motion(solution: Solution, covariance: Array, index: int, run: Run) -> ModelledMotion:
-    """The modelled motion of one run, its segments joined."""
+    """The modelled motion of one run, its pieces joined."""
     mine = [r for r in solution.responses if r.piece.run == index]
-    unmodelled_parts = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
-    parts = [
-        _segment_motion(solution, covariance, r, unmodelled)
-        for r, unmodelled in zip(mine, unmodelled_parts, strict=True)
-    ]
-    parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
-    columns = [f.name for f in fields(ModelledMotion) if f.metadata.get("column")]
-    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-    unique_frames = np.unique(whole["t"], return_index=True)[1]  # neighbouring segments share a frame
-    whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
-    return ModelledMotion(
-        **{name: column[unique_frames] for name, column in whole.items()},
-        run=run.name,
-        notes=_unmodelled_notes(unmodelled_parts),
-    )
+    unmodelled = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
+    parts = [_piece_motion(solution, covariance, r, left) for r, left in zip(mine, unmodelled, strict=True)]
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    frames = np.concatenate([r.piece.frames for r in mine])
+    whole |= {
+        "t": run.displacement.t[frames],
+        "segment": np.repeat(np.arange(len(mine)), [len(r.piece.t) for r in mine]),
+    }
+    unique = np.unique(frames, return_index=True)[1]  # neighbouring pieces share a frame
+    columns: dict[str, Any] = {name: column[unique] for name, column in whole.items()}
+    return ModelledMotion(**columns, run=run.name, notes=_unmodelled_notes(unmodelled))
 
 
-def _segment_motion(
+def _piece_motion(
     solution: Solution, covariance: Array, response: PieceResponse, unmodelled: UnmodelledMotion
-) -> ModelledMotion:
-    """The modelled motion of one segment with its bands."""
+) -> dict[str, Array]:
+    """The modelled motion of one piece at its frames, with its bands."""
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
-    force, a = _motion_function(solution, response)(solution.p, x, v)
-    sigma = np.array(
-        [np.sqrt(np.sum(m**2, axis=1)) for m in _independent_changes(solution, covariance, response, x, v)]
+    force, a = _force_and_acceleration(solution, piece, solution.p, x, v)
+    changes = _independent_changes(solution, covariance, response, x, v)
+    sigma = np.array([np.sqrt(np.sum(change**2, axis=1)) for change in changes])
+    beyond = np.array([*unmodelled.rms, unmodelled.rms[2] * piece.mass])
+    bands = zip(
+        ("sigma_x", "sigma_v", "sigma_a", "sigma_F"), np.hypot(unmodelled.factor * sigma, beyond[:, None]), strict=True
     )
-    unmodelled_rms = np.array([*unmodelled.rms, unmodelled.rms[2] * piece.mass])
-    sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(unmodelled.factor * sigma, unmodelled_rms[:, None])
-    return ModelledMotion(
-        t=piece.t,
-        x=x,
-        v=v,
-        a=a,
-        F=force,
-        sigma_x=sigma_x,
-        sigma_v=sigma_v,
-        sigma_a=sigma_a,
-        sigma_F=sigma_F,
-        blow=frames_of_impact(solution, covariance, piece),
-        segment=np.zeros(len(x), dtype=np.int_),
-    )
+    return {"x": x, "v": v, "a": a, "F": force, **dict(bands), "blow": frames_of_impact(solution, covariance, piece)}
 
 
-def _motion_function(solution: Solution, response: PieceResponse) -> MotionFunction:
-    """Function of unknowns p (P,) and path x, v (n,) that returns friction force (N) and acceleration at the frames.
+def _force_and_acceleration(solution: Solution, piece: Piece, p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+    """Friction force (N) and acceleration at the frames for unknowns p (P,) and a path x, v (n,).
 
     A fitted mass acts as one more force, and every coefficient stands for `mass_ratio` times itself.
     """
-    piece, problem = response.piece, solution.problem
-    known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
-    friction = without_mass(problem.model)
-
-    def force_and_acceleration(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
-        values, level = problem.layout.values(p, piece.run)
-        path = piece.at_frames(x, v, level)
-        force = friction.force(path, values) / mass_ratio(problem.layout, p)
-        return force, known - problem.model.force(path, values) / piece.mass
-
-    return force_and_acceleration
+    problem = solution.problem
+    values, level = problem.layout.values(p, piece.run)
+    path = piece.at_frames(x, v, level)
+    force = without_mass(problem.model).force(path, values) / mass_ratio(problem.layout, p)
+    return force, piece.known_at_frames - problem.model.force(path, values) / piece.mass
 
 
 def _independent_changes(
@@ -179,64 +139,29 @@ def _independent_changes(
     dx, dv = (moved @ parameter_moves).transpose(1, 0, 2)
     unknown = np.zeros((len(p), n + 2))
     unknown[active] = parameter_moves[:n]
-    force_and_acceleration = _motion_function(solution, response)
     changes = []
     for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
         after, before = (
-            force_and_acceleration(p + h * u, x + h * ex, v + h * ev) for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP)
+            np.array(_force_and_acceleration(solution, piece, p + h * u, x + h * ex, v + h * ev))
+            for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP)
         )
-        changes.append((np.array(after) - np.array(before)) / (2 * DIFFERENCE_STEP))
+        changes.append((after - before) / (2 * DIFFERENCE_STEP))
     force, a = np.array(changes).transpose(1, 2, 0)
     return [dx, dv, a, force]
 
 
 def _square_root(covariance: Array) -> Array:
     """A square root (n, n) of a covariance whose variances may differ by many powers of ten."""
-    power_beyond_noise = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    value, vector = np.linalg.eigh(covariance / power_beyond_noise[:, None] / power_beyond_noise)
-    return np.asarray(power_beyond_noise[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / std[:, None] / std)
+    return np.asarray(std[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
 
 
-@dataclass(frozen=True)
-class UnmodelledMotion:
-    """The significant part of a residual beyond white noise.
-
-    Attributes
-    ----------
-    rms : tuple of float
-        Root mean square of x (m), v (m/s) and a (m/s^2).
-    factor : float
-        Factor on the model's own band, for coloured noise.
-    hertz : float or None
-        Frequency at which it is strongest; None if nothing is missed.
-
-    """
-
-    rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    factor: float = 1.0
-    hertz: float | None = None  # frequency of the largest significant coefficient
-
-
-def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_UNMODELLED) -> UnmodelledMotion:
-    """Find the significant part of one segment's residual.
+def unmodelled_motion(response: PieceResponse, run: Run, alarms: float) -> UnmodelledMotion:
+    """Find the significant part of one piece's residual; white noise shows one with probability `alarms`.
 
     The cosine transform of the residual is white if only noise is left. Significant coefficients belong to motion
     that the model misses. Excess power without significant coefficients counts as coloured noise and widens the band.
-
-    Parameters
-    ----------
-    response : PieceResponse
-        The segment under the model.
-    run : Run
-        Its run.
-    alarms : float
-        Probability that white noise is taken for missed motion.
-
-    Returns
-    -------
-    UnmodelledMotion
-        What the model misses.
-
     """
     piece = response.piece
     n = len(piece.t)
@@ -255,14 +180,13 @@ def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_U
     return UnmodelledMotion((x, v, a), max(1.0, float(np.sqrt(remaining))), peak_frequency)
 
 
-def _unmodelled_notes(unmodelled_parts: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
-    """A note on what the segments of a run miss: that of the worst one."""
-    found = [unmodelled for unmodelled in unmodelled_parts if unmodelled.hertz is not None]
+def _unmodelled_notes(unmodelled: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
+    """A note on what the pieces of a run miss: that of the worst one."""
+    found = [one for one in unmodelled if one.hertz is not None]
     if not found:
         return ()
-    x, _, a = max(found, key=lambda unmodelled: unmodelled.rms[2]).rms
-    hertz = max(found, key=lambda unmodelled: unmodelled.rms[2]).hertz
-    where = f" in {len(found)} of {len(unmodelled_parts)} segments" if len(unmodelled_parts) > 1 else ""
+    (x, _, a), _, hertz = max(found, key=lambda one: one.rms[2])
+    where = f" in {len(found)} of {len(unmodelled)} segments" if len(unmodelled) > 1 else ""
     return (
         f"the model misses something{where}: its residual shows {1e6 * x:.2g} µm beyond the noise, most near "
         f"{hertz:.0f} Hz, which is {a:.2g} m/s² rms; the bands hold only if nothing faster is missing, and at single "
@@ -275,16 +199,14 @@ def band_summary(motion: ModelledMotion, run: Run) -> dict[str, Any]:
 
     Frames of unresolved collisions are left out of both.
     """
-    rows = np.searchsorted(run.motion.t, motion.t - 1e-9)[~motion.blow]
-
-    def rms(values: Array) -> float:
-        return float(np.sqrt(np.mean(values**2)))
-
-    return {
-        "sigma_x_um": 1e6 * rms(motion.sigma_x[~motion.blow]),
-        "sigma_v": rms(motion.sigma_v[~motion.blow]),
-        "sigma_a": rms(motion.sigma_a[~motion.blow]),
-        "sigma_F_N": rms(motion.sigma_F[~motion.blow]),
-        "sigma_a_smoothed": rms(run.motion.sigma_a[rows]),
-        "notes": list(motion.notes),
+    kept = ~motion.blow
+    smoothed = run.motion.sigma_a[np.searchsorted(run.motion.t, motion.t - 1e-9)]
+    bands = {
+        "sigma_x_um": 1e6 * motion.sigma_x,
+        "sigma_v": motion.sigma_v,
+        "sigma_a": motion.sigma_a,
+        "sigma_F_N": motion.sigma_F,
+        "sigma_a_smoothed": smoothed,
     }
+    rms = {name: float(np.sqrt(np.mean(band[kept] ** 2))) for name, band in bands.items()}
+    return rms | {"notes": list(motion.notes)}

@@ -24,21 +24,10 @@ MIN_RELATIVE_EIGENVALUE = 1e-9  # of the correlation matrix of a prior; less is 
 
 
 def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "displacement") -> Model:
-    """Give the parameters of a model the prior of another set-up.
+    """Give the parameters of a model the prior of another set-up, at the normal `load` (N) of this study, if known.
 
     Only parameters that carry over (`carries_over`) and are free take part. A parameter that has a prior of its own, is
     fixed or tied keeps its setting; the prior of the others is then the marginal distribution.
-
-    Parameters
-    ----------
-    model
-        The model, with the settings of the new study.
-    prior
-        The prior.
-    load
-        Normal load at which the new study reports newtons, N; None or NaN if it is not known.
-    domain
-        What is compared: "displacement" (also for measured friction), or "force" computed from the motion.
 
     Raises
     ------
@@ -50,20 +39,23 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
     if domain == "force":
         raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
     here = prior.at_load(None if load is None or not np.isfinite(load) else load)
-    taken = [(i, *found) for i, name in enumerate(here.names) if (found := _free(model, name)) is not None]
+    std, correlation, taken = here.std, here.correlation, list[int]()
+    changes: dict[str, dict[str, Any]] = {}
+    for i, name in enumerate(here.names):
+        if (found := _free(model, name)) is None:
+            continue
+        effect, p = found
+        _check(effect, p, here, i)
+        correlated = tuple((here.names[j], float(correlation[i, j])) for j in taken if correlation[i, j])
+        own = {"prior": (here.values[i], std[i]), "prior_correlation": correlated}
+        changes.setdefault(effect.name, {})[p.name] = own
+        taken.append(i)
     if not taken:
         raise FrictrackError(
             f"expected a model with a free parameter of the prior ({', '.join(here.names)}) but got "
             f"{', '.join(model.names)}; leave the prior out, or choose another model",
             usage=True,
         )
-    changes: dict[str, dict[str, Any]] = {}
-    for k, (i, effect, p) in enumerate(taken):
-        _check(effect, p, here, i)
-        above = [j for j, *_ in taken[:k]]
-        correlated = tuple((here.names[j], float(here.correlation[i, j])) for j in above if here.correlation[i, j])
-        own = {"prior": (here.values[i], here.std[i]), "prior_correlation": correlated}
-        changes.setdefault(effect.name, {})[p.name] = own
     return Model(tuple(e.adjusted(**changes[e.name]) if e.name in changes else e for e in model.effects))
 
 
@@ -98,47 +90,29 @@ def prior_of(
     """Convert a fit to a prior: the parameters that carry over, with their full covariance.
 
     The covariance includes noise, the effect of a missing force on a rejected model, and the errors of scale and mass,
-    which are common to all runs of a set-up.
-
-    Parameters
-    ----------
-    fitted
-        The fit.
-    estimates, misfit
-        Its estimates and its misfit.
-    from_motion
-        Whether forces were computed from the motion, so that they scale with length and mass.
-    study
-        Name of the study.
-
-    Raises
-    ------
-    FrictrackError
-        If no parameter carries over.
-
+    which are common to all runs of a set-up. Forces scale with length and mass where they were computed `from_motion`.
+    Raises FrictrackError if no parameter carries over.
     """
-    layout, p = fitted.solution.problem.layout, fitted.solution.p
-    effects = {e.name: e for e in layout.model.effects if e.name != MASS}
-    slots = reported_slots(layout)
+    problem, reference = fitted.solution.problem, fitted.reference
+    layout, effects = problem.layout, {e.name: e for e in problem.model.effects if e.name != MASS}
     left_out = dict(_left_out(effects, estimates))
-    kept = [k for k, i in enumerate(slots) if layout.slots[i].effect in effects and layout.names[i] not in left_out]
-    if not kept:
+    at = [(k, i) for k, i in enumerate(reported_slots(layout)) if layout.names[i] not in left_out]
+    at = [(k, i) for k, i in at if layout.slots[i].effect in effects]
+    if not at:
         raise FrictrackError(
             "expected a parameter that carries over to another set-up (a shared, determined parameter of friction) but "
             f"the fit of {', '.join(effects)} has none"
         )
-    _, jacobian = reported_values_and_jacobian(fitted.solution.problem, p)
-    covariance = estimates.covariance + (0.0 if misfit is None else misfit.covariance)
-    names = [layout.names[slots[k]] for k in kept]
-    own = [
-        (effects[s.effect], effects[s.effect].parameter(s.parameter)) for s in (layout.slots[slots[k]] for k in kept)
-    ]
+    names, slots = [layout.names[i] for _, i in at], [layout.slots[i] for _, i in at]
+    own = [(effects[s.effect], effects[s.effect].parameter(s.parameter)) for s in slots]
     values = np.array([estimates.parameters[name].value for name in names], dtype=np.float64)
-    matrix = _regular(jacobian[kept] @ covariance @ jacobian[kept].T)
+    jacobian = reported_values_and_jacobian(problem, fitted.solution.p)[1][[k for k, _ in at]]
+    covariance = estimates.covariance + (0.0 if misfit is None else misfit.covariance)
+    matrix = _regular(jacobian @ covariance @ jacobian.T)
     for error in _common_errors(fitted, own, from_motion):
         matrix += np.outer(error * values, error * values)
-    load = fitted.reference.load
-    load_known = np.isfinite(load) and (fitted.reference.mass != 1.0 or not from_motion or load != 1.0)
+    load = reference.load
+    load_known = np.isfinite(load) and (reference.mass != 1.0 or not from_motion or load != 1.0)
     return Prior(
         names=tuple(names),
         values=tuple(map(float, values)),

@@ -13,7 +13,7 @@ from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.force_domain import ForceProblem, fit_accelerations, fit_starts, linearise_in_force_domain
 from frictrack.fit.global_search import Callback, population_misfit, search_parameters, searched_scatter
 from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, LeastSquaresProblem, Solution, is_predictable, refine
-from frictrack.fit.segments import AccelerationChain, Piece, acceleration_chains
+from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains
 from frictrack.randomness import RNG
 from frictrack.records import Array, Mask, Run
 from frictrack.search import METHODS

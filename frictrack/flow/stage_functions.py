@@ -7,7 +7,6 @@ from dataclasses import replace
 from frictrack import models
 from frictrack.arrays import displacement_of_table
 from frictrack.errors import FrictrackError
-from frictrack.events import find_events
 from frictrack.flow.film_stages import (
     make_displacement,
     make_further_tracks,
@@ -17,7 +16,7 @@ from frictrack.flow.film_stages import (
 )
 from frictrack.flow.pipeline import RunPipeline, make_run
 from frictrack.flow.sensor_stage import fused_acceleration, read_sensors
-from frictrack.friction import friction
+from frictrack.friction import find_events, friction
 from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track

@@ -62,7 +62,7 @@ class TriedModels:
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
         if self._runs is None:
-            from frictrack.run_history import with_earlier_runs  # noqa: PLC0415
+            from frictrack.friction import with_earlier_runs  # noqa: PLC0415
 
             pauses = [pipeline.run.pause for pipeline in self._pipelines]
             self._runs = with_earlier_runs([pipeline.to_run() for pipeline in self._pipelines], pauses)

@@ -20,7 +20,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece, spans_of
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.plan.causes import MEASUREMENT_NOISE_RATIO, Cause
 from frictrack.plan.experiment_setup import Experiment, ExperimentSetup
 from frictrack.records import Array

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.friction import is_moving, split_by_direction
-from frictrack.records import Array, Mask, Run
+from frictrack.records import Array, Mask, Run, stretches
 
 MIN_FRAMES = 10  # of a stroke, for a parabola
 TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
@@ -54,7 +54,8 @@ def find_strokes(run: Run) -> tuple[Stroke, ...]:
     tuple of Stroke
 
     """
-    return tuple(stroke for s in split_by_direction(run, _free_frames(run)) for stroke in _split_at_top_speed(run, s))
+    spans = split_by_direction(run, stretches(_free_frames(run)))
+    return tuple(stroke for s in spans for stroke in _split_at_top_speed(run, s))
 
 
 def total_distance(strokes: tuple[Stroke, ...]) -> float:

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from frictrack.errors import FrictrackError
-from frictrack.events import find_events
-from frictrack.friction import friction
+from frictrack.friction import find_events, friction
 from frictrack.records import Filtered, Friction, Run
 from frictrack.results import ModelResults, RunResults
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.byte_ranges import RangedFile
 from frictrack.recording.base import Frame, Recording
+from frictrack.recording.byte_ranges import RangedFile
 
 
 class FrameRange(Recording):

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.byte_ranges import RangedFile, RangeReader
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
+from frictrack.recording.byte_ranges import RangedFile, RangeReader
 
 _MIN_SPARSE_BYTES = 1 << 18  # bytes of a frame above which reading ahead beyond the box costs more than it saves
 _UNPACK_BYTES = 1 << 18  # bytes of packed pixels unpacked at a time: they stay in the cache

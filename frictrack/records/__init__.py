@@ -19,6 +19,7 @@ from frictrack.records.measured import (
     Track,
 )
 from frictrack.records.modelled import Curve, ModelledMotion
+from frictrack.records.notebook_view import NotebookView
 from frictrack.records.run import GRAVITY, EarlierRuns, Run
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "Mask",
     "ModelledMotion",
     "Motion",
+    "NotebookView",
     "Point",
     "Run",
     "RunEvents",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import raise_faults
-from frictrack.notebook_view import NotebookView
+from frictrack.records.notebook_view import NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from frictrack.errors import raise_faults
 from frictrack.lazy import imported
-from frictrack.notebook_view import NotebookView
 from frictrack.records.frame_table import Array, scalar
 from frictrack.records.measured import Displacement, Motion
+from frictrack.records.notebook_view import NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd

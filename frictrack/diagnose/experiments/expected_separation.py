@@ -34,7 +34,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, refine, white_noise_covariance
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
-from frictrack.fit.segments import Piece, spans_of
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained, remove_effect
 from frictrack.records import Array
 

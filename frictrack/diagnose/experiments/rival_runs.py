@@ -23,7 +23,7 @@ from frictrack.fit.least_squares import (
     refine_further,
 )
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, linearise_acceleration
 

@@ -14,7 +14,7 @@ from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot
-from frictrack.fit.segments import MIN_FRAMES, Piece
+from frictrack.fit.pieces import MIN_FRAMES, Piece
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import Panels
 

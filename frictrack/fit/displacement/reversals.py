@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.segments import Piece, cut_into_segments
+from frictrack.fit.pieces import Piece, cut_into_pieces
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -146,7 +146,7 @@ def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
 
 def _cut_problem(problem: LeastSquaresProblem, length: int) -> LeastSquaresProblem:
     """The same problem over stretches of about `length` frames."""
-    pieces = [part for piece in problem.pieces for part in cut_into_segments([piece], length)]
+    pieces = [part for piece in problem.pieces for part in cut_into_pieces([piece], length)]
     return problem.rebuild(problem.layout, pieces)
 
 

@@ -14,7 +14,7 @@ from frictrack.fit.displacement.reversals import best_on_grid, shoot_lengthening
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, refine
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.segments import MIN_FRAMES, Piece, spans_of
+from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
 from frictrack.fit.separable import (
     ProjectedProblem,
     SeparableModel,

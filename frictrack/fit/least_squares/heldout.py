@@ -23,7 +23,7 @@ import numpy as np
 from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
 from frictrack.fit.parameters import penalty_jacobian, penalty_residual
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.records import Array, Mask
 
 HIDDEN_SIGMA_FACTOR = 1e9  # factor on sigma that removes a frame from the fit

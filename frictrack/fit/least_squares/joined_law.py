@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.effects import Path
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.segments import JoinedPieces
+from frictrack.fit.pieces import JoinedPieces
 from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution

@@ -14,7 +14,7 @@ from frictrack.errors import FrictrackError
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares.joined_law import JoinedLaw, LawStructure, difference_step
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import JoinedPieces, Piece, group_by_size, split_motions
+from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, split_motions
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion

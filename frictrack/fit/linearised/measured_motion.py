@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, linearise_acceleration
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.fit.segments import Piece, Rows, joined_whitening
+from frictrack.fit.pieces import Piece, Rows, joined_whitening
 from frictrack.fit.separable import BlockStack, DataBlock, are_stackable, joined_path
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, StackedEdgeResponse

@@ -22,7 +22,7 @@ import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution, refine
 from frictrack.fit.measured_friction.problem import MeasuredFrictionPiece
-from frictrack.fit.segments import Piece, Rows
+from frictrack.fit.pieces import Piece, Rows
 from frictrack.fit.smooth_functions import correlation_time_frames
 from frictrack.records import Array
 

@@ -17,7 +17,7 @@ from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, refine
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece, Reference, Rows, RunContext, path_of_rows, run_context
+from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import path_at_compared
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model

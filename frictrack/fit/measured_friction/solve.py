@@ -26,7 +26,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.measured_friction.problem import MeasuredFrictionProblem, friction_spans
 from frictrack.fit.parameters import ParameterLayout, penalty_jacobian
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.separable import (
     DataBlock,
     PopulationMisfit,

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from frictrack.fit.free_run import FreeRun
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
+from frictrack.fit.pieces import Reference
+from frictrack.fit.prediction import FreeRun
 from frictrack.fit.routes import FitOutcome, Route
-from frictrack.fit.segments import Reference
 from frictrack.fit.uncertainty import Estimates, Misfit, misfit_of
 from frictrack.records import Array, Curve, ModelledMotion, Run
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from frictrack.fit import routes
 from frictrack.fit.force_domain import reduced_chi2
-from frictrack.fit.free_run import FreeRun, free_errors, free_run
 from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms
 from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_scatter, modelled_motion
 from frictrack.fit.objectives.base import FittedRuns, Objective
 from frictrack.fit.parameters import with_fitted_mass, without_mass
+from frictrack.fit.prediction import FreeRun, free_errors, free_run
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates
 from frictrack.records import Array, Curve, ModelledMotion, Run
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from frictrack.fit import measured_friction
-from frictrack.fit.free_run import FreeRun
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.objectives.base import FittedRuns, Objective
+from frictrack.fit.prediction import FreeRun
 from frictrack.fit.uncertainty import Estimates, linear_estimates
 from frictrack.records import Array, Curve, ModelledMotion, Run
 

@@ -13,26 +13,24 @@ from frictrack.fit.parameters.layout import (
     Slot,
     canonical_form,
     known_value,
+    mass_ratio,
     normalise_levels,
-)
-from frictrack.fit.parameters.level_scatter import (
-    SCATTER_BOUNDS,
-    JacobianBasis,
-    jacobian_basis,
-    penalty_jacobian,
-    penalty_residual,
 )
 from frictrack.fit.parameters.mass import (
     MASS_EFFECT,
     is_mass_unknown,
-    mass_ratio,
     rescale_to_mass,
     with_fitted_mass,
     with_mass,
     without_mass,
 )
-from frictrack.fit.parameters.prior_penalties import (
+from frictrack.fit.parameters.penalties import (
+    SCATTER_BOUNDS,
+    JacobianBasis,
     direct_prior_equations,
+    jacobian_basis,
+    penalty_jacobian,
+    penalty_residual,
     prior_departure,
     prior_jacobian,
     prior_misfit,

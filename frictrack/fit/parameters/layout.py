@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span, Tie
+from frictrack.errors import FrictrackError
 from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
-from frictrack.fit.parameters.prior_covariance import ReportedPrior, covariance_of_priors, whitening
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -33,6 +33,20 @@ class Slot:
         """Return the address of the unknown: `vibration.frequency`, `vibration.phase[v3]`."""
         where = "" if self.run is None else f"[{runs[self.run]}]"
         return f"{self.effect}.{self.parameter}{where}"
+
+
+@dataclass(frozen=True)
+class ReportedPrior:
+    """Prior knowledge of a parameter: mean and standard deviation of its reported value.
+
+    `slot` is its position in the parameter vector, None if the reported value differs from the internal one.
+    """
+
+    address: str
+    mean: float
+    std: float
+    slot: int | None
+    phase: bool
 
 
 @dataclass(frozen=True)
@@ -64,43 +78,36 @@ class ParameterLayout:
 
     model: Model
     run_names: tuple[str, ...]
-    spans: tuple[Span, ...]  # duration, places and speeds of each run
+    spans: tuple[Span, ...]
     absent: frozenset[tuple[str, int]] = frozenset()
-    levels_free: bool = False  # no penalty on the levels (for a run predicted by the others)
+    levels_free: bool = False
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
     constraints: tuple[Constraint, ...] = field(init=False)
     leaders: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", _with_known_values(self.model, self.span))
-        slots: list[Slot] = []
-        fixed: dict[tuple[str, str], float] = {}
-        for effect in self.model.effects:
-            for p in effect.parameters:
-                known = known_value(p, self.span)
-                if known is not None:
-                    fixed[effect.name, p.name] = known
-                if known is not None or p.tie is not None:
-                    continue
-                for run in self._runs_with(effect, p.per_run):
-                    bounds = search_bounds(p, self.span if run is None else self.spans[run])
-                    slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
+        model = _with_known_values(self.model, self.span)
+        parameters = [(e, p) for e in model.effects for p in e.parameters]
+        object.__setattr__(self, "model", model)
+        slots = [
+            Slot(e.name, p.name, run, p.linear, search_bounds(p, self.span if run is None else self.spans[run]), p.unit)
+            for e, p in parameters
+            if p.free
+            for run in (self._present_runs(e) if p.per_run else [None])
+        ]
         if len(self.run_names) > 1 and self.has_levels:
             slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
         object.__setattr__(self, "slots", tuple(slots))
-        object.__setattr__(self, "fixed", fixed)
-        object.__setattr__(self, "constraints", constraints_of(self.model))
+        object.__setattr__(self, "fixed", {(e.name, p.name): p.fixed for e, p in parameters if p.fixed is not None})
+        object.__setattr__(self, "constraints", constraints_of(model))
         object.__setattr__(self, "leaders", frozenset(self._leaders()))
 
     def _leaders(self) -> list[int]:
         """Positions of the unknowns that other parameters follow."""
-        targets, any_reported = set(), False
-        for constraint in self.constraints:
-            any_reported = any_reported or constraint.is_reported_differently
-            if isinstance(constraint.value, Tie):
-                targets.add((constraint.value.effect, constraint.value.parameter))
-        scaled = any(not isinstance(r.value, Tie) for r in self.constraints)
+        targets = {(c.value.effect, c.value.parameter) for c in self.constraints if isinstance(c.value, Tie)}
+        any_reported = any(c.is_reported_differently for c in self.constraints)
+        scaled = any(not isinstance(c.value, Tie) for c in self.constraints)
         return [
             i
             for i, s in enumerate(self.slots)
@@ -109,16 +116,23 @@ class ParameterLayout:
             or (scaled and s.effect == MASS)
         ]
 
-    def _runs_with(self, effect: Effect, per_run: bool) -> list[int | None]:
-        """Runs in which an effect has a value: [None] for a shared parameter."""
-        if not per_run:
-            return [None]
+    def _present_runs(self, effect: Effect) -> list[int]:
+        """Runs in which an effect is present."""
         return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
 
     @property
     def span(self) -> Span:
         """Duration, places and speeds that all runs together cover."""
-        return common_span(self.spans)
+        first = self.spans[0]
+        return replace(
+            first,
+            duration=max(s.duration for s in self.spans),
+            x_min=min(s.x_min for s in self.spans),
+            x_max=max(s.x_max for s in self.spans),
+            v_min=min(s.v_min for s in self.spans),
+            v_max=max(s.v_max for s in self.spans),
+            earlier=max((s.earlier for s in self.spans), key=len),
+        )
 
     @property
     def has_levels(self) -> bool:
@@ -155,14 +169,12 @@ class ParameterLayout:
 
     def active(self, run: int) -> list[int]:
         """Return the positions of the unknowns that affect one run."""
-        if run not in self._active:
-            self._active[run] = [i for i, s in enumerate(self.slots) if s.run in (None, run)]
         return list(self._active[run])
 
     @cached_property
-    def _active(self) -> dict[int, list[int]]:
-        """Unknowns that affect each run, as far as they were asked for."""
-        return {}
+    def _active(self) -> list[list[int]]:
+        runs = range(len(self.run_names))
+        return [[i for i, s in enumerate(self.slots) if s.run in (None, run)] for run in runs]
 
     def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
         """Compute the internal parameter values of one run.
@@ -186,7 +198,7 @@ class ParameterLayout:
         for (effect, name), value in self.fixed.items():
             out[effect][name] = value
         level = 1.0
-        for i in self.active(run):
+        for i in self._active[run]:
             slot = self.slots[i]
             if slot.effect == LEVEL:
                 level = float(p[i])
@@ -200,7 +212,7 @@ class ParameterLayout:
 
     def reported_values(self, p: Array) -> dict[str, float]:
         """Compute the reported value of every parameter by address: fitted, fixed and tied ones."""
-        q = 1.0 + sum(float(p[i]) for i, s in enumerate(self.slots) if s.effect == MASS)
+        q = mass_ratio(self, p)
         scaled = {e.name for e in self.model.effects if e.acts_on == "force" and e.name != MASS}
         out = {
             name: float(p[i]) / (q if s.linear and s.effect in scaled else 1.0)
@@ -212,56 +224,63 @@ class ParameterLayout:
         each = [self.values(p, run)[0] for run in range(len(self.run_names))] if computed else []
         for e, r in computed:
             found = [reported_value(self.model, values, e.name, r.name) for values in each]
-            if self.has_run_values(e, r):
-                present = [run for run in self._runs_with(e, True) if run is not None]
-                out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in present}
-            else:
-                out[f"{e.name}.{r.name}"] = float(np.mean(found))
+            for address, run in self._addresses(e, r):
+                out[address] = float(np.mean(found) if run is None else found[run])
         return out
 
     def tied_parameters(self) -> list[tuple[str, Tie, str]]:
         """Return address, tie and unit of every tied parameter, run by run where it has a value per run."""
-        out = []
-        for e in self.model.effects:
-            for p in (p for p in e.parameters if p.tie):
-                runs = [r for r in self._runs_with(e, True) if r is not None] if self.has_run_values(e, p) else [None]
-                places = ["" if r is None else f"[{self.run_names[r]}]" for r in runs]
-                out += [(f"{e.name}.{p.name}{place}", Tie.read(str(p.tie)), p.unit) for place in places]
-        return out
+        tied = [(e, p) for e in self.model.effects for p in e.parameters if p.tie]
+        return [(address, Tie.read(str(p.tie)), p.unit) for e, p in tied for address, _ in self._addresses(e, p)]
+
+    def _addresses(self, effect: Effect, p: Parameter) -> list[tuple[str, int | None]]:
+        """Addresses of a parameter, each with its run; None for a value of all runs."""
+        name = f"{effect.name}.{p.name}"
+        if not self._has_run_values(p):
+            return [(name, None)]
+        return [(f"{name}[{self.run_names[run]}]", run) for run in self._present_runs(effect)]
+
+    def _has_run_values(self, p: Parameter) -> bool:
+        """Whether a parameter has a value per run. A tied parameter has, if the one that it follows has."""
+        if p.tie is None:
+            return p.per_run and p.fixed is None
+        tie = Tie.read(p.tie)
+        leader = next(e for e in self.model.effects if e.name == tie.effect)
+        return self._has_run_values(leader.parameter(tie.parameter))
 
     @cached_property
     def priors(self) -> tuple[ReportedPrior, ...]:
         """Priors of the unknowns, in order; one per run where the parameter has a value per run."""
         effects = {e.name: e for e in self.model.effects}
-        mass_known = MASS not in effects
-        found_priors = []
+        out = []
         for i, slot in enumerate(self.slots):
-            prior = None if slot.effect == LEVEL else effects[slot.effect].parameter(slot.parameter).prior
-            if prior is not None:
-                effect = effects[slot.effect]
-                is_direct = slot.parameter not in effect.quoted and (mass_known or not slot.linear)
-                found_priors.append(
-                    ReportedPrior(self.names[i], *prior, i if is_direct else None, _role(effect, slot) == "phase")
-                )
-        return tuple(found_priors)
+            effect = effects.get(slot.effect)
+            prior = effect and effect.parameter(slot.parameter).prior
+            if effect and prior:
+                is_direct = slot.parameter not in effect.quoted and not (slot.linear and MASS in effects)
+                phase = effect.parameter(slot.parameter).role == "phase"
+                out.append(ReportedPrior(self.names[i], *prior, i if is_direct else None, phase))
+        return tuple(out)
 
     @cached_property
     def prior_covariance(self) -> Array:
-        """Covariance (m, m) of the priors."""
-        return covariance_of_priors(self.model, self.priors)
+        """Covariance (m, m) of the priors, from their standard deviations and correlations."""
+        std, at = np.array([q.std for q in self.priors]), {q.address: i for i, q in enumerate(self.priors)}
+        matrix = np.eye(len(at))
+        for e in self.model.effects:
+            for p in e.parameters:
+                i = at.get(f"{e.name}.{p.name}")
+                for other, r in p.prior_correlation if i is not None else ():
+                    if other in at:
+                        matrix[i, at[other]] = matrix[at[other], i] = r
+        if at and np.linalg.eigvalsh(matrix)[0] <= 0:
+            raise FrictrackError("expected prior_correlation that can hold together (positive definite)", usage=True)
+        return np.asarray(matrix * std * std[:, None], dtype=np.float64)
 
     @cached_property
     def prior_whitening(self) -> Array:
         """Matrix (m, m) that turns deviations from the means of the priors into independent standard deviations."""
-        return whitening(self.prior_covariance)
-
-    def has_run_values(self, effect: Effect, p: Parameter) -> bool:
-        """Return whether a parameter has a value per run. A tied parameter has, if the one that it follows has."""
-        if p.tie is None:
-            return p.per_run and p.fixed is None
-        tie = Tie.read(p.tie)
-        leader = next(e for e in self.model.effects if e.name == tie.effect)
-        return self.has_run_values(leader, leader.parameter(tie.parameter))
+        return whitening_matrix(self.prior_covariance)
 
     def are_shared_unknowns(self, effect: str, *parameters: str) -> bool:
         """Return whether all these parameters of an effect are unknowns that the runs share."""
@@ -276,19 +295,24 @@ class ParameterLayout:
         raise KeyError((effect, parameter, run))
 
 
+def mass_ratio(layout: ParameterLayout, p: Array) -> float:
+    """Compute q, the unit of mass over the mass, from unknowns p (P,); 1 for a known mass."""
+    return 1.0 + sum(float(p[i]) for i, s in enumerate(layout.slots) if s.effect == MASS)
+
+
+def whitening_matrix(covariance: Array) -> Array:
+    """Compute W (m, m) with W' W the inverse of a covariance."""
+    std = np.sqrt(np.diag(covariance))
+    factor = np.linalg.cholesky(covariance / std / std[:, None])
+    return np.asarray(np.linalg.inv(factor) / std, dtype=np.float64)
+
+
 def _with_known_values(model: Model, span: Span) -> Model:
     """The model with those parameters fixed that the runs determine beforehand."""
     known = [
-        e.adjusted(
-            **{
-                p.name: {"fixed": known_value(p, span)}
-                for p in e.parameters
-                if p.free and known_value(p, span) is not None
-            }
-        )
-        for e in model.effects
+        {p.name: {"fixed": known_value(p, span)} for p in e.parameters if p.free and p.known} for e in model.effects
     ]
-    return replace(model, effects=tuple(known))
+    return replace(model, effects=tuple(e.adjusted(**own) for e, own in zip(model.effects, known, strict=True)))
 
 
 def known_value(p: Parameter, span: Span) -> float | None:
@@ -309,54 +333,21 @@ def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
     return low, high
 
 
-def common_span(spans: Sequence[Span]) -> Span:
-    """Compute the span that several runs cover together."""
-    return Span(
-        duration=max(s.duration for s in spans),
-        x_min=min(s.x_min for s in spans),
-        x_max=max(s.x_max for s in spans),
-        v_min=min(s.v_min for s in spans),
-        v_max=max(s.v_max for s in spans),
-        fps=spans[0].fps,
-        clamp_x=spans[0].clamp_x,
-        beam_length=spans[0].beam_length,
-        earlier=max((s.earlier for s in spans), key=len),
-    )
-
-
 def canonical_form(layout: ParameterLayout, p: Array) -> Array:
-    """Bring unknowns to their canonical form: amplitudes positive, phases between -pi and pi.
+    """Bring unknowns (P,) to their canonical form: amplitudes positive, phases between -pi and pi.
 
     Unknowns that others follow, and phases with bounds narrower than 2 pi, are left unchanged.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The layout.
-    p : array of shape (P,)
-        The unknowns.
-
-    Returns
-    -------
-    array of shape (P,)
-        Unknowns of the same model in canonical form.
-
     """
     p = np.array(p, dtype=float)
     for effect in layout.model.effects:
-        phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
-        sizes = [
-            i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _AMPLITUDE_ROLES
-        ]
+        own = [(i, effect.parameter(s.parameter).role) for i, s in enumerate(layout.slots) if s.effect == effect.name]
+        phases = [i for i, role in own if role == "phase"]
+        sizes = [i for i, role in own if role in ("amplitude", "depth")]
         if layout.leaders & {*phases, *sizes} or any(np.ptp(layout.slots[i].bounds) < 2 * np.pi - 1e-9 for i in phases):
             continue
-        if phases and len(sizes) == 1 and p[sizes[0]] < 0:
-            p[sizes[0]] *= -1
-            p[phases] += np.pi
-        elif phases and len(sizes) == len(phases):
-            flip = p[sizes] < 0
+        if phases and len(sizes) in (1, len(phases)):
+            p[phases] += np.pi * (p[sizes] < 0)
             p[sizes] = np.abs(p[sizes])
-            p[phases] += np.pi * flip
         p[phases] = (p[phases] + np.pi) % (2 * np.pi) - np.pi
     return p
 
@@ -366,39 +357,14 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
 
     The factor brings the levels closest to one in least squares. With too few runs for a scatter it is their mean.
     The motion does not change. Levels stay as they are where a coefficient already determines their scale.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The layout.
-    p : array of shape (P,)
-        The unknowns.
-
-    Returns
-    -------
-    array of shape (P,)
-        Unknowns of the same motion.
-
     """
     levels = layout.levels
     if not levels or layout.levels_free or layout.has_scale_constraint:
         return p
     too_few = len(levels) < MIN_RUNS_FOR_SCATTER
     factor = float(np.mean(p[levels])) if too_few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
+    loaded = {(e.name, q.name) for e in layout.model.effects for q in e.parameters if q.loaded}
     p = np.array(p)
     p[levels] /= factor
-    loaded = [
-        i
-        for e in layout.model.effects
-        for i, s in enumerate(layout.slots)
-        if s.effect == e.name and e.parameter(s.parameter).loaded
-    ]
-    p[loaded] *= factor
+    p[[i for i, s in enumerate(layout.slots) if (s.effect, s.parameter) in loaded]] *= factor
     return p
-
-
-_AMPLITUDE_ROLES = ("amplitude", "depth")
-
-
-def _role(effect: Effect, slot: Slot) -> str:
-    return effect.parameter(slot.parameter).role

@@ -90,30 +90,8 @@ def without_mass(model: Model) -> Model:
     return Model(tuple(e for e in model.effects if e.name != MASS))
 
 
-def mass_ratio(layout: ParameterLayout, p: Array) -> float:
-    """Compute q, the unit of mass over the mass, from unknowns p (P,); 1 for a known mass."""
-    found = [i for i, s in enumerate(layout.slots) if s.effect == MASS]
-    return 1.0 + float(p[found[0]]) if found else 1.0
-
-
 def rescale_to_mass(layout: ParameterLayout, p: Array, q: float) -> Array:
-    """Convert unknowns to a unit of mass that is q times smaller.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The layout.
-    p : array of shape (P,)
-        The unknowns.
-    q : float
-        Old unit of mass over the new one.
-
-    Returns
-    -------
-    array of shape (P,)
-        Unknowns of the same model in the new unit.
-
-    """
+    """Convert unknowns p (P,) to a unit of mass that is q times smaller."""
     out = np.array(p, dtype=float)
     forces = {e.name for e in layout.model.effects if e.acts_on == "force"}
     for i, s in enumerate(layout.slots):

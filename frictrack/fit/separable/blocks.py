@@ -15,7 +15,7 @@ from scipy.fft import dct
 from scipy.interpolate import CubicSpline
 
 from frictrack.effects import Path
-from frictrack.fit.segments import AccelerationChain, Piece
+from frictrack.fit.pieces import AccelerationChain, Piece
 from frictrack.records import Array
 
 PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth

@@ -19,7 +19,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.segments import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise.order import entry_order, model_without, ties_are_resolved
 from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
 from frictrack.fit.stepwise.scan_starts import scan_effect

@@ -20,7 +20,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
 from frictrack.plots.style.colours import RC_PARAMS
-from frictrack.tick_rows import collection_paused, ticks_in_rows
+from frictrack.plots.style.tick_rows import collection_paused, ticks_in_rows
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
 SVG_DPI = 72  # of matplotlib's SVG; laid out at the same, so that texts are measured once

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from frictrack.errors import FrictrackError
+from frictrack.friction import after_run
 from frictrack.randomness import RNG, accepts_seed, as_seed
 from frictrack.records import Array, EarlierRuns
-from frictrack.run_history import after_run
 from frictrack.simulate.conditions import Conditions, push_force
 from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film
 from frictrack.simulate.scene.scene_file import Scene, read_scene

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from frictrack.fit.segments.pieces import MIN_FRAMES, Piece
+from frictrack.fit.pieces.cutting import MIN_FRAMES
+from frictrack.fit.pieces.piece import Piece
 from frictrack.motion import STENCIL_FRAMES, frame_grid, frame_weights, stencils
 from frictrack.motion.smoother import FactoredSmoother, SmootherData, Structure
 from frictrack.records import Array, Mask, Run
@@ -49,38 +50,21 @@ class AccelerationChain:
 
 
 def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
-    """Create the chain of one piece at the cut-off frequency of its run.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    piece : Piece
-        One of its pieces.
-
-    Returns
-    -------
-    AccelerationChain
-        The linear map from the piece's frames to accelerations.
-
-    """
-    grid = frame_grid(piece.t)
-    n, m = len(piece.t), run.motion.guard
-    guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
+    """Create the chain of one piece at the cut-off frequency of its run."""
+    grid, n = frame_grid(piece.t), len(piece.t)
+    guard = min(run.motion.guard, n // 8, max((n - MIN_FRAMES) // 2, 0))
     inside = np.arange(guard, n - guard)
     kept = grid.frames[inside]
     weight = grid.to_frames(frame_weights(piece.sigma, np.ones(n, dtype=bool)))
-    smoother = Structure.low_pass(run.motion.cutoff, grid.interval).factor_smoother(
-        SmootherData(np.zeros(grid.n), weight)
-    )
+    low_pass = Structure.low_pass(run.motion.cutoff, grid.interval)
+    smoother = low_pass.factor_smoother(SmootherData(np.zeros(grid.n), weight))
     start, table = stencils(grid.n, grid.interval)
     noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
-    spread = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
+    sigma_a = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
+    rows = np.repeat(np.arange(len(kept)), STENCIL_FRAMES)
     columns = (start[kept, None] + np.arange(STENCIL_FRAMES)).ravel()
-    second = csr_array(
-        (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), STENCIL_FRAMES), columns)), shape=(len(kept), grid.n)
-    )
-    return AccelerationChain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
+    second = csr_array((table[2, kept].ravel(), (rows, columns)), shape=(len(kept), grid.n))
+    return AccelerationChain(grid.frames, weight, smoother, second, sigma_a[kept], inside, run.motion.cutoff)
 
 
 def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:

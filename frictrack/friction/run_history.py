@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_moving
+from frictrack.friction.force import is_moving
 from frictrack.records import EarlierRuns, Run
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_motion, is_moving, release_time, split_by_direction
-from frictrack.records import Array, Run, RunEvents
+from frictrack.friction.force import is_motion, is_moving, release_time, split_by_direction
+from frictrack.records import Array, Run, RunEvents, stretches
 
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
 MIN_IMPACT_RATIO = 5.0  # change of velocity in an impact over that by the typical acceleration
@@ -41,7 +41,7 @@ def find_events(run: Run) -> RunEvents:
     t, v = run.motion.t, run.motion.v
     motions = [
         s
-        for s in split_by_direction(run, is_moving(run) | ~run.displacement.valid)
+        for s in split_by_direction(run, stretches(is_moving(run) | ~run.displacement.valid))
         if is_motion(run, s) and _travels(run, s)
     ]
     found: list[tuple[str, float, float]] = []

@@ -1,8 +1,8 @@
 """Whiten measurement errors: convert them to independent numbers of standard deviation one, and back.
 
-The noise is white, with a standard deviation per frame, plus a first-order autoregressive part (rms, correlation
-time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a frame of
-unknown size adds no information. The map is linear, so it also applies to sensitivities.
+The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
+correlation time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a
+frame of unknown size adds no information. The map is linear, so it also applies to sensitivities.
 
 References
 ----------
@@ -29,19 +29,19 @@ class Whitening:
 
     Attributes
     ----------
-    persistence, gain : array of shape (n - 1,)
-        Coefficients of the recursion.
     size : array of shape (n,)
         Standard deviations of the innovations e - c.
+    persistence, gain : array of shape (n - 1,), optional
+        Coefficients of the recursion; None where all noise is white, so that c is zero.
 
     """
 
-    persistence: Array
-    gain: Array
     size: Array
+    persistence: Array | None = None
+    gain: Array | None = None
 
     @classmethod
-    def of(cls, t: Array, sigma: Array, correlated: tuple[float, float]) -> Whitening:
+    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...]) -> Whitening:
         """For frames at t (n,), s, white noise sigma (n,) and a correlated part: rms, and correlation time in s.
 
         Examples
@@ -59,54 +59,60 @@ class Whitening:
             share[i] = before / variance[i]
             if i < len(decay):
                 before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
-        return cls(decay * (1 - share[:-1]), decay * share[:-1], np.sqrt(variance))
+        return cls(np.sqrt(variance), decay * (1 - share[:-1]), decay * share[:-1])
 
     @classmethod
     def joined(cls, parts: Sequence[Whitening]) -> Whitening:
-        """Return the map of several series end to end, each independent of the one before."""
-        persistence = np.concatenate([np.append(w.persistence, 0.0) for w in parts])[:-1]
-        gain = np.concatenate([np.append(w.gain, 0.0) for w in parts])[:-1]
-        return cls(persistence, gain, np.concatenate([w.size for w in parts]))
+        """Return the map of several series end to end, each independent of the one before; all white, or none."""
+        size = np.concatenate([w.size for w in parts])
+        if parts[0].gain is None:
+            return cls(size)
+        persistence, gain = (
+            np.concatenate([np.append(getattr(w, name), 0.0) for w in parts])[:-1] for name in ("persistence", "gain")
+        )
+        return cls(size, persistence, gain)
 
     def whitened(self, errors: Array) -> Array:
         """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
-        return (errors - _filter_forward(self.persistence, self.gain, errors)) / _column(self.size, errors)
+        return np.asarray((errors - self._predicted(errors, 0.0)) / _column(self.size, errors))
 
     def coloured(self, white: Array) -> Array:
         """Compute the errors (n, ...) that have these innovations."""
         innovations = white * _column(self.size, white)
-        return innovations + _filter_forward(self.persistence + self.gain, self.gain, innovations)
+        return np.asarray(innovations + self._predicted(innovations, 1.0))
 
     def transposed(self, white: Array) -> Array:
         """Apply the transposed map of `whitened`."""
         scaled = white / _column(self.size, white)
-        return scaled - _filter_backward(self.persistence, self.gain, scaled)
+        return np.asarray(scaled - self._predicted_transposed(scaled, 0.0))
 
     def coloured_transposed(self, rows: Array) -> Array:
         """Apply the transposed map of `coloured` to rows (n, ...)."""
-        return (rows + _filter_backward(self.persistence + self.gain, self.gain, rows)) * _column(self.size, rows)
+        return np.asarray((rows + self._predicted_transposed(rows, 1.0)) * _column(self.size, rows))
+
+    def _predicted(self, e: Array, feedback: float) -> Array | float:
+        """The series c (n, ...) with c[0] = 0 and c[i + 1] = (persistence + feedback gain)[i] c[i] + gain[i] e[i].
+
+        From errors e the feedback is 0; from innovations, which are errors less c, it is 1.
+        """
+        if self.persistence is None or self.gain is None:
+            return 0.0
+        banded, right = np.ones((2, len(e))), np.zeros_like(e)
+        banded[1, :-1] = -(self.persistence + feedback * self.gain)
+        right[1:] = _column(self.gain, e) * e[:-1]
+        return _solve((1, 0), banded, right)
+
+    def _predicted_transposed(self, e: Array, feedback: float) -> Array | float:
+        """The transposed map of `_predicted`."""
+        if self.persistence is None or self.gain is None:
+            return 0.0
+        banded, out = np.ones((2, len(e))), np.zeros_like(e)
+        banded[0, 1:] = -(self.persistence + feedback * self.gain)
+        out[:-1] = _column(self.gain, e) * _solve((0, 1), banded, e)[1:]
+        return out
 
 
-def _filter_forward(persistence: Array, gain: Array, innovations: Array) -> Array:
-    """The series c (n, ...) with c[0] = 0 and c[i + 1] = persistence[i] c[i] + gain[i] innovations[i]."""
-    banded = np.zeros((2, len(innovations)))
-    banded[0], banded[1, :-1] = 1.0, -persistence
-    right = np.zeros_like(innovations)
-    right[1:] = _column(gain, innovations) * innovations[:-1]
-    return _solved((1, 0), banded, right)
-
-
-def _filter_backward(persistence: Array, gain: Array, innovations: Array) -> Array:
-    """The transposed map of `_filter_forward`."""
-    banded = np.zeros((2, len(innovations)))
-    banded[1], banded[0, 1:] = 1.0, -persistence
-    solved = _solved((0, 1), banded, innovations)
-    out: Array = np.zeros_like(innovations)
-    out[:-1] = _column(gain, innovations) * solved[1:]
-    return out
-
-
-def _solved(bands: tuple[int, int], banded: Array, right: Array) -> Array:
+def _solve(bands: tuple[int, int], banded: Array, right: Array) -> Array:
     """Solutions (n, ...) of banded equations for right sides (n, ...)."""
     flat = right.reshape(len(right), -1)
     return np.asarray(solve_banded(bands, banded, flat, check_finite=False)).reshape(right.shape)

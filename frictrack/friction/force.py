@@ -163,6 +163,38 @@ def reverses_freely(run: Run, before: slice, after: slice) -> float | None:
     return acceleration if is_swing else None
 
 
+def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
+    """Join neighbouring spans of motion across the reversals of a swing.
+
+    Dry friction changes its sign at a reversal. Where gravity or a spring pulls the mass back, it does not rest there,
+    and one model must describe the loss from swing to swing. A blow also reverses a mass, but at once: there the spans
+    stay separate, as they do where the drive is measured.
+
+    Parameters
+    ----------
+    run
+        Run of n frames.
+    spans
+        Spans of motion, in order of time.
+
+    Returns
+    -------
+    list of (slice, float)
+        Every span, and the speed (m/s) within which its direction changes: what the mass gains in one frame at its
+        reversals, 0 for a span of one direction.
+
+    """
+    out: list[tuple[slice, float]] = []
+    for span in spans:
+        pull = reverses_freely(run, out[-1][0], span) if out else None
+        if pull is None:
+            out.append((span, 0.0))
+        else:
+            before, slack = out[-1]
+            out[-1] = slice(before.start, span.stop), max(slack, pull * _interval(run))
+    return out
+
+
 def impact(run: Run) -> str:
     """Describe the first impact of a run without a drive.
 
@@ -273,10 +305,10 @@ def is_moving(run: Run) -> Mask:
     return np.asarray(np.abs(run.motion.v) > MIN_MOVING_SIGMAS * run.motion.sigma_v)
 
 
-def split_by_direction(run: Run, frames: Mask) -> list[slice]:
-    """Return the stretches of some frames (n,), cut where the direction of motion changes between two frames."""
+def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
+    """Return the spans of a run, cut where the direction of motion changes between two frames."""
     out = []
-    for s in stretches(frames):
+    for s in spans:
         reversals = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
         out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *reversals, s.stop])]
     return out
@@ -299,24 +331,13 @@ def _main_motion(run: Run) -> tuple[int, int]:
             f'run "{run.name}": expected a sliding target but its speed never exceeds {MIN_MOTION_SIGMAS:g} standard '
             "deviations; check the target, or give the free section as free = [t0, t1]"
         )
-    motions = _join_swings(run, motions)
+    motions = [motion for motion, _ in join_swings(run, motions)]
     # a wrong sample at an end of the record looks like the fastest motion of all
     compared = np.where(valid & ~_events_at_ends(run), speed, 0.0)
     fastest = max(motions, key=lambda s: float(np.max(compared[s])))
     chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])
-
-
-def _join_swings(run: Run, motions: Sequence[slice]) -> list[slice]:
-    """Join motions between which the mass reverses smoothly."""
-    out = list(motions[:1])
-    for after in motions[1:]:
-        if reverses_freely(run, out[-1], after) is None:
-            out.append(after)
-        else:
-            out[-1] = slice(out[-1].start, after.stop)
-    return out
 
 
 def is_motion(run: Run, s: slice) -> bool:
@@ -452,8 +473,7 @@ def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     t, v = run.motion.t, run.motion.v
     motions = [s for s in stretches(is_moving(run)) if s.start <= stop and s.stop > first]
     inside = [slice(max(s.start, first), min(s.stop, stop + 1)) for s in motions]
-    moves = [part for s in inside for part in _split_by_direction(v, s)]
-    moves = [part for part in moves if is_motion(run, part)]
+    moves = [part for part in split_by_direction(run, inside) if is_motion(run, part)]
     for before, after in pairwise(moves):
         fastest = [part.start + int(np.argmax(np.abs(v[part]))) for part in (before, after)]
         row_before, row_after = fastest
@@ -463,10 +483,3 @@ def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
             if abs(v[row_after] - v[row_before]) > IMPACT_RATIO * typical * (t[row_after] - t[row_before]):
                 return row_before, row_after
     return None
-
-
-def _split_by_direction(v: Array, s: slice) -> list[slice]:
-    """Split a span where the velocity changes its sign."""
-    cuts = np.flatnonzero(np.diff(np.sign(v[s]))) + 1
-    edges = [0, *cuts.tolist(), s.stop - s.start]
-    return [slice(s.start + a, s.start + b) for a, b in pairwise(edges)]

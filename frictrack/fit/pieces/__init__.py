@@ -1,0 +1,51 @@
+"""Pieces: the parts of runs that a model is fitted to, each as one. They are cut, whitened and laid end to end."""
+
+from frictrack.fit.pieces.acceleration_chain import AccelerationChain, acceleration_chains, acceleration_noise
+from frictrack.fit.pieces.cutting import (
+    MIN_FRAMES,
+    Reference,
+    RunContext,
+    guess_mass,
+    noise_free_remark,
+    path_of_rows,
+    pieces_of,
+    reference_of,
+    run_context,
+    whole_piece,
+)
+from frictrack.fit.pieces.lengths import cut_into_pieces, has_known_history, piece_frames
+from frictrack.fit.pieces.piece import (
+    JoinedPieces,
+    Piece,
+    Rows,
+    group_by_size,
+    joined_whitening,
+    spans_of,
+    split_motions,
+)
+
+__all__ = [
+    "MIN_FRAMES",
+    "AccelerationChain",
+    "JoinedPieces",
+    "Piece",
+    "Reference",
+    "Rows",
+    "RunContext",
+    "acceleration_chains",
+    "acceleration_noise",
+    "cut_into_pieces",
+    "group_by_size",
+    "guess_mass",
+    "has_known_history",
+    "joined_whitening",
+    "noise_free_remark",
+    "path_of_rows",
+    "piece_frames",
+    "pieces_of",
+    "reference_of",
+    "run_context",
+    "spans_of",
+    "split_motions",
+    "whole_piece",
+]
