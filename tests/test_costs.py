@@ -17,13 +17,16 @@ from frictrack import effects, study
 from frictrack.cli import plan_output
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import EvidenceForecast, Experiment, RunDesign, combined_experiments
+from frictrack.diagnose.experiments import selection
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast
+from frictrack.diagnose.experiments.menu import Experiment, combined_experiments
 from frictrack.diagnose.experiments.rating import RatedExperiment, _rank
+from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.flow.predictions import Predictions, resolve_prediction
-from frictrack.plan import choose_runs, default_setup, next_run, selection
+from frictrack.plan import choose_runs, default_setup, next_run
 from frictrack.verdicts import describe_predictions
 
 LAST = RunSettings(4.0, 0.35, 0.0, 4000.0)
@@ -87,7 +90,7 @@ def test_the_table_is_read(tmp_path):
 
 def rated(key, evidence, cost):
     both = dict.fromkeys([("drag", "drift"), ("drift", "drag")], EvidenceForecast(evidence))
-    return RatedExperiment(key, key, "film", both, cost)
+    return RatedExperiment(key, key, both, cost)
 
 
 def test_experiments_are_ranked_by_evidence_over_cost():

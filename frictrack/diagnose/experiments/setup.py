@@ -8,9 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack import models
-from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
-from frictrack.diagnose.experiments import DEFAULT_SCATTER, Experiment, RunConditions, RunDesign
+from frictrack.costs import DEFAULT_COSTS, Costs
+from frictrack.diagnose.experiments.menu import Experiment, changed_runs
+from frictrack.diagnose.experiments.virtual_runs import DEFAULT_SCATTER, RunConditions, RunDesign, max_frames_of_film
 from frictrack.effects import Path
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.models import Model
 from frictrack.number_format import format_plain
 from frictrack.records import GRAVITY
@@ -20,7 +24,6 @@ DEFAULT_NOISE_PX = 0.02  # position noise per frame, px
 SPEEDS_M_S = (1.0, 2.0, 4.0, 6.0, 8.0)
 RETURN_SPEEDS_M_S = (2.0, 4.0, 8.0)  # in the other direction
 MIDDLE_SPEED_M_S = 4.0  # at which mass, tilt and frame rate are varied
-TILT_RAD = np.deg2rad(5.0)
 STOP_WITHIN_SHARE = 0.85  # of the course
 COULOMB_DECELERATION = 5.0  # m/s^2
 STATIC_RISE_RATIO = 0.3  # static over Coulomb friction, minus one
@@ -73,10 +76,6 @@ class ExperimentSetup:
     completed: tuple[Experiment, ...] = ()
     assumed: tuple[str, ...] = ()
     costs: Costs = DEFAULT_COSTS
-
-    def settings(self, design: RunDesign) -> RunSettings:
-        """Settings of a planned run."""
-        return RunSettings(design.start[1], self.mass * design.mass, design.tilt, self.fps * design.rate, design.pitch)
 
     @property
     def friction(self) -> float:
@@ -150,8 +149,10 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
     ['1 m/s', '2 m/s', '4 m/s']
 
     """
-    entries = [*_speeds(setup), *_changes(setup)]
-    return [e for e in entries if np.isfinite(setup.costs.of_run(setup.settings(e.design), None))]
+    plain = plain_run(setup, MIDDLE_SPEED_M_S)
+    entries = [*_speeds(setup), *changed_runs(plain, f"one run at {MIDDLE_SPEED_M_S:g} m/s")]
+    conditions = setup.conditions
+    return [e for e in entries if np.isfinite(setup.costs.of_run(conditions.settings(e.design), None))]
 
 
 def plain_run(setup: ExperimentSetup, speed: float) -> RunDesign:
@@ -170,11 +171,84 @@ def _speeds(setup: ExperimentSetup) -> Iterator[Experiment]:
     yield Experiment("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", plain_run(setup, stop))
 
 
-def _changes(setup: ExperimentSetup) -> Iterator[Experiment]:
-    plain, at = plain_run(setup, MIDDLE_SPEED_M_S), f"at {MIDDLE_SPEED_M_S:g} m/s"
-    yield Experiment("double mass", f"one run {at} with the mass doubled", replace(plain, mass=2.0))
-    yield Experiment("half mass", f"one run {at} with half the mass", replace(plain, mass=0.5))
-    for sign, word in ((1, "raised"), (-1, "lowered")):
-        words = f"one run {at} with the far end of the course {word} by 5 degrees (give incline)"
-        yield Experiment(f"tilt {5 * sign:+d}", words, replace(plain, tilt=sign * TILT_RAD))
-    yield Experiment("frame rate", f"one run {at} at twice the frame rate", replace(plain, rate=2.0))
+def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
+    """Derive the setup from a fit; its runs count as completed.
+
+    Parameters
+    ----------
+    fit
+        A fit of coasting runs to their displacement.
+    costs
+        Costs of the runs, and what the set-up can do.
+
+    Returns
+    -------
+    ExperimentSetup
+
+    Raises
+    ------
+    FrictrackError
+        If friction or the drive was measured, or the model lacks Coulomb friction.
+
+    """
+    if fit.measured:
+        raise FrictrackError(
+            "expected runs whose displacement is filmed but their friction was measured; plan from a study without runs"
+        )
+    if any(run.drive is not None for run in fit.runs):
+        raise FrictrackError(
+            "expected runs that coast but their drive is measured; a plan is made for struck, pushed or tilted runs: "
+            "plan from a study without runs"
+        )
+    solution, first = fit.solution, fit.runs[0]
+    layout = solution.problem.layout
+    base_effects = [e for e in fit.model.effects if e.in_base_law]
+    if not any(e.name == "coulomb" for e in base_effects):
+        raise FrictrackError("expected Coulomb friction in the fitted law to plan with; fit a model that has it")
+    values, _ = layout.values(solution.p, 0)
+    pitch = first.pixel_pitch
+    noise = float(np.median(np.concatenate([p.sigma for p in solution.problem.pieces])))
+    scatter_is_assumed = len(layout.levels) < MIN_RUNS_FOR_SCATTER
+    span = layout.span
+    law = models.of(base_effects)
+    scatter = 100 * (DEFAULT_SCATTER if scatter_is_assumed else solution.tau)
+    assumed: tuple[str, ...] = (
+        f"friction law fitted to {len(fit.runs)} runs: {law.equation(fit.parameters)}",
+        f"position noise per frame: {format_plain(1e6 * noise, 3)} µm, as measured",
+        f"course length: {span.x_max - span.x_min:.2g} m, as far as these runs went",
+        f"scatter of dry friction from run to run: {scatter:.2g} %, "
+        + ("assumed because there are too few runs to estimate it" if scatter_is_assumed else "as fitted"),
+    )
+    frames = max_frames_of_film(solution, costs)
+    if costs.frames is None and np.isfinite(frames):
+        assumed += (
+            f"largest number of frames in one film: {frames:.0f}, as in the longest film so far, which ended while the "
+            "mass still moved; give frames in [costs] if the camera can film more",
+        )
+    setup = ExperimentSetup(
+        mass=fit.reference.mass,
+        fps=span.fps,
+        pitch=pitch if pitch is not None else noise / DEFAULT_NOISE_PX,
+        noise=noise,
+        law=law,
+        values={e.name: dict(values[e.name]) for e in base_effects},
+        scatter=DEFAULT_SCATTER if scatter_is_assumed else solution.tau_of_other_runs,
+        course=span.x_max - span.x_min,
+        start=span.x_min,
+        assumed=assumed,
+        costs=replace(costs, frames=frames),
+    )
+    return replace(setup, completed=tuple(_completed_run(fit, setup, i) for i in range(len(fit.runs))))
+
+
+def _completed_run(fit: Fit, setup: ExperimentSetup, index: int) -> Experiment:
+    """A run that was filmed, as an experiment."""
+    run = fit.runs[index]
+    pieces = zip(fit.solution.problem.pieces, fit.solution.starts, strict=True)
+    start = next(s for p, s in pieces if p.run == index)
+    ends = setup.start, setup.start + setup.course
+    place = float(np.clip(start[0], *ends))
+    mass = (run.mass or setup.mass) / setup.mass
+    frames = sum(len(p.t) for p in fit.solution.problem.pieces if p.run == index)
+    design = RunDesign((place, float(start[1])), ends, mass=mass, tilt=run.incline, frames=frames)
+    return Experiment(f"run {run.name}", f"{run.name}, at {start[1]:.2g} m/s", design)
