@@ -21,9 +21,9 @@ from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import discrimination, plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.experiments.candidates import candidate_experiments
 from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination, PresentRun
 from frictrack.diagnose.experiments.explanations import FittedExplanation, make_explanation
-from frictrack.diagnose.experiments.menu import candidate_experiments
 from frictrack.diagnose.experiments.rating import (
     compare_all,
     describe_separation,
@@ -31,7 +31,6 @@ from frictrack.diagnose.experiments.rating import (
     propose_experiments,
     rate_runs,
 )
-from frictrack.diagnose.experiments.setup import plain_run
 from frictrack.diagnose.experiments.virtual_runs import (
     RunDesign,
     expected_scatter,
@@ -464,6 +463,6 @@ def test_a_film_has_no_more_frames_than_the_camera_holds():
     assert any("give frames in [costs]" in line for line in fitted_setup(fit(LAW, still_moving)).assumed)
     declared = fitted_setup(fit(LAW, still_moving), Costs(frames=150))
     assert not any("give frames" in line for line in declared.assumed)
-    assert plain_run(declared, 4.0).frames == 150
+    assert declared.plain_run(4.0).frames == 150
     alone = fit(LAW, still_moving[:1]).solution
     assert max_frames_of_film(alone) > max_frames_of_film(solution)  # nothing shows that it did not leave the picture

@@ -21,8 +21,8 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.cli import main, output
+from frictrack.diagnose.experiments.candidates import COULOMB_DECELERATION, DEFAULT_NOISE_PX
 from frictrack.diagnose.experiments.evidence import simulate_runs
-from frictrack.diagnose.experiments.setup import COULOMB_DECELERATION, DEFAULT_NOISE_PX
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import add_effect, fit

@@ -159,19 +159,21 @@ class ModelDiscrimination:
         """The present runs under the fitted rival, in few rows."""
         return [compress_response(r) for r in self.fitted_rival.responses]
 
-    @property
+    @cached_property
     def expected_delta_bic_now(self) -> float:
         """Expected difference of BIC on the present runs, positive for the truth."""
         truth = self.truth.conservative
         return self._bic(self.fitted_rival, truth.problem.layout, truth.p, truth.tau_of_other_runs)
 
-    def forecast_after(self, design: RunDesign) -> EvidenceForecast:
+    def forecast_after(self, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
         """Forecast the difference of BIC once a planned run is filmed too, positive for the truth.
 
         Parameters
         ----------
         design
             The planned run.
+        simulate
+            Simulate the rival, too: slower, and right where its non-linear parameters change much.
 
         Returns
         -------
@@ -190,6 +192,11 @@ class ModelDiscrimination:
         tied = self._fit(planned, start_rival(planned, p, tau), tau)
         free = self._with_amplitude_per_run(tied, planned)
         best = min([tied, *free], key=lambda s: self._bic(s, run.layout, run.p, tau))
+        if simulate:
+            problem = self.rival.solution.problem.rebuild(
+                best.problem.layout, [*self.fitted_rival.problem.pieces, run.piece]
+            )
+            best = _refine(problem, best.p, best.starts, tau)
         slopes, curvatures = forecast_directions(best, self.truth.uncertain_directions(run))
         return EvidenceForecast(self._bic(best, run.layout, run.p, tau), slopes, curvatures, self.truth.is_open)
 

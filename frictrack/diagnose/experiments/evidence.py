@@ -12,21 +12,21 @@ Summed over runs, the part of a trace that neither the law nor the rival explain
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from frictrack import effects
-from frictrack.diagnose.experiments.menu import Experiment
-from frictrack.diagnose.experiments.setup import ExperimentSetup
+from frictrack import effects, models
+from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup, candidate_runs
 from frictrack.diagnose.experiments.virtual_runs import GOLDEN_ANGLE_RAD, PLANNED_RUN_NAME, VirtualRun, make_run
 from frictrack.effects import PLANNED_SHARE, Effect, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import displacement_response
 from frictrack.fit.linearised import has_per_run_coefficients
-from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.fit.stepwise import bic_penalty
 from frictrack.models import Model
 from frictrack.records import Array
@@ -47,20 +47,25 @@ REASON_BY_NEED = {
     "earlier": "needs pauses of known length between the runs",
 }
 
+Progress = Callable[[int, int, str], None]
+
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One simulated run of a set-up: the sensitivities of its law (n, P) and of its friction level (n, 1)."""
+    """One simulated run of a set-up, and the effect that each column (n, P) of its sensitivities belongs to."""
 
     experiment: Experiment
     run: VirtualRun
-    shared: list[str]  # effects of the shared unknowns, (P,)
-    law_columns: Array
-    level_column: Array
+    effects: list[str]
 
-    def without(self, name: str) -> Array:
-        """Sensitivities of the law without those of one effect."""
-        return self.law_columns[:, [k for k, effect in enumerate(self.shared) if effect != name]]
+    def columns_of_law(self, without: str = "") -> Array:
+        """Sensitivities (n, P') to the unknowns that the runs share, without those of one effect."""
+        return self.run.response.jac[:, [name not in (LEVEL, without) for name in self.effects]]
+
+    @property
+    def level_column(self) -> Array:
+        """Sensitivity (n, 1) to the friction level."""
+        return self.run.response.jac[:, [name == LEVEL for name in self.effects]]
 
 
 def simulate_runs(setup: ExperimentSetup, entries: Sequence[Experiment]) -> list[PlannedRun]:
@@ -87,10 +92,7 @@ def _simulate_run(setup: ExperimentSetup, experiment: Experiment) -> PlannedRun:
 
     near = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps)
     run = make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME)
-    is_level = np.isin(run.response.active, run.layout.levels)
-    shared = [run.layout.slots[i].effect for i in run.response.active if i not in run.layout.levels]
-    jac = run.response.jac
-    return PlannedRun(experiment, run, shared, jac[:, ~is_level], jac[:, is_level])
+    return PlannedRun(experiment, run, [run.layout.slots[i].effect for i in run.response.active])
 
 
 def span_of_runs(runs: Sequence[PlannedRun]) -> Span:
@@ -288,16 +290,13 @@ class NormalMatrices:
     frames: int
     paired: bool
 
-    def __add__(self, other: NormalMatrices) -> NormalMatrices:
-        return NormalMatrices(
-            self.ss + other.ss,
-            self.sd + other.sd,
-            self.dd + other.dd,
-            self.moments + other.moments,
-            self.runs + other.runs,
-            self.frames + other.frames,
-            self.paired,
-        )
+    @classmethod
+    def of_runs(cls, parts: Sequence[NormalMatrices]) -> NormalMatrices:
+        """Add the matrices of several runs."""
+        sums: dict[str, Any] = {
+            name: sum(getattr(part, name) for part in parts) for name in ("ss", "sd", "dd", "moments", "runs", "frames")
+        }
+        return replace(parts[0], **sums)
 
     def unexplained_chi2(self, *, scatter_known: bool = True) -> Array:
         """Chi-squared of every true effect that the law and the best fit of the rival leave unexplained.
@@ -356,7 +355,9 @@ def chi2_equivalent(t2: Array, df: int) -> Array:
     return np.asarray(((8 * df + 1) / (8 * df + 3)) ** 2 * df * np.log1p(np.maximum(t2, 0.0) / df))
 
 
-def reduce_run(planned: PlannedRun, traces: Array, tau: float, rival: Cause | None = None) -> NormalMatrices:
+def reduce_run(
+    planned: PlannedRun, traces: Array, tau: float, rival: Cause | None = None, without: str = ""
+) -> NormalMatrices:
     """Reduce one run, against all grid points of a rival if there is one.
 
     Parameters
@@ -369,13 +370,16 @@ def reduce_run(planned: PlannedRun, traces: Array, tau: float, rival: Cause | No
         Relative scatter of the friction level.
     rival
         The rival.
+    without
+        An effect that the law is taken without.
 
     Returns
     -------
     NormalMatrices
 
     """
-    shared, own, truth = planned.law_columns[None], np.empty((1, len(traces), 0)), traces[None]
+    law = planned.columns_of_law(without)
+    shared, own, truth = law[None], np.empty((1, len(traces), 0)), traces[None]
     paired = rival is not None and bool(rival.times)
     if rival is not None:
         block = effect_columns(planned, rival, rival.grid).transpose(1, 0, 2)  # (G, n, k)
@@ -384,8 +388,7 @@ def reduce_run(planned: PlannedRun, traces: Array, tau: float, rival: Cause | No
         elif has_per_run_coefficients(rival.effect):
             own = block
         else:
-            law = np.broadcast_to(planned.law_columns, (len(block), *planned.law_columns.shape))
-            shared = np.concatenate([law, block], axis=2)
+            shared = np.concatenate([np.broadcast_to(law, (len(block), *law.shape)), block], axis=2)
     level = np.broadcast_to(planned.level_column, (len(own), len(traces), 1))
     ss, sd, dd = _products(shared, shared), _products(shared, truth), np.sum(truth**2, axis=1)
     each = []
@@ -414,7 +417,7 @@ def _products(a: Array, b: Array) -> Array:
 
 def _best_points(planned: PlannedRun, block: Array, traces: Array) -> Array:
     """Grid point of an event's columns (G, n, k) that explains most of each trace (n, D) apart from the law, (D,)."""
-    q, _ = np.linalg.qr(np.column_stack([planned.law_columns, planned.level_column]))
+    q, _ = np.linalg.qr(np.column_stack([planned.columns_of_law(), planned.level_column]))
     left = block - q @ (q.T @ block)
     right = left.transpose(0, 2, 1) @ traces
     return np.asarray(np.argmax(np.sum(right * (_inverse(_products(left, left)) @ right), axis=1), axis=0))
@@ -429,6 +432,113 @@ def _inverse(gram: Array) -> Array:
     return np.asarray(inverse / size[:, :, None] / size[:, None, :])
 
 
-def sum_runs(parts: Sequence[NormalMatrices]) -> NormalMatrices:
-    """Add the matrices of several runs."""
-    return sum(parts[1:], start=parts[0])
+@dataclass(frozen=True)
+class EvidenceTables:
+    """Normal matrices of every candidate run for every effect.
+
+    Parameters
+    ----------
+    runs
+        The simulated runs, R of them.
+    causes
+        The effects, D of them.
+    sizes
+        Planned size of each effect, (D,).
+    matrices
+        Matrices of each run against each effect, and last without a rival: ``matrices[run][cause]``.
+    raw_chi2
+        Chi-squared of every trace before anything is fitted to it, (R, D): what a mark at rest in the picture shows.
+
+    """
+
+    runs: list[PlannedRun]
+    causes: list[Cause]
+    sizes: Array
+    matrices: list[list[NormalMatrices]]
+    raw_chi2: Array
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the effects."""
+        return [c.effect.name for c in self.causes]
+
+    def evidence(self, chosen: list[int], *, reference: bool) -> Array:
+        """Expected chi-squared that separates each true effect from each rival.
+
+        Parameters
+        ----------
+        chosen
+            Indices of runs.
+        reference
+            Whether a mark at rest is filmed too.
+
+        Returns
+        -------
+        ndarray, shape (D, D + 1)
+            Row: the true effect; column: the rival, the last one none.
+
+        """
+        d = len(self.causes)
+        if not chosen:
+            return np.zeros((d, d + 1))
+        by_rival = zip(*(self.matrices[r] for r in chosen), strict=True)
+        out = np.column_stack([NormalMatrices.of_runs(parts).unexplained_chi2() for parts in by_rival])
+        bare = out[:, -1].copy()
+        for k in (i for i, c in enumerate(self.causes) if reference and c.effect.moves_picture):
+            out[k] += self.raw_chi2[chosen, k].sum()
+            out[:, k] = np.where(np.arange(d) == k, out[:, k], bare)
+        out[np.arange(d), np.arange(d)] = np.inf
+        return np.maximum(out, 0.0)
+
+
+def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[EvidenceTables, dict[str, str]]:
+    """Simulate every candidate run and reduce it against every effect.
+
+    Parameters
+    ----------
+    setup
+        The experimental setup.
+    notify
+        Called with runs done, their total and the current step.
+
+    Returns
+    -------
+    tables : EvidenceTables
+    excluded : dict of str
+        Effects left out, with the reason.
+
+    """
+    runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
+    causes, excluded = list_causes(setup.law, span_of_runs(runs))
+    sizes = np.array([planned_size(runs, c) for c in causes])
+    matrices, raw_chi2 = [], []
+    for number, run in enumerate(runs):
+        notify(number, len(runs), f"simulating {run.experiment.key}")
+        traces = np.column_stack([effect_trace(run, c, s, number) for c, s in zip(causes, sizes, strict=True)])
+        matrices.append([reduce_run(run, traces, setup.scatter, rival) for rival in (*causes, None)])
+        raw_chi2.append(np.sum(traces**2, axis=0))
+    return EvidenceTables(runs, causes, sizes, matrices, np.array(raw_chi2)), excluded
+
+
+def tabulate_effect(runs: Sequence[PlannedRun], name: str, share: float, scatter: float) -> list[NormalMatrices] | None:
+    """Products of one effect with a share of the friction, and the rest of the law, in every run; None if not possible.
+
+    Parameters
+    ----------
+    runs
+        The simulated runs.
+    name
+        Name of the effect.
+    share
+        Its size over the mean friction.
+    scatter
+        Relative scatter of the friction levels.
+
+    """
+    law = models.of([e for e in runs[0].run.layout.model.effects if e.name != name])
+    cause = next((c for c in list_causes(law, span_of_runs(runs))[0] if c.effect.name == name), None)
+    if cause is None:
+        return None
+    size = planned_size(runs, cause) * share / PLANNED_SHARE
+    traces = (effect_trace(run, cause, size, number)[:, None] for number, run in enumerate(runs))
+    return [reduce_run(run, trace, scatter, without=name) for run, trace in zip(runs, traces, strict=True)]

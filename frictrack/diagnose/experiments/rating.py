@@ -15,9 +15,9 @@ from typing import Any
 
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose.effect_description import FittedEffect
+from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination
 from frictrack.diagnose.experiments.explanations import FittedExplanation, explain_by_axes, make_explanation
-from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign, last_settings
 from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck, Effect
 from frictrack.errors import FrictrackError
@@ -228,6 +228,7 @@ def rate_runs(
     entries: Sequence[Experiment],
     costs: Costs = DEFAULT_COSTS,
     notify: Progress = lambda what: None,
+    forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] = ModelDiscrimination.forecast_after,
 ) -> Iterator[RatedExperiment]:
     """Rate candidate runs.
 
@@ -241,6 +242,8 @@ def rate_runs(
         Costs of the runs.
     notify
         Called with the current step.
+    forecast
+        Forecasts the evidence of a run for a pair.
 
     Yields
     ------
@@ -260,7 +263,7 @@ def rate_runs(
         evidence = {}
         for pair in pairs:
             with suppress(FrictrackError):
-                evidence[pair.truth.name, pair.rival.name] = pair.forecast_after(entry.design)
+                evidence[pair.truth.name, pair.rival.name] = forecast(pair, entry.design)
         yield RatedExperiment(entry.key, entry.words, evidence, cost, entry.design, settings)
 
 

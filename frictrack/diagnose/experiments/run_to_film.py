@@ -21,30 +21,19 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects, models
+from frictrack import effects
 from frictrack.costs import DEFAULT_COSTS, Costs
-from frictrack.diagnose.experiments.discrimination import EvidenceForecast
-from frictrack.diagnose.experiments.evidence import (
-    NormalMatrices,
-    PlannedRun,
-    effect_trace,
-    list_causes,
-    planned_size,
-    reduce_run,
-    simulate_runs,
-    span_of_runs,
-    sum_runs,
-)
+from frictrack.diagnose.experiments.candidates import candidate_experiments, candidate_runs, fitted_setup
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination
+from frictrack.diagnose.experiments.evidence import NormalMatrices, simulate_runs, tabulate_effect
 from frictrack.diagnose.experiments.explanations import FittedExplanation, explain_by_axes, make_explanation
-from frictrack.diagnose.experiments.menu import combined_experiments
 from frictrack.diagnose.experiments.rating import MAX_BIC_NEAR, RatedExperiment, compare_all, rate_runs
 from frictrack.diagnose.experiments.selection import detection_threshold
-from frictrack.diagnose.experiments.setup import candidate_runs, fitted_setup
-from frictrack.diagnose.experiments.virtual_runs import last_settings
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, last_settings
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
 from frictrack.diagnose.unexplained import FIRST_FORMULA
 from frictrack.distributions import chi2_isf
-from frictrack.effects import PLANNED_SHARE, Effect
+from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
@@ -72,6 +61,7 @@ class Question:
     weight: float
     decisive: float
     now: float
+    pair: ModelDiscrimination | None = None
 
     def progress(self, after: float) -> float:
         """Weighted progress toward decisive evidence."""
@@ -105,6 +95,22 @@ def _value(experiment: RatedExperiment, questions: Sequence[Question]) -> tuple[
     pairs = [(q, _after(experiment, q).expected) for q in questions]
     gain = sum(q.weight * (after - q.now) for q, after in pairs)
     return sum(q.progress(after) for q, after in pairs) / experiment.cost, gain / experiment.cost
+
+
+def _added_to_measured(pair: ModelDiscrimination, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
+    """Evidence after a planned run: what the present runs give, and what the run is expected to add."""
+    measured = pair.truth.gain - pair.rival.gain
+    return pair.forecast_after(design, simulate=simulate).shifted(measured - pair.expected_delta_bic_now)
+
+
+def _simulated(experiment: RatedExperiment, questions: Sequence[Question]) -> RatedExperiment:
+    """The same run, its evidence on some questions from rivals that are simulated, too."""
+    evidence = dict(experiment.evidence)
+    for q in questions:
+        if q.pair is not None and experiment.design is not None:
+            with suppress(FrictrackError):  # a motion that cannot be integrated
+                evidence[q.true, q.rival] = _added_to_measured(q.pair, experiment.design, simulate=True)
+    return replace(experiment, evidence=evidence)
 
 
 @one_thread()
@@ -142,11 +148,12 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     if not options:
         return None
     best = max(options, key=lambda o: _value(o, questions))
-    open_now = [(q, _after(best, q)) for q in questions if q.now < q.decisive]
-    if sum(q.gain(e.expected) for q, e in open_now) < MIN_GAIN * sum(q.weight for q in questions):
+    open_now = [q for q in questions if q.now < q.decisive]
+    if sum(q.gain(_after(best, q).expected) for q in open_now) < MIN_GAIN * sum(q.weight for q in questions):
         return None
-    likeliest = max(q.weight for q, _ in open_now)
-    predicted = [(q, q.prediction(e)) for q, e in open_now if q.weight >= MIN_WEIGHT_RATIO * likeliest]
+    likely = [q for q in open_now if q.weight >= MIN_WEIGHT_RATIO * max(q.weight for q in open_now)]
+    best = _simulated(best, likely)
+    predicted = [(q, q.prediction(_after(best, q))) for q in likely]
     separated = [(q, p) for q, p in predicted if p["expected"] >= MIN_CHI2_SEPARATED] or predicted
     weightiest = max(q.weight for q, _ in separated)
     weakest = min((p for q, p in separated if q.weight == weightiest), key=lambda p: p["expected"])
@@ -269,17 +276,13 @@ def _rival_questions(found: Sequence[Weighted], costs: Costs, *, further: bool) 
     """
     pairs = compare_all([w.explanation for w in found])
     probability = {w.explanation.name: w.probability / (len(found) - 1) for w in found}
-    questions, expected_now = [], {}
+    questions = []
     for pair in pairs:
-        names, now = (pair.truth.name, pair.rival.name), pair.truth.gain - pair.rival.gain
+        true, now = pair.truth.name, pair.truth.gain - pair.rival.gain
         decisive = DECISIVE_DELTA_BIC + (now if further and now >= DECISIVE_DELTA_BIC else 0.0)
-        questions.append(Question(*names, probability[names[0]], decisive, now))
-        expected_now[names] = now - pair.expected_delta_bic_now
-    options = []
-    for rated in rate_runs(pairs, combined_experiments(pairs[0].truth.solution, costs) if pairs else [], costs):
-        measured = {names: e.shifted(expected_now[names]) for names, e in rated.evidence.items()}
-        options.append(replace(rated, evidence=measured))
-    return questions, options
+        questions.append(Question(true, pair.rival.name, probability[true], decisive, now, pair))
+    entries = candidate_experiments(found[0].explanation.solution, costs, combined=True)
+    return questions, list(rate_runs(pairs, entries, costs, forecast=_added_to_measured))
 
 
 # --- what the runs could show
@@ -325,11 +328,11 @@ def _power_questions(
     except FrictrackError:  # a drive, or a law without Coulomb friction
         return [], []
     count = sum(r.experiment in setup.completed for r in runs)
-    tables = {n: t for n in names if (t := _evidence_of_effect(runs, n, setup.scatter)) is not None}
+    tables = {n: t for n in names if (t := tabulate_effect(runs, n, SOUGHT_SHARE, setup.scatter))}
     times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
 
     def evidence(name: str, *further: NormalMatrices) -> float:
-        together = sum_runs([*tables[name][:count], *further])
+        together = NormalMatrices.of_runs([*tables[name][:count], *further])
         return float(together.unexplained_chi2(scatter_known=not suspected)[0])
 
     expected = {n: evidence(n) for n in tables}
@@ -345,15 +348,3 @@ def _power_questions(
             after = {(n, ""): EvidenceForecast(scale[n] * evidence(n, *[t[i]] * times)) for n, t in tables.items()}
             options.append(RatedExperiment(entry.key, f"Film {entry.words}", after, cost, entry.design, settings))
     return questions, options
-
-
-def _evidence_of_effect(runs: Sequence[PlannedRun], name: str, scatter: float) -> list[NormalMatrices] | None:
-    """Products of one effect of `SOUGHT_SHARE` of the friction and the rest of the law, in every run."""
-    law = models.of([e for e in runs[0].run.layout.model.effects if e.name != name])
-    cause = next((c for c in list_causes(law, span_of_runs(runs))[0] if c.effect.name == name), None)
-    if cause is None:
-        return None
-    size = planned_size(runs, cause) * SOUGHT_SHARE / PLANNED_SHARE
-    traces = (effect_trace(run, cause, size, number)[:, None] for number, run in enumerate(runs))
-    without = (replace(run, law_columns=run.without(name)) for run in runs)
-    return [reduce_run(run, trace, scatter) for run, trace in zip(without, traces, strict=True)]

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup
 from frictrack.diagnose.experiments.evidence import (
     MEASUREMENT_NOISE_RATIO,
-    Cause,
-    NormalMatrices,
+    EvidenceTables,
     PlannedRun,
-    effect_trace,
-    list_causes,
-    planned_size,
-    reduce_run,
-    simulate_runs,
-    span_of_runs,
-    sum_runs,
+    Progress,
+    tabulate_evidence,
 )
 from frictrack.diagnose.experiments.rating import settled_by
-from frictrack.diagnose.experiments.setup import Experiment, ExperimentSetup, candidate_runs
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality
@@ -46,72 +39,11 @@ PLANNED_SIZES = (
     "effects without a size (presliding, lag): the middle of the scanned range"
 )
 
-Progress = Callable[[int, int, str], None]
-
 
 @cache
 def detection_threshold(forms: int = N_INDEPENDENT_FORMS) -> float:
     """Expected rise of chi-squared that is detected in 95 of 100 repeats, in a search of so many independent forms."""
     return noncentrality(float(chi2_isf(ALPHA / 2 / forms, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
-
-
-@dataclass(frozen=True)
-class EvidenceTables:
-    """Normal matrices of every candidate run for every effect.
-
-    Parameters
-    ----------
-    runs
-        The simulated runs, R of them.
-    causes
-        The effects, D of them.
-    sizes
-        Planned size of each effect, (D,).
-    matrices
-        Matrices of each run against each effect, and last without a rival: ``matrices[run][cause]``.
-    raw_chi2
-        Chi-squared of every trace before anything is fitted to it, (R, D): what a mark at rest in the picture shows.
-
-    """
-
-    runs: list[PlannedRun]
-    causes: list[Cause]
-    sizes: Array
-    matrices: list[list[NormalMatrices]]
-    raw_chi2: Array
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the effects."""
-        return [c.effect.name for c in self.causes]
-
-    def evidence(self, chosen: list[int], *, reference: bool) -> Array:
-        """Expected chi-squared that separates each true effect from each rival.
-
-        Parameters
-        ----------
-        chosen
-            Indices of runs.
-        reference
-            Whether a mark at rest is filmed too.
-
-        Returns
-        -------
-        ndarray, shape (D, D + 1)
-            Row: the true effect; column: the rival, the last one none.
-
-        """
-        d = len(self.causes)
-        if not chosen:
-            return np.zeros((d, d + 1))
-        by_rival = zip(*(self.matrices[r] for r in chosen), strict=True)
-        out = np.column_stack([sum_runs(parts).unexplained_chi2() for parts in by_rival])
-        bare = out[:, -1].copy()
-        for k in (i for i, c in enumerate(self.causes) if reference and c.effect.moves_picture):
-            out[k] += self.raw_chi2[chosen, k].sum()
-            out[:, k] = np.where(np.arange(d) == k, out[:, k], bare)
-        out[np.arange(d), np.arange(d)] = np.inf
-        return np.maximum(out, 0.0)
 
 
 def separation(evidence: Array) -> Array:
@@ -167,35 +99,6 @@ class RunPlan:
         """The completed and the chosen runs."""
         keys = {e.key for e in self.setup.completed} | {s.experiment.key for s in self.steps if s.experiment}
         return [r for r in self.tables.runs if r.experiment.key in keys]
-
-
-def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[EvidenceTables, dict[str, str]]:
-    """Simulate every candidate run and reduce it against every effect.
-
-    Parameters
-    ----------
-    setup
-        The experimental setup.
-    notify
-        Called with runs done, their total and the current step.
-
-    Returns
-    -------
-    tables : EvidenceTables
-    excluded : dict of str
-        Effects left out, with the reason.
-
-    """
-    runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
-    causes, excluded = list_causes(setup.law, span_of_runs(runs))
-    sizes = np.array([planned_size(runs, c) for c in causes])
-    matrices, raw_chi2 = [], []
-    for number, run in enumerate(runs):
-        notify(number, len(runs), f"simulating {run.experiment.key}")
-        traces = np.column_stack([effect_trace(run, c, s, number) for c, s in zip(causes, sizes, strict=True)])
-        matrices.append([reduce_run(run, traces, setup.scatter, rival) for rival in (*causes, None)])
-        raw_chi2.append(np.sum(traces**2, axis=0))
-    return EvidenceTables(runs, causes, sizes, matrices, np.array(raw_chi2)), excluded
 
 
 @one_thread()
