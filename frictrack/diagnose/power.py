@@ -21,7 +21,7 @@ from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE, CandidateScan, LinearisedPiece
+from frictrack.fit.linearised import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.fit.uncertainty import Estimate, linear_estimates
 from frictrack.number_format import format_plain
 from frictrack.records import Array
@@ -92,12 +92,11 @@ def detection_limit(
     visited = per_amplitude > MIN_RELATIVE_GAIN * np.median(per_amplitude)
     worst = int(np.argmax(np.where(visited, needed, 0.0))) if visited.any() else 0
     size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
-    unit = size.unit if size else ""
     at = {p.name: family.point(worst)[p.name] for p in scanned.effect.nonlinear if p.scan is not None}
     curve = dict(zip(family.names, family.values.T, strict=True)) | {"limit": needed}
     value = float(needed[worst]) if np.isfinite(needed[worst]) else None
     reason = None if value is not None else "the fitted model absorbs it whatever its size"
-    return {"value": value, "unit": unit, "at": at, "power": POWER, "reason": reason}, curve
+    return {"value": value, "unit": size.unit if size else "", "at": at, "power": POWER, "reason": reason}, curve
 
 
 def _unit_gain(scan: CandidateScan, projector: Array) -> Array:
@@ -197,9 +196,7 @@ def find_undetermined(
 
 def mean_friction(first: Examination) -> float:
     """Mean size of the friction force of a fitted model over its frames, N."""
-    forces = []
-    for strip in first.draws.law.pieces:
-        forces.append(np.abs(strip.problem.model.force(strip.path, strip.values)))
+    forces = [np.abs(s.problem.model.force(s.path, s.values)) for s in first.draws.law.pieces]
     return max(float(np.mean(np.concatenate(forces))), 1e-300)
 
 
@@ -222,14 +219,13 @@ def limit_as_force(first: Examination, scanned: ScannedCandidate, limits: Array)
     """
     family = scanned.scans[0].grid
     g = _middle_row(family.values)
-    unit_forces = [_unit_force(s, family, g) for s in first.draws.law.pieces]
-    unit = float(np.sqrt(np.mean(np.concatenate(unit_forces) ** 2)))
-    return float(limits[g]) * unit
+    unit = [family.raw_columns(s, family.values[g : g + 1])[0, 0] for s in first.draws.law.pieces]  # of one coefficient
+    return float(limits[g]) * rms_of_parts(unit)
 
 
-def _unit_force(strip: LinearisedPiece, family: Any, g: int) -> Array:
-    """Force of one unit of the first coefficient along one piece, N."""
-    return np.asarray(family.raw_columns(strip, family.values[g : g + 1])[0, 0])
+def rms_of_parts(parts: Sequence[Array]) -> float:
+    """Root mean square of values that come in several arrays."""
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 def _middle_row(values: Array) -> int:
@@ -272,10 +268,9 @@ def _uncertain_coefficients(
             found = known.get(f"{effect.name}.{p.name}")
             if not (effect.basic or effect.kind == "coulomb") or p.per_run or found is None or not found.std:
                 continue
-            columns = [
-                s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.pieces
-            ]
-            share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
+            pieces = first.draws.law.pieces
+            columns = [s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in pieces]
+            share = found.std * rms_of_parts(columns) / friction
             if share > MIN_DETECTABLE_SHARE:
                 why = f"its standard deviation, {found.std:.2g} {p.unit}, is {100 * share:.0f} % of the mean friction"
                 yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm, uncertainty=share)

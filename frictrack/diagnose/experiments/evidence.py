@@ -22,6 +22,7 @@ import numpy as np
 from frictrack import effects, models
 from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup, candidate_runs
 from frictrack.diagnose.experiments.virtual_runs import GOLDEN_ANGLE_RAD, PLANNED_RUN_NAME, VirtualRun, make_run
+from frictrack.diagnose.power import rms_of_parts
 from frictrack.effects import PLANNED_SHARE, Effect, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import displacement_response
@@ -245,13 +246,9 @@ def planned_size(runs: Sequence[PlannedRun], cause: Cause) -> float:
     of_one = [_raw_columns(r, effect, [cause.setting])[:, 0] for r in runs]
     if effect.acts_on == "measurement":
         shifts = [column / r.run.piece.sigma for column, r in zip(of_one, runs, strict=True)]
-        return MEASUREMENT_NOISE_RATIO / max(_rms(shifts), 1e-300)
+        return MEASUREMENT_NOISE_RATIO / max(rms_of_parts(shifts), 1e-300)
     friction = np.concatenate([r.run.piece.mass * (r.run.piece.known - r.run.response.motion.a) for r in runs])
-    return PLANNED_SHARE * float(np.mean(np.abs(friction))) / max(_rms(of_one), 1e-300)
-
-
-def _rms(parts: list[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    return PLANNED_SHARE * float(np.mean(np.abs(friction))) / max(rms_of_parts(of_one), 1e-300)
 
 
 def effect_trace(planned: PlannedRun, cause: Cause, size: float, number: int) -> Array:

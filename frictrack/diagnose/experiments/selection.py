@@ -144,12 +144,11 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
         progress = _score(evidence) - _score(found)
         if progress[0] <= 0 and progress[1] < MIN_PROGRESS_PAIRS:
             break
-        new, seen = set(unseparated_pairs(evidence)), set(undetected(evidence))
-        separated = sorted(new.difference(unseparated_pairs(found)))
-        experiment = None if best == REFERENCE else tables.runs[best].experiment
-        names = tables.names
-        shown = [names[k] for k in sorted(seen.difference(undetected(found)))]
-        steps.append(PlanStep(experiment, found, [(names[a], names[b]) for a, b in separated], shown, cost))
+        separated = sorted(set(unseparated_pairs(evidence)).difference(unseparated_pairs(found)))
+        detected = sorted(set(undetected(evidence)).difference(undetected(found)))
+        experiment, names = None if best == REFERENCE else tables.runs[best].experiment, tables.names
+        pairs = [(names[a], names[b]) for a, b in separated]
+        steps.append(PlanStep(experiment, found, pairs, [names[k] for k in detected], cost))
         evidence = found
         chosen.append(best)
         rest.remove(best)

@@ -118,13 +118,8 @@ class RunConditions:
 
     def settings(self, design: RunDesign) -> RunSettings:
         """Settings of a planned run."""
-        return RunSettings(
-            design.start[1],
-            self.mass * design.mass,
-            self.incline + design.tilt,
-            self.fps * design.rate,
-            design.pitch,
-        )
+        mass, incline = self.mass * design.mass, self.incline + design.tilt
+        return RunSettings(design.start[1], mass, incline, self.fps * design.rate, design.pitch)
 
     def blank_piece(self, design: RunDesign, run: int, fine: int) -> Piece:
         """Piece of a planned run whose motion is not yet simulated, with `fine` integration panels per frame."""
