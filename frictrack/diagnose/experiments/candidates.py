@@ -56,16 +56,15 @@ def speed_to_stop(deceleration: float, distance: float) -> float:
     return float(np.sqrt(2 * deceleration * distance))
 
 
-def changed_runs(plain: RunDesign, run: str) -> Iterator[Experiment]:
-    """List a plain run, which `run` describes, with another mass, a tilted course, and more frames per second."""
-    yield Experiment("double mass", f"{run} with the mass doubled", replace(plain, mass=2.0))
-    yield Experiment("half mass", f"{run} with half the mass", replace(plain, mass=0.5))
+def changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[Experiment]:
+    """List a plain run with another mass, a tilted course, and more frames per second; two sentences have a gap."""
+    yield Experiment("double mass", other_mass.format("with the mass doubled"), replace(plain, mass=2.0))
+    yield Experiment("half mass", other_mass.format("with half the mass"), replace(plain, mass=0.5))
     for sign, word in ((1.0, "raised"), (-1.0, "lowered")):
-        words = f"{run} with the far end of the course {word} by 5 degrees (give incline)"
-        yield Experiment(f"tilt {sign:+.0f}", words, replace(plain, tilt=sign * TILT_RAD))
-    yield Experiment(
-        "frame rate", f"{run} at twice the frame rate, as long as the light allows", replace(plain, rate=2.0)
-    )
+        tilted = f"with the far end of the course {word} by 5 degrees (give incline)"
+        yield Experiment(f"tilt {sign:+.0f}", otherwise.format(tilted), replace(plain, tilt=sign * TILT_RAD))
+    faster = "at twice the frame rate, as long as the light allows"
+    yield Experiment("frame rate", otherwise.format(faster), replace(plain, rate=2.0))
 
 
 def candidate_experiments(
@@ -171,7 +170,7 @@ class _ObservedSetup:
     def other_changes(self) -> Iterator[Experiment]:
         """Another mass, a tilted course, more frames per second, another zoom, a longer run."""
         plain, at = self.design(self.typical), f"at about {self.typical:.1f} m/s"
-        yield from changed_runs(plain, f"{self.verb} a run {at}")
+        yield from changed_runs(plain, f"{self.verb} a run {{}}, {at}", f"{self.verb} a run {at} {{}}")
         words = {
             ("zoom", 0.7): f"{self.verb} a run {at} at another zoom, a pixel being 0.7 times as large",
             ("longer", 1.5): f"{self.verb} a longer run: half as far again, {at}, the camera moved back",
@@ -318,7 +317,8 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
     ['1 m/s', '2 m/s', '4 m/s']
 
     """
-    changed = changed_runs(setup.plain_run(MIDDLE_SPEED_M_S), f"one run at {MIDDLE_SPEED_M_S:g} m/s")
+    sentence = f"one run at {MIDDLE_SPEED_M_S:g} m/s {{}}"
+    changed = changed_runs(setup.plain_run(MIDDLE_SPEED_M_S), sentence, sentence)
     entries, conditions = [*_speeds(setup), *changed], setup.conditions
     return [e for e in entries if np.isfinite(setup.costs.of_run(conditions.settings(e.design), None))]
 
