@@ -36,17 +36,6 @@ NOT_ESTIMATED = ("fixed", "tied")  # reasons for a parameter without standard de
 def noncentrality(threshold: float, freedom: int) -> float:
     """Non-centrality at which chi-squared exceeds a threshold with probability `POWER`.
 
-    Parameters
-    ----------
-    threshold
-        The threshold.
-    freedom
-        Degrees of freedom.
-
-    Returns
-    -------
-    float
-
     Examples
     --------
     >>> round(noncentrality(3.84, 1), 1)  # (1.96 + 1.645)^2
@@ -201,22 +190,7 @@ def mean_friction(first: Examination) -> float:
 
 
 def limit_as_force(first: Examination, scanned: ScannedCandidate, limits: Array) -> float:
-    """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms.
-
-    Parameters
-    ----------
-    first
-        Examination of the model.
-    scanned
-        The effect's scans.
-    limits
-        Its detection limits at all grid points, (G,).
-
-    Returns
-    -------
-    float
-
-    """
+    """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms, from its limits (G,)."""
     family = scanned.scans[0].grid
     g = _middle_row(family.values)
     unit = [family.raw_columns(s, family.values[g : g + 1])[0, 0] for s in first.draws.law.pieces]  # of one coefficient

@@ -70,22 +70,10 @@ def changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[
 def candidate_experiments(
     solution: Solution, costs: Costs = DEFAULT_COSTS, *, combined: bool = False
 ) -> list[Experiment]:
-    """List runs that could be filmed next, within what the set-up has shown.
+    """List runs that could be filmed next, within what the set-up has shown in a fit of its runs.
 
-    Parameters
-    ----------
-    solution
-        A fit of the present runs.
-    costs
-        Slowest and fastest speed of the set-up, its masses, and largest number of frames in one film.
-    combined
-        Whether runs that combine speed, direction and mass follow the single changes.
-
-    Returns
-    -------
-    list of Experiment
-        Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length.
-
+    Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length. With `combined`, runs
+    that combine speed, direction and mass follow.
     """
     setup = _observe_setup(solution, costs)
     entries = [*setup.speed_changes(*costs.speeds), *setup.other_changes()]

@@ -93,17 +93,10 @@ class EvidenceForecast:
         return replace(self, expected=self.expected + by)
 
     def interval(self) -> tuple[float, float | None]:
-        """95 % interval, from a fixed sample of z and of the noise.
+        """95 % interval, from a fixed sample of z and of the noise; None above if the size of the effect is unknown.
 
         It includes the interval that the noise alone gives at the fitted values, because a parameter may be too
         uncertain for a linear model of its effect.
-
-        Returns
-        -------
-        low : float
-        high : float or None
-            None if the size of the effect is unknown.
-
         """
         deviates = np.random.default_rng(0).standard_normal((N_DEVIATES, len(self.slopes) + 1))
         noise, z = deviates[:, 0], deviates[:, 1:]
@@ -115,19 +108,9 @@ class EvidenceForecast:
 
 
 def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
-    """Compute how the evidence of a planned run changes with the uncertain quantities of its prediction.
+    """Slopes and curvatures (k,) of the evidence of a planned run, the last response of a rival fitted to all runs.
 
-    Parameters
-    ----------
-    rival
-        The rival, fitted to all runs; the planned run is its last response.
-    planned
-        Whitened change (n, k) of the planned run for one standard deviation of each uncertain quantity.
-
-    Returns
-    -------
-    slopes, curvatures : ndarray, shape (k,)
-
+    `planned` (n, k) is the whitened change of the run for one standard deviation of each uncertain quantity.
     """
     law, q = model_projection(rival, np.flatnonzero(~rival.held).tolist()), rival.responses[-1].q
     moved = np.zeros((len(law.u), planned.shape[1]))
@@ -168,22 +151,8 @@ class ModelDiscrimination:
     def forecast_after(self, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
         """Forecast the difference of BIC once a planned run is filmed too, positive for the truth.
 
-        Parameters
-        ----------
-        design
-            The planned run.
-        simulate
-            Simulate the rival, too: slower, and right where its non-linear parameters change much.
-
-        Returns
-        -------
-        EvidenceForecast
-
-        Raises
-        ------
-        FrictrackError
-            If the run is too short, or if its motion cannot be integrated under the rival.
-
+        With `simulate`, the rival is simulated too: slower, and right where its non-linear parameters change much.
+        Raises FrictrackError if the run is too short, or if its motion cannot be integrated under the rival.
         """
         run = self.truth.predicted_run(design, max(e.fine for e in self.rival.solution.problem.model.effects))
         tau = self.truth.scatter_with(run)
@@ -227,7 +196,7 @@ class ModelDiscrimination:
         shared = [values.get((s.effect, s.parameter, None), 0.0) for s in free.slots]
         p = [values.get((s.effect, s.parameter, s.run), one) for s, one in zip(free.slots, shared, strict=True)]
         with suppress(FrictrackError):
-            yield self._fit(planned.with_layout(free), np.array(p), tied.tau)
+            yield self._fit(LinearisedRun(free, planned.pieces[0], planned.first_start), np.array(p), tied.tau)
 
 
 def count_unknowns(layout: ParameterLayout) -> int:
@@ -305,13 +274,12 @@ def start_rival(planned: LinearisedRun, p: Array, tau: float) -> Array:
         sizes = [k for k, s, size in slots if s.effect == phase.effect and size in SIZE_ROLES and s.run in (None, run)]
         if role == "phase" and phase.run == run and sizes:
             p[i] += _phase_shift(planned.respond(p), layout, sizes[0], i, p)
-    t = planned.pieces[0].t
     times = [i for i, s, role in slots if s.run == run and not s.linear and s.unit == "s" and role != "phase"]
-    own = np.array([s.run == run for s in layout.slots])
+    if not times:
+        return p
+    t, own = planned.pieces[0].t, np.array([s.run == run for s in layout.slots])
     tried = []
     for trial in [p, *(_with_value(p, i, t[0] + share * (t[-1] - t[0])) for i in times for share in START_TIMES)]:
-        if not times:
-            return p
         with suppress(FrictrackError):  # a start too wild to be integrated
             tried.append((predicted_objective(planned, trial, [planned.first_start], tau=tau, free=own)[0], trial))
     return min(tried, key=lambda one: one[0], default=(0.0, p))[1]

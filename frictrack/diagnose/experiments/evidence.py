@@ -205,22 +205,9 @@ def _raw_columns(planned: PlannedRun, effect: Effect, settings: Sequence[dict[st
 
 
 def effect_columns(planned: PlannedRun, cause: Cause, grid: Sequence[dict[str, float]]) -> Array:
-    """Whitened columns of an effect in one run, initial conditions projected out.
+    """Whitened columns (n, G, k) of an effect at G settings in one run, initial conditions projected out.
 
-    Parameters
-    ----------
-    planned
-        The simulated run.
-    cause
-        The effect.
-    grid
-        Its G settings.
-
-    Returns
-    -------
-    ndarray, shape (n, G, k)
-        Sine and cosine columns for an effect with a phase.
-
+    An effect with a phase has a sine and a cosine column.
     """
     effect, response = cause.effect, planned.run.response
     length = float(response.piece.t[-1])
@@ -296,20 +283,11 @@ class NormalMatrices:
         return replace(parts[0], **sums)
 
     def unexplained_chi2(self, *, scatter_known: bool = True) -> Array:
-        """Chi-squared of every true effect that the law and the best fit of the rival leave unexplained.
+        """Chi-squared (D,) of every true effect that the law and the best fit of the rival leave unexplained.
 
-        A rival that needs a different amplitude in every run gets them, at the penalty of BIC for each.
-
-        Parameters
-        ----------
-        scatter_known
-            Whether the scatter of the levels is known. Otherwise these runs alone show it, and what the friction levels
-            say has only as many degrees of freedom.
-
-        Returns
-        -------
-        ndarray, shape (D,)
-
+        A rival that needs a different amplitude in every run gets them, at the penalty of BIC for each. Where the
+        scatter of the levels is not known, these runs alone show it: what the levels say has only as many degrees of
+        freedom.
         """
         norm = np.sqrt(np.maximum(np.einsum("kgss->kgs", self.ss), 1e-300))
         unit = self.ss / norm[..., :, None] / norm[..., None, :] + RIDGE_RATIO * np.eye(self.ss.shape[-1])
@@ -328,17 +306,6 @@ class NormalMatrices:
 def chi2_equivalent(t2: Array, df: int) -> Array:
     """Chi-squared of one degree of freedom that is as improbable as the square of Student's t.
 
-    Parameters
-    ----------
-    t2
-        Squares of t.
-    df
-        Degrees of freedom of the variance in t.
-
-    Returns
-    -------
-    ndarray
-
     References
     ----------
     Wallace, D. L. (1959). Ann. Math. Stat. 30, 1121-1130.
@@ -355,25 +322,9 @@ def chi2_equivalent(t2: Array, df: int) -> Array:
 def reduce_run(
     planned: PlannedRun, traces: Array, tau: float, rival: Cause | None = None, without: str = ""
 ) -> NormalMatrices:
-    """Reduce one run, against all grid points of a rival if there is one.
+    """Reduce one run with traces (n, D) of the true effects, against all grid points of a rival if there is one.
 
-    Parameters
-    ----------
-    planned
-        The simulated run.
-    traces
-        Traces of the true effects, (n, D).
-    tau
-        Relative scatter of the friction level.
-    rival
-        The rival.
-    without
-        An effect that the law is taken without.
-
-    Returns
-    -------
-    NormalMatrices
-
+    `tau` is the relative scatter of the friction level; the law is taken without one of its effects, if named.
     """
     law = planned.columns_of_law(without)
     shared, own, truth = law[None], np.empty((1, len(traces), 0)), traces[None]
@@ -460,20 +411,9 @@ class EvidenceTables:
         return [c.effect.name for c in self.causes]
 
     def evidence(self, chosen: list[int], *, reference: bool) -> Array:
-        """Expected chi-squared that separates each true effect from each rival.
+        """Expected chi-squared (D, D + 1) that separates each true effect (row) from each rival, the last one none.
 
-        Parameters
-        ----------
-        chosen
-            Indices of runs.
-        reference
-            Whether a mark at rest is filmed too.
-
-        Returns
-        -------
-        ndarray, shape (D, D + 1)
-            Row: the true effect; column: the rival, the last one none.
-
+        `chosen` are indices of runs; with `reference`, a mark at rest is filmed too.
         """
         d = len(self.causes)
         if not chosen:
@@ -489,22 +429,7 @@ class EvidenceTables:
 
 
 def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[EvidenceTables, dict[str, str]]:
-    """Simulate every candidate run and reduce it against every effect.
-
-    Parameters
-    ----------
-    setup
-        The experimental setup.
-    notify
-        Called with runs done, their total and the current step.
-
-    Returns
-    -------
-    tables : EvidenceTables
-    excluded : dict of str
-        Effects left out, with the reason.
-
-    """
+    """Simulate every candidate run and reduce it against every effect; return effects left out and why, too."""
     runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
     causes, excluded = list_causes(setup.law, span_of_runs(runs))
     sizes = np.array([planned_size(runs, c) for c in causes])
@@ -518,20 +443,7 @@ def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[Evidenc
 
 
 def tabulate_effect(runs: Sequence[PlannedRun], name: str, share: float, scatter: float) -> list[NormalMatrices] | None:
-    """Products of one effect with a share of the friction, and the rest of the law, in every run; None if not possible.
-
-    Parameters
-    ----------
-    runs
-        The simulated runs.
-    name
-        Name of the effect.
-    share
-        Its size over the mean friction.
-    scatter
-        Relative scatter of the friction levels.
-
-    """
+    """Matrices of the law without an effect, of a share of the friction, in every run; None if that is not possible."""
     law = models.of([e for e in runs[0].run.layout.model.effects if e.name != name])
     cause = next((c for c in list_causes(law, span_of_runs(runs))[0] if c.effect.name == name), None)
     if cause is None:

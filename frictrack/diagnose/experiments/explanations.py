@@ -122,20 +122,6 @@ def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExp
 
     A size that the runs do not determine (a constant pull with Coulomb friction) may be fitted absurdly large. It
     would promise absurd evidence for other runs, so it is held small for predictions.
-
-    Parameters
-    ----------
-    name
-        Name of the effect, or address of the parameter.
-    solution
-        The fit with it.
-    bare
-        The fit without it.
-
-    Returns
-    -------
-    FittedExplanation
-
     """
     gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
     if name in solution.problem.model:
@@ -174,20 +160,9 @@ def _friction_sizes(solution: Solution, effect: Effect) -> Array:
 
 
 def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
-    """Explain the residual of a fit by a free curve over each of its most likely axes.
+    """Explain the residual of a fit by a free curve over each of its most likely axes, the largest gain first.
 
     The curve over place, time since release or speed is piecewise linear with free heights.
-
-    Parameters
-    ----------
-    solution
-        The fit.
-
-    Returns
-    -------
-    list of FittedExplanation
-        Largest gain first.
-
     """
     friction = float(np.median(np.abs(np.concatenate([r.piece.mass * r.motion.a for r in solution.responses]))))
     likeliest: dict[str, SmoothForce] = {}  # by axis, over its factors

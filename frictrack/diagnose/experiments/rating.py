@@ -230,25 +230,9 @@ def rate_runs(
     notify: Progress = lambda what: None,
     forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] = ModelDiscrimination.forecast_after,
 ) -> Iterator[RatedExperiment]:
-    """Rate candidate runs.
+    """Rate candidate runs by a forecast for every pair of explanations.
 
-    Parameters
-    ----------
-    pairs
-        The pairs of explanations to separate.
-    entries
-        The runs; those that the set-up cannot do are left out, and those that cannot be simulated have no evidence.
-    costs
-        Costs of the runs.
-    notify
-        Called with the current step.
-    forecast
-        Forecasts the evidence of a run for a pair.
-
-    Yields
-    ------
-    RatedExperiment
-
+    Runs that the set-up cannot do are left out. Pairs for which a run cannot be simulated have no evidence.
     """
     if not (pairs and entries):
         return

@@ -285,10 +285,6 @@ class LinearisedRun(LeastSquaresProblem):
         self.first_start = np.array(start)
         self._linear: LinearResponse | None = None  # of the first evaluation; near the motion it hardly changes
 
-    def with_layout(self, layout: ParameterLayout) -> LinearisedRun:
-        """The same run with other unknowns."""
-        return LinearisedRun(layout, self.pieces[0], self.first_start)
-
     def respond(self, p: Array) -> PieceResponse:
         """Residual and sensitivities of the run at unknowns p (P,)."""
         return self.evaluate(p, [self.first_start])[0]
@@ -347,26 +343,10 @@ class VirtualRun:
 def make_run(
     conditions: RunConditions, design: RunDesign, unknowns: Callable[[Span], Unknowns], near: Span, fine: int = 1
 ) -> VirtualRun:
-    """Simulate a planned run.
+    """Simulate a planned run of a model. Its unknowns depend on the span of the run, the last one in their layout.
 
-    Parameters
-    ----------
-    conditions
-        What all planned runs have in common.
-    design
-        The planned run.
-    unknowns
-        Unknowns of the model, the planned run being the last of the layout, for the span of the run.
-    near
-        A span near that of the run, which is not known yet.
-    fine
-        Integration panels per frame.
-
-    Raises
-    ------
-    FrictrackError
-        If the run has fewer than `MIN_RUN_FRAMES` frames, or cannot be integrated.
-
+    `near` is a span near that of the run, which is not known yet. Raises FrictrackError if the run has fewer than
+    `MIN_RUN_FRAMES` frames, or cannot be integrated.
     """
     layout, p = unknowns(near)
     piece = conditions.blank_piece(design, len(layout.run_names) - 1, fine)
