@@ -228,9 +228,9 @@ def rate_runs(
     entries: Sequence[Experiment],
     costs: Costs = DEFAULT_COSTS,
     notify: Progress = lambda what: None,
-    forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] = ModelDiscrimination.forecast_after,
+    forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] | None = None,
 ) -> Iterator[RatedExperiment]:
-    """Rate candidate runs by a forecast for every pair of explanations.
+    """Rate candidate runs by a forecast for every pair of explanations; by default only while they may separate it.
 
     Runs that the set-up cannot do are left out. Pairs for which a run cannot be simulated have no evidence.
     """
@@ -244,10 +244,14 @@ def rate_runs(
         if not isfinite(cost):
             continue
         notify(f"weighing an experiment: {entry.key}")
-        evidence = {}
+        evidence: dict[Pair, EvidenceForecast] = {}
         for pair in pairs:
+            reverse = evidence.get((pair.rival.name, pair.truth.name))
+            if forecast is None and reverse is not None and reverse.expected < MIN_BIC_SEPARATED:
+                continue
             with suppress(FrictrackError):
-                evidence[pair.truth.name, pair.rival.name] = forecast(pair, entry.design)
+                made = forecast(pair, entry.design) if forecast else pair.forecast_after(entry.design)
+                evidence[pair.truth.name, pair.rival.name] = made
         yield RatedExperiment(entry.key, entry.words, evidence, cost, entry.design, settings)
 
 
