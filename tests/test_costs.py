@@ -17,13 +17,16 @@ from frictrack import effects, study
 from frictrack.cli import plan_output
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import EvidenceForecast, Experiment, RunDesign, combined_experiments
+from frictrack.diagnose.experiments import selection
+from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast
 from frictrack.diagnose.experiments.rating import RatedExperiment, _rank
+from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.flow.predictions import Predictions, resolve_prediction
-from frictrack.plan import choose_runs, default_setup, next_run, selection
+from frictrack.plan import choose_runs, default_setup, next_run
 from frictrack.verdicts import describe_predictions
 
 LAST = RunSettings(4.0, 0.35, 0.0, 4000.0)
@@ -87,7 +90,7 @@ def test_the_table_is_read(tmp_path):
 
 def rated(key, evidence, cost):
     both = dict.fromkeys([("drag", "drift"), ("drift", "drag")], EvidenceForecast(evidence))
-    return RatedExperiment(key, key, "film", both, cost)
+    return RatedExperiment(key, key, both, cost)
 
 
 def test_experiments_are_ranked_by_evidence_over_cost():
@@ -151,7 +154,7 @@ def test_the_named_run_gives_the_evidence_that_is_predicted(ambiguous):
     named = next_run(made, found, costs)
     assert named["cost"] == 1.0
     assert any(abs(named["settings"]["mass"] - m) < 0.02 * m for m in costs.masses)
-    design = next(e.design for e in combined_experiments(made.solution, costs) if e.key == named["key"])
+    design = next(e.design for e in candidate_experiments(made.solution, costs, combined=True) if e.key == named["key"])
     effects_only = [p for p in named["predictions"] if p["true"] == truth and p["rival"] in effects.LIBRARY]
     least = min(effects_only, key=lambda p: p["expected"])
     _, after = explained([*runs, take(design, law, 0.02)], truth, least["rival"])

@@ -17,6 +17,7 @@ from frictrack.costs import Costs
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
 from frictrack.diagnose.conclusion import _limits
 from frictrack.diagnose.examination import examine
+from frictrack.diagnose.experiments.run_to_film import Question, Weighted, _rival_questions, list_explanations
 from frictrack.diagnose.formula_comparison import _log_prior_odds, _probability
 from frictrack.diagnose.power import find_undetermined, mean_friction
 from frictrack.diagnose.special_cases import is_special_case
@@ -27,8 +28,6 @@ from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import linear_estimates
 from frictrack.plan import next_run
-from frictrack.plan.explanations import Weighted, list_explanations
-from frictrack.plan.run_to_film import Question, _rival_questions
 
 COURSE = (0.05, 0.65)  # m
 SIGMA = 1e-5  # m

@@ -6,7 +6,6 @@ and everything is fitted again. The predictions by hand use closed forms.
 
 from __future__ import annotations
 
-import importlib
 import io
 import json
 from dataclasses import replace
@@ -21,30 +20,30 @@ from frictrack.cli import plan_output
 from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.experiments import (
-    EvidenceForecast,
-    FittedExplanation,
-    ModelDiscrimination,
-    RunDesign,
-    candidate_experiments,
-    make_explanation,
-    max_frames_of_film,
-    plan_for_candidates,
-    plan_for_unexplained,
+from frictrack.diagnose.experiments import discrimination, plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.experiments.candidates import candidate_experiments
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination, PresentRun
+from frictrack.diagnose.experiments.explanations import FittedExplanation, make_explanation
+from frictrack.diagnose.experiments.rating import (
+    compare_all,
+    describe_separation,
+    direct_checks,
     propose_experiments,
     rate_runs,
 )
-from frictrack.diagnose.experiments.advice_text import describe_separation
-from frictrack.diagnose.experiments.direct_checks import direct_checks
-from frictrack.diagnose.experiments.rival_runs import RivalOfAllRuns, RivalOfPlannedRun
-from frictrack.diagnose.experiments.virtual_runs import expected_scatter, extend_layout, simulate_run
+from frictrack.diagnose.experiments.virtual_runs import (
+    RunDesign,
+    expected_scatter,
+    extend_layout,
+    max_frames_of_film,
+    simulate_run,
+)
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.least_squares import white_noise_covariance
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.plan import fitted_setup
-from frictrack.plan.experiment_setup import plain_run
 from frictrack.records import GRAVITY
 from frictrack.report import tables
 from frictrack.results import to_builtins
@@ -82,6 +81,12 @@ def explained(runs, *names):
 def explanations(runs, *names):
     bare, grown = explained(runs, *names)
     return [make_explanation(n, s, bare) for n, s in grown.items()]
+
+
+def separating_runs(among):
+    """Candidate runs that separate the explanations, the one with most evidence first."""
+    rated = rate_runs(compare_all(among), candidate_experiments(among[0].solution))
+    return sorted((o for o in rated if o.separated_pairs()), key=lambda o: -o.weakest().expected)
 
 
 def take(design, law, scatter, *, seed=9):
@@ -122,10 +127,8 @@ def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pai
     truth, rival, law, runs, among = pair
     _, before = explained(runs, truth, rival)
     assert abs(information_criterion(before[rival]) - information_criterion(before[truth])) < 25  # nobody could tell
-    offers = sorted((o for o in rate_runs(among) if o.separated_pairs()), key=lambda o: -o.min_evidence())
-    best = offers[0]
-    design = next(e.design for e in candidate_experiments(among[0].solution) if e.key == best.key)
-    _, after = explained([*runs, take(design, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
+    best = separating_runs(among)[0]
+    _, after = explained([*runs, take(best.design, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
     observed = information_criterion(after[rival]) - information_criterion(after[truth])
     expected = best.evidence[truth, rival].expected
     assert observed > 10
@@ -159,9 +162,8 @@ def test_the_interval_holds_the_evidence_of_the_run_that_is_filmed(case):
     for seed in range(12):
         runs = runs_with(truth, values, speeds, seed=seed)
         among = explanations(runs, truth, rival)
-        best = max((o for o in rate_runs(among) if o.separated_pairs()), key=lambda o: o.min_evidence())
-        design = next(e.design for e in candidate_experiments(among[0].solution) if e.key == best.key)
-        new = take(design, law_with(truth, values), SCATTER if len(runs) > 3 else 0.0, seed=100 + seed)
+        best = separating_runs(among)[0]
+        new = take(best.design, law_with(truth, values), SCATTER if len(runs) > 3 else 0.0, seed=100 + seed)
         _, found = explained([*runs, new], truth, rival)
         observed = information_criterion(found[rival]) - information_criterion(found[truth])
         low, high = best.evidence[truth, rival].interval()
@@ -173,14 +175,14 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
     values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
     runs = runs_with("vibration", values, (4.2, 4.6, 5.0, 5.5), duration=0.06)
     shake, vibration = explanations(runs, "camera_shake", "vibration")
-    for discrimination in (ModelDiscrimination(shake, vibration), ModelDiscrimination(vibration, shake)):
+    for pair in (ModelDiscrimination(shake, vibration), ModelDiscrimination(vibration, shake)):
         repeat = next(e.design for e in candidate_experiments(shake.solution) if e.key == "repeat")
-        assert abs(discrimination.expected_delta_bic_now) < 1
-        assert abs(discrimination.forecast_after(repeat).expected) < 1  # both have a phase of its own for it
+        assert abs(pair.expected_delta_bic_now) < 1
+        assert abs(pair.forecast_after(repeat).expected) < 1  # both have a phase of its own for it
         heavy = next(e.design for e in candidate_experiments(shake.solution) if e.key == "double mass")
         # a tie of the amplitudes is all that tells them apart: a rival with one per run pays for four more
         frames = sum(len(p.t) for p in shake.solution.problem.pieces)
-        assert 10 < discrimination.forecast_after(heavy).expected < 4 * np.log(2 * frames)
+        assert 10 < pair.forecast_after(heavy).expected < 4 * np.log(2 * frames)
 
 
 def test_a_rival_far_from_its_fit_leaves_what_the_simulated_one_leaves():
@@ -199,7 +201,7 @@ def test_a_rival_far_from_its_fit_leaves_what_the_simulated_one_leaves():
 def simulated_objective(pair, design):
     """What the rival leaves of the present runs and a planned one, all of them simulated (same number of unknowns)."""
     rival, truth = pair.fitted_rival, pair.truth.solution
-    piece = simulate_run(truth, design)
+    piece = simulate_run(truth, design).piece
     layout, p = extend_layout(rival, truth.problem.layout.span, design.phase)
     problem = LeastSquaresProblem(layout.model, layout, [*rival.problem.pieces, piece])
     starts = [*rival.starts, np.array(design.start)]
@@ -212,12 +214,12 @@ def test_a_present_run_does_not_tell_the_scale_of_its_friction_level():
     layout, p = solution.problem.layout, solution.p.copy()
     p[layout.levels] *= 1.25
     p[layout.index("coulomb", "F_c")] /= 1.25
-    rival = RivalOfAllRuns((solution, solution.responses), layout)
-    for scaled, fitted in zip(rival.evaluate(p, solution.starts), solution.responses, strict=True):
-        np.testing.assert_allclose(scaled.r, fitted.r, rtol=0, atol=1e-6)
-    one, step = rival.evaluate(p, solution.starts)[0], 1e-6
+    present = [PresentRun(r, solution, layout) for r in solution.responses]
+    for run, fitted in zip(present, solution.responses, strict=True):
+        np.testing.assert_allclose(run.at(p).r, fitted.r, rtol=0, atol=1e-6)
+    one, step = present[0].at(p), 1e-6
     for k, i in enumerate(one.active):  # slopes by differences
-        moved = rival.evaluate(p + step * np.eye(len(p))[i], solution.starts)[0]
+        moved = present[0].at(p + step * np.eye(len(p))[i])
         np.testing.assert_allclose(
             (one.r - moved.r) / step, one.jac[:, k], rtol=1e-4, atol=1e-4 * np.abs(one.jac).max()
         )
@@ -227,7 +229,7 @@ def test_the_planned_run_is_the_one_that_the_law_makes():
     runs = runs_with("drag", {"c": 0.05}, (4.0, 4.2, 4.4))
     bare = fit(LAW, runs).solution
     design = RunDesign((0.0, 3.0), (0.0, 0.3), mass=2.0)
-    piece = simulate_run(bare, design)
+    piece = simulate_run(bare, design).piece
     f_c, f_v = (bare.p[bare.problem.layout.index(*a)] for a in (("coulomb", "F_c"), ("viscous", "F_v")))
     m, load = 2 * MASS, 2 * f_c  # m v' = -2 F_c - F_v v, by hand
     v = (3.0 + load / f_v) * np.exp(-f_v * piece.t / m) - load / f_v
@@ -235,7 +237,7 @@ def test_the_planned_run_is_the_one_that_the_law_makes():
     assert np.max(np.abs(piece.y - x)) < 1e-9
     assert piece.y[-1] <= 0.3
     assert v.min() > 0
-    tilted = simulate_run(bare, replace(design, mass=1.0, tilt=np.deg2rad(5.0)))
+    tilted = simulate_run(bare, replace(design, mass=1.0, tilt=np.deg2rad(5.0))).piece
     a = np.gradient(np.gradient(tilted.y, tilted.t), tilted.t)[5]
     lean = GRAVITY * np.sin(np.deg2rad(5.0)) + (f_c * np.cos(np.deg2rad(5.0)) + f_v * 3.0) / MASS
     assert a == pytest.approx(-lean, rel=0.01)
@@ -411,8 +413,8 @@ def test_what_is_uncertain_of_a_planned_run_is_what_other_parameters_make_of_it(
     design = next(e.design for e in candidate_experiments(true.solution) if e.key == "repeat")
     run = true.predicted_run(design, max(e.fine for e in rival.solution.problem.model.effects))
     start = np.array(design.start)
-    q = RivalOfPlannedRun(run.layout, run.piece, start).respond(run.p, start).q
-    covariance = np.diag(np.full(len(run.p), run.tau**2))  # of the friction level of the run, where it has one
+    q = run.response.q
+    covariance = np.diag(np.full(len(run.p), true.scatter_with(run) ** 2))  # of the friction level, where it has one
     at = [run.layout.names.index(n) for n in true.conservative.problem.layout.names]
     covariance[np.ix_(at, at)] = white_noise_covariance(true.conservative)[0]
     variances, axes = np.linalg.eigh(covariance)
@@ -421,23 +423,22 @@ def test_what_is_uncertain_of_a_planned_run_is_what_other_parameters_make_of_it(
         y = [problem.evaluate(run.p + sign * step, [start])[0].model_y for sign in (1, -1)]
         moved = run.piece.whitened(y[0] - y[1]) / 2
         together = together + np.outer(*[moved - q @ (q.T @ moved)] * 2)
-    told = run.uncertain_directions
+    told = true.uncertain_directions(run)
     assert np.linalg.norm(told @ told.T - together) < 0.03 * np.linalg.norm(together)
 
 
 @pytest.mark.few(1)
 def test_a_forecast_knows_what_the_rival_cannot_follow(pair, monkeypatch):
     """Slopes and curvatures, against the rival fitted anew to a planned run that is moved in each direction."""
-    rival_runs = importlib.import_module("frictrack.diagnose.experiments.rival_runs")
-    monkeypatch.setattr(rival_runs, "MIN_CHI2_FALL", 1e-9)
-    monkeypatch.setattr(rival_runs, "MAX_STEPS", 60)
+    monkeypatch.setattr(discrimination, "MIN_CHI2_FALL", 1e-9)
+    monkeypatch.setattr(discrimination, "MAX_STEPS", 60)
     true, rival = pair[-1]
     design = next(e.design for e in candidate_experiments(true.solution) if e.key == "double mass")
     told = ModelDiscrimination(true, rival)
     forecast = told.forecast_after(design)
     run = true.predicted_run(design, max(e.fine for e in rival.solution.problem.model.effects))
     plain, slopes, curvatures = run.piece, [], []
-    for one in run.uncertain_directions.T:
+    for one in true.uncertain_directions(run).T:
         run.piece = replace(plain, y=plain.y + plain.sigma * one)
         up = told.forecast_after(design).expected - forecast.expected
         run.piece = replace(plain, y=plain.y - plain.sigma * one)
@@ -455,13 +456,13 @@ def test_a_film_has_no_more_frames_than_the_camera_holds():
     assert max_frames_of_film(solution) == len(still_moving[0].displacement.t)
     repeat = next(e.design for e in candidate_experiments(solution) if e.key == "repeat")
     slow = replace(repeat, start=(repeat.course[0], 4.0))
-    assert len(simulate_run(solution, slow).t) == max_frames_of_film(solution)
-    assert len(simulate_run(solution, replace(slow, frames=np.inf)).t) > max_frames_of_film(solution)
+    assert len(simulate_run(solution, slow).piece.t) == max_frames_of_film(solution)
+    assert len(simulate_run(solution, replace(slow, frames=np.inf)).piece.t) > max_frames_of_film(solution)
     assert {e.design.frames for e in candidate_experiments(solution, Costs(frames=150))} == {150}
     assert max_frames_of_film(solution, Costs(frames=np.inf)) == np.inf  # declared, whatever the runs show
     assert any("give frames in [costs]" in line for line in fitted_setup(fit(LAW, still_moving)).assumed)
     declared = fitted_setup(fit(LAW, still_moving), Costs(frames=150))
     assert not any("give frames" in line for line in declared.assumed)
-    assert plain_run(declared, 4.0).frames == 150
+    assert declared.plain_run(4.0).frames == 150
     alone = fit(LAW, still_moving[:1]).solution
     assert max_frames_of_film(alone) > max_frames_of_film(solution)  # nothing shows that it did not leave the picture

@@ -21,6 +21,8 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.cli import main, output
+from frictrack.diagnose.experiments.candidates import COULOMB_DECELERATION, DEFAULT_NOISE_PX
+from frictrack.diagnose.experiments.evidence import simulate_runs
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import add_effect, fit
@@ -28,8 +30,6 @@ from frictrack.fit.stepwise import refine_to_end
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
 from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default_setup, fitted_setup, summarise_plan
-from frictrack.plan.experiment_setup import COULOMB_DECELERATION, DEFAULT_NOISE_PX
-from frictrack.plan.traces import simulate_runs
 from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
@@ -71,7 +71,7 @@ def test_the_usual_set_up_is_stated_and_is_what_is_simulated(run_plan, told):
     assert any("0.02 px (10 µm)" in line for line in told["assumed"])
     assert any("5 m/s²" in line for line in told["assumed"])
     fast = next(r for r in run_plan.tables.runs if r.experiment.key == "8 m/s")
-    t, x = fast.piece.t, fast.response.motion.x_edge[fast.piece.at]
+    t, x = fast.run.piece.t, fast.run.piece.y
     a = -(x[2] - 2 * x[1] + x[0]) / (t[1] - t[0]) ** 2
     assert a == pytest.approx(
         COULOMB_DECELERATION + 0.1 * COULOMB_DECELERATION * 8.0, rel=1e-3
@@ -138,7 +138,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
         held = Conditions(
             MASS * design.mass, design.mass * (1 + setup.scatter * rng.standard_normal()), design.mass, PITCH
         )
-        t = run.piece.t
+        t = run.run.piece.t
         slide = simulate(models.of(law), law, held, t, design.start)
         moving = int(np.argmin(np.sign(design.start[1]) * slide.v > 0.02)) or len(t)
         x = (slide.x + slide.shift)[:moving]
@@ -179,9 +179,9 @@ def test_runs_that_were_filmed_count_and_their_law_is_assumed():
     run = simulate_runs(setup, list(setup.completed))
     seen = fit(list(law), runs).solution.responses
     for planned, real in zip(run, seen, strict=True):  # the run as it was, up to the frames that were fitted
-        n = min(len(real.piece.t), len(planned.piece.t)) - 20
+        n = min(len(real.piece.t), len(planned.run.piece.t)) - 20
         gone = real.model_y[:n] - real.model_y[0]
-        assert np.max(np.abs(planned.piece.y[:n] - planned.piece.y[0] - gone)) < 1e-3
+        assert np.max(np.abs(planned.run.piece.y[:n] - planned.run.piece.y[0] - gone)) < 1e-3
     assert len(candidate_runs(setup)) > 10
 
 

@@ -12,7 +12,7 @@ import pytest
 from runs import BASE, Spec, study
 
 from frictrack import effects, models
-from frictrack.diagnose import detection_limits
+from frictrack.diagnose import power
 from frictrack.diagnose.null_distribution import draw_null_ensemble
 from frictrack.fit import fit
 from frictrack.fit.linearised import (
@@ -171,6 +171,6 @@ def test_measured_data_alone_gain_what_they_gain_among_draws(solution, ensemble)
 
 def test_a_column_that_no_run_reaches_leaves_the_limit_of_the_first_as_it_is():
     schur = np.array([[[4.0, 0.0], [0.0, 1e-312]]])
-    gain, square = detection_limits._first_coefficient_gain(schur, np.array([[4.0, 1e-312]]))
+    gain, square = power._first_coefficient_gain(schur, np.array([[4.0, 1e-312]]))
     assert gain[0] == pytest.approx(4.0)
     assert square[0] == 4.0

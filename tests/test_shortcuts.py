@@ -10,9 +10,8 @@ from test_series import swing
 from frictrack import effects
 from frictrack.compare import ForceTraces
 from frictrack.compare.spectral_lines import sine_cosine_columns
-from frictrack.diagnose.experiments import RunDesign
-from frictrack.diagnose.experiments.rival_runs import RivalOfPlannedRun, compress_response
-from frictrack.diagnose.experiments.virtual_runs import extend_layout, simulate_run
+from frictrack.diagnose.experiments.discrimination import compress_response
+from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError
 from frictrack.fit import LeastSquaresProblem, fit, refine
 from frictrack.fit.least_squares import (
@@ -99,13 +98,13 @@ def test_few_rows_hold_all_of_a_linear_answer(slide):
 
 def test_a_rival_follows_a_planned_run_without_being_simulated(slide):
     design = RunDesign((0.0, 3.0), (0.0, 0.2))
-    piece, start = simulate_run(slide, design), np.array(design.start)
+    piece, start = simulate_run(slide, design).piece, np.array(design.start)
     layout, p = extend_layout(slide, slide.problem.layout.span, design.phase)
-    rival, simulated = RivalOfPlannedRun(layout, piece, start), LeastSquaresProblem(layout.model, layout, [piece])
-    assert np.abs(rival.respond(p, start).r).max() < 1e-6
+    rival, simulated = LinearisedRun(layout, piece, start), LeastSquaresProblem(layout.model, layout, [piece])
+    assert np.abs(rival.respond(p).r).max() < 1e-6
     for share in (1e-4, 1e-3):  # the error is of second order in the difference
         other = p * (1 + share)
-        ours, theirs = rival.respond(other, start), simulated.evaluate(other, [start])[0]
+        ours, theirs = rival.respond(other), simulated.evaluate(other, [start])[0]
         size = np.abs(theirs.r).max()
         assert size > 10 * share
         assert np.abs(ours.r - theirs.r).max() < 30 * share * size

@@ -15,14 +15,13 @@ from frictrack.compare import failing_spans
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
 from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
-from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.formula_comparison import compare_with_formulas
 from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
-from frictrack.diagnose.power import find_undetermined
+from frictrack.diagnose.power import detection_limit, find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, Repeatability, find_failure_pattern

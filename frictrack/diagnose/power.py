@@ -1,7 +1,8 @@
-"""Compute what the runs could have shown: the power that a verdict of completeness needs.
+"""Compute what the runs could have shown: detection limits, and the power that a verdict of completeness needs.
 
-A model is called complete only if each basic effect, at a tenth of the mean friction, would have been detected. Effects
-that the runs cannot show, and parameters that they do not determine, make the verdict undetermined.
+A detection limit is the smallest effect that would be called missing in 95 of 100 repeats. A model is called complete
+only if each basic effect, at a tenth of the mean friction, would have been detected. Effects that the runs cannot show,
+and parameters that they do not determine, make the verdict undetermined.
 """
 
 from __future__ import annotations
@@ -11,20 +12,107 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chndtrinc
 
 from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
+from frictrack.diagnose.null_distribution import NullEnsemble
+from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import LinearisedPiece
+from frictrack.fit.linearised import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.fit.uncertainty import Estimate, linear_estimates
 from frictrack.number_format import format_plain
 from frictrack.records import Array
 
+POWER = 0.95  # probability of detection at the limit
+MIN_RELATIVE_GAIN = 1e-3  # of the median gain; less means that no run visits the place, speed or time
 MIN_DETECTABLE_SHARE = 0.10  # of the mean friction, rms
 MAX_NOISE_FACTOR = 5.0  # noise reduction that a laboratory can achieve; beyond it another kind of run is needed
 NOT_ESTIMATED = ("fixed", "tied")  # reasons for a parameter without standard deviation that are no fault
+
+
+def noncentrality(threshold: float, freedom: int) -> float:
+    """Non-centrality at which chi-squared exceeds a threshold with probability `POWER`.
+
+    Examples
+    --------
+    >>> round(noncentrality(3.84, 1), 1)  # (1.96 + 1.645)^2
+    13.0
+
+    """
+    return float(chndtrinc(threshold, freedom, 1 - POWER))
+
+
+def detection_limit(
+    scanned: ScannedCandidate, draws: NullEnsemble, critical: float
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Detection limit of one effect.
+
+    It is the first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of
+    the whole search; phases and further coefficients are at their least favourable.
+
+    Parameters
+    ----------
+    scanned
+        The effect's scans.
+    draws
+        Data and draws of the null hypothesis.
+    critical
+        Critical excess of the whole search.
+
+    Returns
+    -------
+    limit : dict
+        JSON: value, unit and setting at the least favourable setting that the runs visit.
+    curve : dict of ndarray
+        Settings and limit at all G grid points, (G,).
+
+    """
+    first_scan = scanned.scans[0]
+    family = first_scan.grid
+    threshold = scanned.quantile + critical
+    if len(scanned.scans) > 1:
+        threshold += 2 * np.log(len(draws.series.measured))
+    per_amplitude = _unit_gain(first_scan, draws.unbounded_projector)
+    needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
+    needed[per_amplitude <= 0] = np.inf
+    visited = per_amplitude > MIN_RELATIVE_GAIN * np.median(per_amplitude)
+    worst = int(np.argmax(np.where(visited, needed, 0.0))) if visited.any() else 0
+    size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
+    at = {p.name: family.point(worst)[p.name] for p in scanned.effect.nonlinear if p.scan is not None}
+    curve = dict(zip(family.names, family.values.T, strict=True)) | {"limit": needed}
+    value = float(needed[worst]) if np.isfinite(needed[worst]) else None
+    reason = None if value is not None else "the fitted model absorbs it whatever its size"
+    return {"value": value, "unit": size.unit if size else "", "at": at, "power": POWER, "reason": reason}, curve
+
+
+def _unit_gain(scan: CandidateScan, projector: Array) -> Array:
+    """Expected likelihood ratio of every grid point at size one, other coefficients least favourable, (G,)."""
+    of_block = _wave_gain if _is_wave(scan.grid.effect) else _first_coefficient_gain
+    least, whole = of_block(scan.schur(projector), scan.squares)
+    return np.asarray(np.sum(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0), axis=1))  # less is rounding
+
+
+def _wave_gain(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain per amplitude (G, B) of sine and cosine coefficients, and the square of the columns."""
+    return np.asarray(np.linalg.eigvalsh(schur)[..., 0], dtype=np.float64), full.sum(axis=-1)
+
+
+def _first_coefficient_gain(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain (G, B) per unit of the first coefficient with the others free, and the square of its column."""
+    size = np.sqrt(full[..., 1:])
+    size[full[..., 1:] < MIN_COLUMN_SQUARE] = np.inf  # columns of places that no run reaches
+    unit = schur[..., 1:, 1:] / size[..., :, None] / size[..., None, :]
+    across = schur[..., 1:, 0] / size
+    inverse = np.linalg.pinv(unit, rcond=MIN_UNEXPLAINED_SHARE, hermitian=True)
+    return schur[..., 0, 0] - np.einsum("...i,...ij,...j->...", across, inverse, across), full[..., 0]
+
+
+def _is_wave(effect: Effect) -> bool:
+    """Whether coefficients are sine and cosine of one size, or changes that a lag makes to other effects."""
+    return any(p.role == "phase" and p.free for p in effect.nonlinear) or (bool(effect.modifies) and not effect.sized)
 
 
 @dataclass(frozen=True)
@@ -97,39 +185,21 @@ def find_undetermined(
 
 def mean_friction(first: Examination) -> float:
     """Mean size of the friction force of a fitted model over its frames, N."""
-    forces = []
-    for strip in first.draws.law.pieces:
-        forces.append(np.abs(strip.problem.model.force(strip.path, strip.values)))
+    forces = [np.abs(s.problem.model.force(s.path, s.values)) for s in first.draws.law.pieces]
     return max(float(np.mean(np.concatenate(forces))), 1e-300)
 
 
 def limit_as_force(first: Examination, scanned: ScannedCandidate, limits: Array) -> float:
-    """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms.
-
-    Parameters
-    ----------
-    first
-        Examination of the model.
-    scanned
-        The effect's scans.
-    limits
-        Its detection limits at all grid points, (G,).
-
-    Returns
-    -------
-    float
-
-    """
+    """Smallest detectable force of an effect at the middle of its scan (in logarithms), N rms, from its limits (G,)."""
     family = scanned.scans[0].grid
     g = _middle_row(family.values)
-    unit_forces = [_unit_force(s, family, g) for s in first.draws.law.pieces]
-    unit = float(np.sqrt(np.mean(np.concatenate(unit_forces) ** 2)))
-    return float(limits[g]) * unit
+    unit = [family.raw_columns(s, family.values[g : g + 1])[0, 0] for s in first.draws.law.pieces]  # of one coefficient
+    return float(limits[g]) * rms_of_parts(unit)
 
 
-def _unit_force(strip: LinearisedPiece, family: Any, g: int) -> Array:
-    """Force of one unit of the first coefficient along one piece, N."""
-    return np.asarray(family.raw_columns(strip, family.values[g : g + 1])[0, 0])
+def rms_of_parts(parts: Sequence[Array]) -> float:
+    """Root mean square of values that come in several arrays."""
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 def _middle_row(values: Array) -> int:
@@ -172,10 +242,9 @@ def _uncertain_coefficients(
             found = known.get(f"{effect.name}.{p.name}")
             if not (effect.basic or effect.kind == "coulomb") or p.per_run or found is None or not found.std:
                 continue
-            columns = [
-                s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.pieces
-            ]
-            share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
+            pieces = first.draws.law.pieces
+            columns = [s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in pieces]
+            share = found.std * rms_of_parts(columns) / friction
             if share > MIN_DETECTABLE_SHARE:
                 why = f"its standard deviation, {found.std:.2g} {p.unit}, is {100 * share:.0f} % of the mean friction"
                 yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm, uncertainty=share)

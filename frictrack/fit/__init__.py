@@ -292,7 +292,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),
-        "segment_frames": list(result.lengths),
+        "piece_frames": list(result.lengths),
         "frames": [len(piece.t) for piece in result.solution.problem.pieces],
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
@@ -348,7 +348,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         solution = refine(measured, p, measured.first_starts(), tau=tau, free=held, max_steps=0)
         return _finish(FitOutcome(solution, None, *optima), runs, reference, route, lengths)
     reference = reference_of(fitted, float(saved["reference_mass"]))
-    lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
+    lengths = tuple(int(n) for n in saved.get("piece_frames", [0] * len(fitted)))
     pieces = _cut(pieces_of(fitted, reference, through_reversals=law.turns), lengths)
     layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
     fine = max(e.fine for e in law.effects)

@@ -1,50 +1,19 @@
-"""Propose the next experiment: the run, or the direct check, that separates what the present runs cannot."""
+"""Plan experiments: the run or the direct check that separates what the present runs cannot; runs before filming."""
 
-from frictrack.diagnose.experiments.advice_text import settled_by
-from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
-from frictrack.diagnose.experiments.expected_separation import FittedExplanation, ModelDiscrimination, make_explanation
-from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments, combined_experiments
-from frictrack.diagnose.experiments.rating import (
-    plan_for_candidates,
-    plan_for_unexplained,
-    propose_experiments,
-    rate_runs,
-)
-from frictrack.diagnose.experiments.settings import last_settings, settings_of
-from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
-from frictrack.diagnose.experiments.virtual_runs import (
-    DEFAULT_SCATTER,
-    GOLDEN_ANGLE_RAD,
-    PLANNED_RUN_NAME,
-    RunConditions,
-    RunDesign,
-    blank_piece,
-    integrate_motion,
-    max_frames_of_film,
-)
+from frictrack.diagnose.experiments.candidates import ExperimentSetup, candidate_runs, default_setup, fitted_setup
+from frictrack.diagnose.experiments.rating import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.experiments.run_to_film import next_run
+from frictrack.diagnose.experiments.selection import RunPlan, choose_runs, summarise_plan
 
 __all__ = [
-    "DEFAULT_SCATTER",
-    "GOLDEN_ANGLE_RAD",
-    "PLANNED_RUN_NAME",
-    "EvidenceForecast",
-    "Experiment",
-    "FittedExplanation",
-    "ModelDiscrimination",
-    "RunConditions",
-    "RunDesign",
-    "blank_piece",
-    "candidate_experiments",
-    "combined_experiments",
-    "explain_by_axes",
-    "integrate_motion",
-    "last_settings",
-    "make_explanation",
-    "max_frames_of_film",
+    "ExperimentSetup",
+    "RunPlan",
+    "candidate_runs",
+    "choose_runs",
+    "default_setup",
+    "fitted_setup",
+    "next_run",
     "plan_for_candidates",
     "plan_for_unexplained",
-    "propose_experiments",
-    "rate_runs",
-    "settings_of",
-    "settled_by",
+    "summarise_plan",
 ]

@@ -1,7 +1,7 @@
 """Rate experiments by the evidence expected of them, and propose those that separate the present explanations.
 
-Every candidate run is simulated under each explanation. The others are fitted to all runs including it, without noise.
-The misfit that they leave is the expected evidence (T-optimality: Atkinson & Fedorov 1975, Biometrika 62, 57-70).
+Candidate runs are simulated under each explanation, and the others are fitted to them. Direct checks need no run: a
+mark at rest, a rule, a level, a clock, a sensor.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from math import isfinite
 from typing import Any
 
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
-from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
-from frictrack.diagnose.experiments.direct_checks import direct_checks
-from frictrack.diagnose.experiments.evidence_forecast import EvidenceForecast
-from frictrack.diagnose.experiments.expected_separation import FittedExplanation, ModelDiscrimination, make_explanation
-from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
-from frictrack.diagnose.experiments.settings import last_settings, settings_of
-from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
+from frictrack.diagnose.effect_description import FittedEffect
+from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination
+from frictrack.diagnose.experiments.explanations import FittedExplanation, explain_by_axes, make_explanation
+from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign, last_settings
+from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck, Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_measured_friction
@@ -41,10 +40,10 @@ class RatedExperiment:
 
     key: str
     words: str
-    kind: str  # "film" or "measurement"
     evidence: dict[Pair, EvidenceForecast]
     cost: float = 1.0
-    settings: RunSettings | None = None  # of a film
+    design: RunDesign | None = None  # of a film; None for a direct check
+    settings: RunSettings | None = None
 
     def separated_pairs(self) -> list[Pair]:
         """Pairs of explanations that it separates, whichever is true."""
@@ -54,43 +53,34 @@ class RatedExperiment:
             if a < b and min(self._expected(a, b), self._expected(b, a)) >= MIN_BIC_SEPARATED
         ]
 
-    def min_evidence(self) -> float:
-        """Smallest evidence over the pairs that it separates."""
-        return min((e.expected for e in self._separating()), default=0.0)
+    def weakest(self) -> EvidenceForecast:
+        """Forecast of the smallest evidence over the pairs that it separates, whichever is true."""
+        each = (self.evidence[pair] for a, b in self.separated_pairs() for pair in ((a, b), (b, a)))
+        return min(each, key=lambda e: e.expected, default=EvidenceForecast(0.0))
 
     def _expected(self, true: str, other: str) -> float:
         """Expected evidence of one explanation over another; 0 if there is none."""
         return self.evidence[true, other].expected if (true, other) in self.evidence else 0.0
 
-    def _separating(self) -> list[EvidenceForecast]:
-        """Forecasts of the pairs that it separates, whichever is true."""
-        return [self.evidence[pair] for a, b in self.separated_pairs() for pair in ((a, b), (b, a))]
-
-    def evidence_per_cost(self) -> float:
-        """Evidence over the cost that the user declared."""
-        return self.min_evidence() / self.cost
-
-    def least_interval(self) -> tuple[float, float | None]:
-        """95 % interval of the smallest evidence over the pairs that it separates."""
-        return min(self._separating(), key=lambda e: e.expected).interval()
-
     def summary(self, explanations: Sequence[FittedExplanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
-        pairs = self.separated_pairs()
+        pairs, weakest = self.separated_pairs(), self.weakest()
         told = [e for e in explanations if any(e.name in pair for pair in pairs)]
-        separated = [e.name for e in told]
-        each = {n: min(self._expected(n, b) for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
+        names = [e.name for e in told]
+        groups = _group_names(names, pairs)
         single = [e.fitted_effect for e in told if not e.freed]  # a freed value has no invariant of its own
-        why = explain_separation(single) if self.kind == "film" else ""
+        why = explain_separation(single) if self.design else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
-            "separates": separated,
-            "expected_delta_bic": self.min_evidence(),
-            "expected_interval": list(self.least_interval()),
-            "expected_if_true": each,
-            "groups": _group_names(separated, pairs),
-            "tells": describe_separation(_group_names(separated, pairs)),
-            "kind": self.kind,
+            "separates": names,
+            "expected_delta_bic": weakest.expected,
+            "expected_interval": list(weakest.interval()),
+            "expected_if_true": {
+                n: min(self._expected(n, b) for b in names if tuple(sorted((n, b))) in pairs) for n in names
+            },
+            "groups": groups,
+            "tells": describe_separation(groups),
+            "kind": "film" if self.design else "measurement",
             "key": self.key,
             "cost": self.cost,
             "settings": None if self.settings is None else self.settings.summary(),
@@ -134,20 +124,16 @@ def propose_experiments(
     explanations = list(explanations)[:MAX_EXPLANATIONS]
     if len(explanations) < 2 or any(is_measured_friction(e.solution.problem) for e in explanations):
         return []
-    names = [e.name for e in explanations]
-    rated = [
-        experiment
-        for experiment in (
-            *(rate_runs(explanations, notify, keys, costs) if _are_coasting(explanations) else ()),
-            *rate_direct_checks(explanations, costs),
-        )
-        if experiment.separated_pairs()
-    ]
+    # runs that are followed in one piece show how a similar run goes
+    coasting = not any(p.turns or p.cut for e in explanations for p in e.solution.problem.pieces)
+    entries = candidate_experiments(explanations[0].solution, costs) if coasting else []
+    kept = [e for e in entries if not keys or e.key in keys]
+    rated = [*rate_runs(compare_all(explanations), kept, costs, notify), *rate_direct_checks(explanations, costs)]
+    rated = [experiment for experiment in rated if experiment.separated_pairs()]
+    separated = {pair for experiment in rated for pair in experiment.separated_pairs()}
+    open_pairs = [p for p in combinations(explanations, 2) if tuple(sorted((p[0].name, p[1].name))) not in separated]
     out = [experiment.summary(explanations) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
-    remaining = [
-        pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.separated_pairs() for o in rated)
-    ]
-    return out + [_inseparable_entry(pair, explanations) for pair in remaining if _are_coasting(explanations)]
+    return out + [_inseparable_entry(pair) for pair in open_pairs if coasting]
 
 
 def plan_for_unexplained(
@@ -209,77 +195,64 @@ def plan_for_candidates(
     best, _, best_gain = passing[0]
     close = [c for c in passing if c[0] == best or c[0] in rivals or best_gain - c[2] < MAX_BIC_NEAR]
     close.sort(key=lambda c: (c[0] != best, c[0] not in rivals, -c[2]))
-    close = close[:MAX_EXPLANATIONS]
-    return propose_experiments([make_explanation(n, s, bare) for n, s, _ in close], notify, costs=costs)
+    explanations = [make_explanation(n, s, bare) for n, s, _ in close[:MAX_EXPLANATIONS]]
+    return propose_experiments(explanations, notify, costs=costs)
 
 
 def _rank(rated: Sequence[RatedExperiment]) -> list[RatedExperiment]:
-    """Order experiments: first the one that separates most pairs for its cost, then by the pairs that are left."""
+    """Order experiments: first the one that separates most open pairs for its cost (greedy set cover: Chvatal 1979)."""
     remaining, out = list(rated), []
     open_pairs: set[Pair] = set()
+
+    def worth(o: RatedExperiment) -> tuple[float, float]:
+        return len(open_pairs.intersection(o.separated_pairs())) / o.cost, o.weakest().expected / o.cost
+
     while remaining:
-        open_pairs = open_pairs or {pair for o in remaining for pair in o.separated_pairs()}
-        best = max(remaining, key=lambda o: (_pairs_per_cost(o, open_pairs), o.evidence_per_cost()))
-        open_pairs -= set(best.separated_pairs())
-        if not any(open_pairs & set(o.separated_pairs()) for o in remaining):
-            open_pairs = set()
+        if not any(open_pairs.intersection(o.separated_pairs()) for o in remaining):
+            open_pairs = {pair for o in remaining for pair in o.separated_pairs()}
+        best = max(remaining, key=worth)
+        open_pairs = open_pairs.difference(best.separated_pairs())
         remaining.remove(best)
         out.append(best)
     return out
 
 
-def _pairs_per_cost(rated: RatedExperiment, open_pairs: set[Pair]) -> float:
-    """Open pairs that an experiment separates, over its cost (greedy set cover: Chvatal 1979)."""
-    return len(open_pairs & set(rated.separated_pairs())) / rated.cost
+def compare_all(explanations: Sequence[FittedExplanation]) -> list[ModelDiscrimination]:
+    """Every ordered pair of explanations but those of which the rival can be the truth, and predicts the same."""
+    pairs = permutations(explanations, 2)
+    return [ModelDiscrimination(a, b) for a, b in pairs if a.fitted_effect.kind not in b.fitted_effect.special_cases]
 
 
 def rate_runs(
-    explanations: Sequence[FittedExplanation],
-    notify: Progress = lambda what: None,
-    keys: Sequence[str] = (),
+    pairs: Sequence[ModelDiscrimination],
+    entries: Sequence[Experiment],
     costs: Costs = DEFAULT_COSTS,
+    notify: Progress = lambda what: None,
+    forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] | None = None,
 ) -> Iterator[RatedExperiment]:
-    """Rate every candidate run, or those with some keys.
+    """Rate candidate runs by a forecast for every pair of explanations; by default only while they may separate it.
 
-    Parameters
-    ----------
-    explanations
-        The explanations to separate.
-    notify
-        Called with the current step.
-    keys
-        Keys of the runs to rate; all by default.
-    costs
-        Costs of the runs; those that the set-up cannot do are left out.
-
-    Yields
-    ------
-    RatedExperiment
-
+    Runs that the set-up cannot do are left out. Pairs for which a run cannot be simulated have no evidence.
     """
-    discriminations = {(a.name, b.name): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
-    solution = explanations[0].solution
-    last = last_settings(solution)
-    for entry in (e for e in candidate_experiments(solution, costs) if not keys or e.key in keys):
-        settings = settings_of(solution, entry.design)
+    if not (pairs and entries):
+        return
+    solution = pairs[0].truth.solution
+    conditions, last = RunConditions.of_fit(solution), last_settings(solution)
+    for entry in entries:
+        settings = conditions.settings(entry.design)
         cost = costs.of_run(settings, last)
-        if isfinite(cost):
-            notify(f"weighing an experiment: {entry.key}")
-            evidence = _evidence_both_ways(discriminations, entry)
-            yield RatedExperiment(entry.key, entry.words, "film", evidence, cost, settings)
-
-
-def _evidence_both_ways(
-    discriminations: dict[Pair, ModelDiscrimination], entry: Experiment
-) -> dict[Pair, EvidenceForecast]:
-    """Expected evidence of a run for every pair; the reverse is skipped once one direction is too weak."""
-    out: dict[Pair, EvidenceForecast] = {}
-    for (true, other), discrimination in discriminations.items():
-        reverse = out.get((other, true))
-        if reverse is None or reverse.expected >= MIN_BIC_SEPARATED:
-            with suppress(FrictrackError):  # a run that cannot be simulated
-                out[true, other] = discrimination.forecast_after(entry.design)
-    return out
+        if not isfinite(cost):
+            continue
+        notify(f"weighing an experiment: {entry.key}")
+        evidence: dict[Pair, EvidenceForecast] = {}
+        for pair in pairs:
+            reverse = evidence.get((pair.rival.name, pair.truth.name))
+            if forecast is None and reverse is not None and reverse.expected < MIN_BIC_SEPARATED:
+                continue
+            with suppress(FrictrackError):
+                made = forecast(pair, entry.design) if forecast else pair.forecast_after(entry.design)
+                evidence[pair.truth.name, pair.rival.name] = made
+        yield RatedExperiment(entry.key, entry.words, evidence, cost, entry.design, settings)
 
 
 def rate_direct_checks(
@@ -288,35 +261,97 @@ def rate_direct_checks(
     """Rate the direct checks that need no further run."""
     made: dict[str, RatedExperiment] = {}
     for one, other in combinations(explanations, 2):
-        for check, if_one, if_other in direct_checks(one, other):
-            experiment = made.setdefault(
-                check.key,
-                RatedExperiment(check.key, check.instruction, "measurement", {}, costs.of_check(check.key)),
-            )
-            for true, rival, expected in ((one, other, if_one), (other, one, if_other)):
-                forecast = EvidenceForecast.of_size(expected, true.relative_size_std)
-                experiment.evidence[true.name, rival.name] = forecast
+        for check, *expected in direct_checks(one, other):
+            plain = RatedExperiment(check.key, check.instruction, {}, costs.of_check(check.key))
+            evidence = made.setdefault(check.key, plain).evidence
+            for true, rival, chi2 in zip((one, other), (other, one), expected, strict=True):
+                evidence[true.name, rival.name] = EvidenceForecast.of_size(chi2, true.relative_size_std)
     yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 
-def _are_coasting(explanations: Sequence[FittedExplanation]) -> bool:
-    """Whether all runs are followed in one piece, so that similar runs can be predicted."""
-    return not any(p.turns or p.cut for e in explanations for p in e.solution.problem.pieces)
+def direct_checks(one: FittedExplanation, other: FittedExplanation) -> list[tuple[DirectCheck, float, float]]:
+    """List measurements without a film that separate two explanations, with the chi-squared if either is true.
+
+    If the cause is present, an explanation without it is refuted by the whole signal S. If it is absent, an
+    explanation with it may shrink the effect by a share a, which costs part of the evidence G that the runs give it.
+    The least of (1 - a)^2 G + a^2 S is G S/(G + S).
+    """
+    out = []
+    for explained, rival in ((one, other), (other, one)):
+        effect, alternative = explained.fitted_effect, rival.fitted_effect
+        if effect.kind == alternative.kind:
+            continue
+        checks = [effect.direct_check] if effect.direct_check is not None else []
+        if effect.acts_on == "force" and alternative.acts_on == "measurement":
+            checks.append(ACCELEROMETER_CHECK)
+        for check in checks:
+            signal = check.signal(FittedEffect(explained.effect, explained.solution))
+            absent = explained.gain * signal / max(explained.gain + signal, 1e-12)
+            out.append((check, signal, absent) if explained is one else (check, absent, signal))
+    return out
 
 
-def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[FittedExplanation]) -> dict[str, Any]:
-    """JSON entry of a pair that no run separates."""
-    inseparable = [e for e in explanations if e.name in pair]
+def _inseparable_entry(pair: Sequence[FittedExplanation]) -> dict[str, Any]:
+    """JSON entry of a pair that no run separates, which says what other measurement would tell of the effects."""
+    names, effects = [e.name for e in pair], [e.fitted_effect for e in pair]
+    sentence = (
+        f"No candidate run separates {' and '.join(names)}: they change the motion in the same way at every speed, "
+        "mass and direction"
+    )
+    measurement = settled_by(effects) or "; ".join(e.confirm.rstrip(".").replace("`", "") for e in effects if e.confirm)
     return {
-        "what": describe_unseparated([e.name for e in inseparable], [e.fitted_effect for e in inseparable]),
+        "what": f"{sentence}; {measurement}" if measurement else sentence,
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_interval": None,
         "expected_if_true": {},
-        "groups": [list(pair)],
+        "groups": [names],
         "tells": "",
         "kind": "none",
         "key": "none",
         "cost": None,
         "settings": None,
     }
+
+
+def explain_separation(effects: Sequence[Effect]) -> str:
+    """Return what each of the separated effects keeps when a run is made differently, joined by commas.
+
+    Examples
+    --------
+    >>> from frictrack import effects
+    >>> explain_separation([effects.get("drag"), effects.get("spring")])
+    'drag is proportional to the square of the speed, a spring pulls by place, in either direction of motion'
+
+    """
+    return ", ".join(dict.fromkeys(effect.invariant for effect in effects if effect.invariant))
+
+
+def settled_by(effects: Sequence[Effect]) -> str:
+    """Return what to do instead of a film to separate some effects; "" where none of them says it.
+
+    Examples
+    --------
+    >>> from frictrack import effects
+    >>> settled_by([effects.get("slope"), effects.get("spring")])
+    'lay a level on the course, and take the cable off'
+
+    """
+    return ", and ".join(effect.settled_by for effect in effects if effect.settled_by)
+
+
+def describe_separation(groups: Sequence[Sequence[str]]) -> str:
+    """Say which causes are separated: "a, b and c apart", or "a from b or c" where some stay together.
+
+    Examples
+    --------
+    >>> describe_separation([["drag"], ["spring"]])
+    'drag and spring apart'
+    >>> describe_separation([["lens"], ["drag", "timebase"]])
+    'lens from drag or timebase'
+
+    """
+    if all(len(group) == 1 for group in groups):
+        *most, last = (group[0] for group in groups)
+        return f"{', '.join(most)} and {last} apart"
+    return " from ".join(" or ".join(group) for group in groups)

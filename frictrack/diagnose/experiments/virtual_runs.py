@@ -1,22 +1,23 @@
-"""Simulate a run that has not been filmed yet, as an explanation predicts it."""
+"""Make virtual runs: what the camera would measure, without noise, in a run that has not been filmed yet."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
-from frictrack.costs import DEFAULT_COSTS, Costs
+from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import LeastSquaresProblem, Solution
-from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot
-from frictrack.fit.pieces import MIN_FRAMES, Piece
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
+from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
 from frictrack.records import GRAVITY, Array
-from frictrack.simulate.dynamics import Panels
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, linearise_acceleration
 
 PLANNED_RUN_NAME = "next run"
 MIN_VISIBLE_SPEED = 0.01  # m/s; a slower mass counts as stopped
@@ -27,6 +28,8 @@ DEFAULT_SCATTER = 0.03  # relative, of the friction level, if there are too few 
 MIN_SPEED_LEFT = 0.1  # of the start speed, at the end of a film that ended before the motion did
 MIN_COURSE_LEFT = 0.2  # of the course, in front of the mass at the end of such a film
 GOLDEN_ANGLE_RAD = 2.39996  # rad; phases of successive runs spread evenly
+
+Unknowns = tuple[ParameterLayout, Array]  # their layout and values (P,)
 
 
 @dataclass(frozen=True)
@@ -60,161 +63,15 @@ class RunDesign:
     phase: float = GOLDEN_ANGLE_RAD
     frames: float = np.inf
 
-
-def longest_piece(pieces: Sequence[Piece]) -> Piece:
-    """The longest piece; planned runs are modelled on it."""
-    return max(pieces, key=lambda p: p.t[-1] - p.t[0])
-
-
-def max_frames_of_film(solution: Solution, costs: Costs = DEFAULT_COSTS) -> float:
-    """Largest number of frames in a film of this set-up: as declared, or else as far as its runs show.
-
-    The longest run shows it if its film ended while the mass still moved, and well within the course of the runs.
-
-    Parameters
-    ----------
-    solution
-        A fit of the filmed runs.
-    costs
-        What is declared of the set-up.
-
-    Returns
-    -------
-    float
-        Infinite where neither tells.
-
-    """
-    if costs.frames is not None:
-        return costs.frames
-    pieces, course = solution.problem.pieces, solution.problem.layout.span
-    counts = Counter[int]()
-    for piece in pieces:
-        counts[piece.run] += len(piece.t)
-    run, frames = counts.most_common(1)[0]
-    own = [piece for piece in pieces if piece.run == run]
-    x, v, first = float(own[-1].x_hat[-1]), float(own[-1].v_hat[-1]), float(own[0].v_hat[0])
-    left = course.x_max - x if v > 0 else x - course.x_min
-    moves = abs(v) > MIN_SPEED_LEFT * abs(first) and left > MIN_COURSE_LEFT * (course.x_max - course.x_min)
-    return float(frames) if moves else np.inf
-
-
-def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[ParameterLayout, Array]:
-    """Extend the parameters of a fit by one run.
-
-    Parameters
-    ----------
-    solution
-        The fit.
-    span
-        Duration, course and speeds of the new run.
-    phase
-        Phase of the new run, rad.
-    free
-        Whether an effect that is absent from most runs may occur in the new one.
-
-    Returns
-    -------
-    layout : ParameterLayout
-    p : ndarray, shape (P',)
-        Per-run parameters are the mean over the other runs.
-
-    """
-    old = solution.problem.layout
-    runs = len(old.run_names)
-    rare_effects = {e.name for e in old.model.effects if sum(a == e.name for a, _ in old.absent) > runs / 2}
-    absent = set() if free else {(name, runs) for name in rare_effects}
-    layout = replace(
-        old, run_names=(*old.run_names, PLANNED_RUN_NAME), spans=(*old.spans, span), absent=old.absent | absent
-    )
-    known_values = dict(zip(old.names, solution.p, strict=True))
-    roles = {(e.name, p.name): p.role for e in old.model.effects for p in e.parameters}
-    p = []
-    for name, slot in zip(layout.names, layout.slots, strict=True):
-        others = [v for s, v in zip(old.slots, solution.p, strict=True) if _is_same_parameter(s, slot)]
-        if name in known_values:
-            p.append(known_values[name])
-        elif slot.effect == LEVEL:
-            p.append(1.0)
-        elif roles[slot.effect, slot.parameter] == "phase":
-            p.append(phase)
-        else:
-            p.append(float(np.mean(others)) if others else 0.0)
-    return layout, np.array(p)
-
-
-def _is_same_parameter(a: Slot, b: Slot) -> bool:
-    return (a.effect, a.parameter) == (b.effect, b.parameter)
-
-
-def simulate_run(truth: Solution, design: RunDesign, fine: int = 1) -> Piece:
-    """Simulate what the camera would measure in a planned run, without noise.
-
-    Parameters
-    ----------
-    truth
-        The explanation that is true.
-    design
-        The planned run.
-    fine
-        Integration panels per frame that other explanations need.
-
-    Returns
-    -------
-    Piece
-
-    Raises
-    ------
-    FrictrackError
-        If the run has fewer than `MIN_RUN_FRAMES` frames.
-
-    """
-    layout, p = extend_layout(truth, truth.problem.layout.span, design.phase)
-    fine = max([fine, *(e.fine for e in truth.problem.model.effects)])
-    piece = blank_piece(conditions_from_fit(truth), design, len(layout.run_names) - 1, fine)
-    return integrate_motion(LeastSquaresProblem(layout.model, layout, [piece]), p, design)
-
-
-def integrate_motion(problem: LeastSquaresProblem, p: Array, design: RunDesign) -> Piece:
-    """Integrate the motion of the only piece of a problem, up to where the mass stops or leaves the course.
-
-    Parameters
-    ----------
-    problem
-        Problem with one piece.
-    p
-        Parameters, (P,).
-    design
-        The planned run.
-
-    Returns
-    -------
-    Piece
-
-    Raises
-    ------
-    FrictrackError
-        If the run has fewer than `MIN_RUN_FRAMES` frames.
-
-    """
-    piece = problem.pieces[0]
-    found = problem.evaluate(p, [np.array(design.start)])[0]
-    x, v = found.motion.x_edge[piece.at], found.motion.v_edge[piece.at]
-    n = _visible_frames(x, np.sign(design.start[1]) * v, design.course)
-    if n < MIN_RUN_FRAMES:
-        raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
-    simulated = replace(piece, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
-    return simulated.first(n)
-
-
-def _visible_frames(x: Array, speed: Array, course: tuple[float, float]) -> int:
-    """Number of frames until the mass stops or leaves the course."""
-    over = np.flatnonzero((speed < MIN_VISIBLE_SPEED) | (x < course[0] - 1e-9) | (x > course[1] + 1e-9))
-    return int(over[0]) if len(over) else len(x)
+    @property
+    def direction(self) -> float:
+        """Sign of the velocity."""
+        return float(np.sign(self.start[1]))
 
 
 @dataclass(frozen=True)
 class RunConditions:
-    """Conditions common to all planned runs.
+    """What all planned runs have in common.
 
     Parameters
     ----------
@@ -227,7 +84,7 @@ class RunConditions:
     deceleration
         Typical deceleration by friction, m/s^2.
     path
-        Known properties of a run beside its motion.
+        Known properties of a run without its motion.
     incline
         Incline, rad.
     reference_piece
@@ -243,147 +100,277 @@ class RunConditions:
     incline: float = 0.0
     reference_piece: Piece | None = None
 
+    @classmethod
+    def of_fit(cls, solution: Solution) -> RunConditions:
+        """Conditions of the filmed runs of a fit; the longest of them is repeated."""
+        pieces = solution.problem.pieces
+        longest = max(pieces, key=lambda p: p.t[-1] - p.t[0])
+        friction = [r.piece.path.s * (r.piece.known - r.motion.a) for r in solution.responses]
+        return cls(
+            fps=solution.problem.layout.spans[0].fps,
+            noise=float(np.median(np.concatenate([piece.noise for piece in pieces]))),
+            mass=longest.mass,
+            deceleration=max(float(np.median(np.concatenate(friction))), 0.1),
+            path=longest.path,
+            incline=_incline(longest),
+            reference_piece=longest,
+        )
 
-def conditions_from_fit(solution: Solution) -> RunConditions:
-    """Conditions of the filmed runs of a fit."""
-    reference_piece = longest_piece(solution.problem.pieces)
-    return RunConditions(
-        fps=solution.problem.layout.spans[0].fps,
-        noise=float(np.median(np.concatenate([piece.noise for piece in solution.problem.pieces]))),
-        mass=reference_piece.mass,
-        deceleration=_deceleration(solution),
-        path=reference_piece.path,
-        incline=incline_of(reference_piece),
-        reference_piece=reference_piece,
-    )
+    def settings(self, design: RunDesign) -> RunSettings:
+        """Settings of a planned run."""
+        mass, incline = self.mass * design.mass, self.incline + design.tilt
+        return RunSettings(design.start[1], mass, incline, self.fps * design.rate, design.pitch)
 
+    def blank_piece(self, design: RunDesign, run: int, fine: int) -> Piece:
+        """Piece of a planned run whose motion is not yet simulated, with `fine` integration panels per frame."""
+        fps, s = self.fps * design.rate, design.direction
+        n = int(np.clip(fps * self._seconds(design), MIN_RUN_FRAMES, min(design.frames, MAX_FRAMES) - 1)) + 1
+        panels, t = Panels(np.arange((n - 1) * fine + 1) / (fps * fine)), np.arange(n) / fps
+        path, known = self._path_at_nodes(design, panels.t)
+        reference = self.reference_piece
+        return Piece(
+            run=run,
+            frames=np.arange(n),
+            t=t,
+            y=np.full(n, design.start[0]),
+            sigma=np.full(n, self.noise * design.pitch),
+            panels=panels,
+            at=np.arange(n) * fine,
+            per_frame=fine,
+            x_hat=design.start[0] + design.start[1] * panels.t,
+            v_hat=np.full_like(panels.t, design.start[1]),
+            a_hat=known - s * self.deceleration,
+            known=known,
+            path=path,
+            mass=self.mass * design.mass,
+            way=np.array([[0.0], [design.start[0]], [design.start[1]]]),
+            angle=None if reference is None else _repeated(reference.t, reference.angle, reference, t),
+        )
 
-def blank_piece(conditions: RunConditions, design: RunDesign, run: int, fine: int = 1) -> Piece:
-    """Make the piece of a planned run whose motion is not yet simulated.
+    def _seconds(self, design: RunDesign) -> float:
+        """Time within which the mass stops or leaves the course, s."""
+        if self.reference_piece is not None and self.path.drive is not None:
+            return float(self.reference_piece.t[-1] - self.reference_piece.t[0])
+        speed = abs(design.start[1])
+        reach = design.course[1] - design.start[0] if design.direction > 0 else design.start[0] - design.course[0]
+        return STOP_TIME_MARGIN * min(speed / self.deceleration, reach / max(0.5 * speed, MIN_VISIBLE_SPEED))
 
-    Parameters
-    ----------
-    conditions
-        Conditions common to all planned runs.
-    design
-        The planned run.
-    run
-        Index of the run in its problem.
-    fine
-        Integration panels per frame.
-
-    Returns
-    -------
-    Piece
-
-    """
-    fps, s = conditions.fps * design.rate, float(np.sign(design.start[1]))
-    n = int(np.clip(fps * _seconds(conditions, design, s), MIN_RUN_FRAMES, min(design.frames, MAX_FRAMES) - 1)) + 1
-    panels = Panels(np.arange((n - 1) * fine + 1) / (fps * fine))
-    path, known, mass = _conditions_at_nodes(conditions, design, panels.t, s)
-    t = np.arange(n) / fps
-    return Piece(
-        run=run,
-        frames=np.arange(n),
-        t=t,
-        y=np.full(n, design.start[0]),
-        sigma=np.full(n, conditions.noise * design.pitch),
-        panels=panels,
-        at=np.arange(n) * fine,
-        per_frame=fine,
-        x_hat=design.start[0] + design.start[1] * panels.t,
-        v_hat=np.full_like(panels.t, design.start[1]),
-        a_hat=known - s * conditions.deceleration,
-        known=known,
-        path=path,
-        mass=mass,
-        way=np.array([[0.0], [design.start[0]], [design.start[1]]]),
-        angle=_repeat_series(
-            conditions.reference_piece,
-            None if conditions.reference_piece is None else conditions.reference_piece.angle,
-            t,
-            at_frames=True,
-        ),
-    )
-
-
-def _seconds(conditions: RunConditions, design: RunDesign, s: float) -> float:
-    """Time within which the mass stops or leaves the course, s."""
-    if conditions.reference_piece is not None and conditions.reference_piece.path.drive is not None:
-        return float(conditions.reference_piece.t[-1] - conditions.reference_piece.t[0])
-    reach = (design.course[1] - design.start[0]) if s > 0 else (design.start[0] - design.course[0])
-    return STOP_TIME_MARGIN * min(
-        abs(design.start[1]) / conditions.deceleration, reach / max(0.5 * abs(design.start[1]), MIN_VISIBLE_SPEED)
-    )
-
-
-def _deceleration(solution: Solution) -> float:
-    """Typical deceleration by friction, m/s^2."""
-    a = np.concatenate([r.piece.path.s * (r.piece.known - r.motion.a) for r in solution.responses])
-    return max(float(np.median(a)), 0.1)
-
-
-def _conditions_at_nodes(
-    conditions: RunConditions, design: RunDesign, nodes: Array, s: float
-) -> tuple[Path, Array, float]:
-    """Return path, acceleration by drive and incline at the nodes, and mass of a planned run."""
-    old, reference_piece = conditions.path, conditions.reference_piece
-    incline = conditions.incline + design.tilt
-    load_ratio = float(np.cos(incline) / np.cos(conditions.incline))
-    mass = conditions.mass * design.mass
-    known = np.full_like(nodes, -GRAVITY * np.sin(incline))
-    start_time = 0.0 if reference_piece is None else float(reference_piece.t[0])
-    drive_at = None if old.drive_at is None else partial(_scaled, old.drive_at, design.drive, start_time)
-    drive = None if drive_at is None else drive_at(nodes)
-    if drive is not None:
-        known = known + drive / mass
-    zeros = np.zeros_like(nodes)
-    path = replace(
-        old,
-        t=nodes,
-        x=zeros,
-        v=zeros,
-        s=zeros + s,
-        load=old.load * design.mass * load_ratio,
-        mass_ratio=old.mass_ratio * design.mass,
-        mass=None if old.mass is None else mass,
-        pixel_pitch=None if old.pixel_pitch is None else old.pixel_pitch * design.pitch,
-        drive=drive,
-        drive_at=drive_at,
-        lift=_repeat_series(reference_piece, old.lift, nodes),
-        gravity=old.gravity * load_ratio,
-        angle=_repeat_series(reference_piece, old.angle, nodes),
-        travelled=0.0,
-        begins=design.start[0],
-        before=np.array([[0.0], [design.start[0]], [design.start[1]]]),
-    )
-    return path, known, mass
+    def _path_at_nodes(self, design: RunDesign, t: Array) -> tuple[Path, Array]:
+        """Path at the nodes of a planned run, and its acceleration by drive and incline."""
+        old, reference, zeros = self.path, self.reference_piece, np.zeros_like(t)
+        incline, mass = self.incline + design.tilt, self.mass * design.mass
+        load_ratio = float(np.cos(incline) / np.cos(self.incline))
+        known, series = zeros - GRAVITY * np.sin(incline), dict[str, Any]()
+        drive_at: Callable[[Array], Array] | None = None
+        if reference is not None:
+            series = {n: _repeated(reference.path.t, getattr(old, n), reference, t) for n in ("lift", "angle")}
+            if old.drive_at is not None:
+                drive_at = partial(_scaled, old.drive_at, design.drive, reference.t[0])
+                series["drive"] = drive = drive_at(t)
+                known = known + drive / mass
+        path = replace(
+            old,
+            t=t,
+            x=zeros,
+            v=zeros,
+            s=zeros + design.direction,
+            load=old.load * design.mass * load_ratio,
+            mass_ratio=old.mass_ratio * design.mass,
+            mass=None if old.mass is None else mass,
+            pixel_pitch=None if old.pixel_pitch is None else old.pixel_pitch * design.pitch,
+            drive_at=drive_at,
+            gravity=old.gravity * load_ratio,
+            travelled=0.0,
+            begins=design.start[0],
+            before=np.array([[0.0], [design.start[0]], [design.start[1]]]),
+            **series,
+        )
+        return path, known
 
 
-def incline_of(reference_piece: Piece) -> float:
+def _incline(piece: Piece) -> float:
     """Incline of a filmed run, rad."""
-    drive = 0.0 if reference_piece.path.drive is None else reference_piece.path.drive / reference_piece.mass
-    return float(-np.arcsin(np.clip(np.median(reference_piece.known - drive) / GRAVITY, -1.0, 1.0)))
+    drive = 0.0 if piece.path.drive is None else piece.path.drive / piece.mass
+    return float(-np.arcsin(np.clip(np.median(piece.known - drive) / GRAVITY, -1.0, 1.0)))
 
 
-def _scaled(drive_at: Callable[[Array], Array], factor: float, start_time: float, t: Array) -> Array:
+def _scaled(drive_at: Callable[[Array], Array], factor: float, begin: float, t: Array) -> Array:
     """The same drive times a factor, from the start of the piece."""
-    return factor * np.asarray(drive_at(t + start_time))
+    return factor * np.asarray(drive_at(t + begin))
 
 
-def _repeat_series(
-    reference_piece: Piece | None, series: Array | None, t: Array, *, at_frames: bool = False
-) -> Array | None:
+def _repeated(times: Array, series: Array | None, reference: Piece, t: Array) -> Array | None:
     """A measured series repeated periodically in the planned run; None if none was measured."""
-    if reference_piece is None or series is None:
-        return None
-    period = float(reference_piece.t[-1] - reference_piece.t[0])
-    return np.interp(
-        reference_piece.t[0] + (t % period), reference_piece.t if at_frames else reference_piece.path.t, series
-    )
+    period = float(reference.t[-1] - reference.t[0])
+    return None if series is None else np.interp(reference.t[0] + (t % period), times, series)
+
+
+def last_settings(solution: Solution) -> RunSettings:
+    """Settings of the last run of a fit: what is on the table now."""
+    layout = solution.problem.layout
+    run = len(layout.run_names) - 1
+    piece, start = next((p, s) for p, s in zip(solution.problem.pieces, solution.starts, strict=True) if p.run == run)
+    return RunSettings(float(start[1]), piece.mass, _incline(piece), layout.spans[0].fps)
+
+
+def max_frames_of_film(solution: Solution, costs: Costs = DEFAULT_COSTS) -> float:
+    """Largest number of frames in a film of this set-up: as declared, or else as far as its runs show.
+
+    The longest run shows it if its film ended while the mass still moved, and well within the course of the runs.
+    Infinite where neither tells.
+    """
+    if costs.frames is not None:
+        return costs.frames
+    pieces, course = solution.problem.pieces, solution.problem.layout.span
+    counts = Counter[int]()
+    for piece in pieces:
+        counts[piece.run] += len(piece.t)
+    run, frames = counts.most_common(1)[0]
+    own = [piece for piece in pieces if piece.run == run]
+    x, v, first = float(own[-1].x_hat[-1]), float(own[-1].v_hat[-1]), float(own[0].v_hat[0])
+    left = course.x_max - x if v > 0 else x - course.x_min
+    moves = abs(v) > MIN_SPEED_LEFT * abs(first) and left > MIN_COURSE_LEFT * (course.x_max - course.x_min)
+    return float(frames) if moves else np.inf
 
 
 def expected_scatter(solution: Solution, runs: int) -> float:
     """Expected scatter of the friction level with a given number of runs."""
     known = len(solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER or runs < MIN_RUNS_FOR_SCATTER
     return solution.tau_of_other_runs if known else DEFAULT_SCATTER
+
+
+def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> Unknowns:
+    """Extend the parameters of a fit by one run, whose own parameters are the mean over the other runs.
+
+    With `free`, an effect that is absent from most runs may occur in the new one.
+    """
+    old = solution.problem.layout
+    runs = len(old.run_names)
+    rare = {e.name for e in old.model.effects if sum(a == e.name for a, _ in old.absent) > runs / 2}
+    layout = replace(
+        old,
+        run_names=(*old.run_names, PLANNED_RUN_NAME),
+        spans=(*old.spans, span),
+        absent=old.absent if free else old.absent | {(name, runs) for name in rare},
+    )
+    known = dict(zip(old.names, solution.p.tolist(), strict=True))
+    of_runs: dict[tuple[str, str], list[float]] = {}
+    for slot, value in zip(old.slots, solution.p.tolist(), strict=True):
+        of_runs.setdefault((slot.effect, slot.parameter), []).append(value)
+    roles = roles_of(layout)
+
+    def first_value(effect: str, parameter: str) -> float:
+        if effect == LEVEL:
+            return 1.0
+        return phase if roles[effect, parameter] == "phase" else float(np.mean(of_runs.get((effect, parameter), 0.0)))
+
+    pairs = zip(layout.names, layout.slots, strict=True)
+    return layout, np.array([known[n] if n in known else first_value(s.effect, s.parameter) for n, s in pairs])
+
+
+def roles_of(layout: ParameterLayout) -> dict[tuple[str, str], str]:
+    """Role of every parameter, by effect and name."""
+    return {(e.name, q.name): q.role for e in layout.model.effects for q in e.parameters}
+
+
+class LinearisedRun(LeastSquaresProblem):
+    """A model in one run, linearised along a motion that it would have to reproduce, by one Newton step from there.
+
+    That motion is what the camera would measure, so a model that follows it is linearised where it ends. A model with
+    memory has to be simulated.
+    """
+
+    def __init__(self, layout: ParameterLayout, piece: Piece, start: Sequence[float] | Array) -> None:
+        super().__init__(layout.model, layout, [piece])
+        self.first_start = np.array(start)
+        self._linear: LinearResponse | None = None  # of the first evaluation; near the motion it hardly changes
+
+    def respond(self, p: Array) -> PieceResponse:
+        """Residual and sensitivities of the run at unknowns p (P,)."""
+        return self.evaluate(p, [self.first_start])[0]
+
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
+        """Residual and sensitivities of the run at unknowns p (P,) and its start."""
+        if self.model.memory:
+            return super().evaluate(p, starts)
+        piece = self._with_rival_clock(self.pieces[0], p)
+        begin = self.first_start * np.array([1.0, self.pieces[0].clock / piece.clock])
+        edges = piece.panels.integrate(piece.a_hat, *begin)[2:]
+        motion = CollocationSolution(piece.panels, piece.x_hat, piece.v_hat, piece.a_hat, *edges)
+        acceleration = self.acceleration(piece, p)
+        if self._linear is None:
+            own, self._linear = linearise_acceleration(acceleration, piece.panels, (motion.x, motion.v))
+        else:
+            own = acceleration(motion.x, motion.v, piece.panels.t)
+        moved = self._linear.respond((own - motion.a)[:, None], (starts[0] - begin)[:, None])[1]
+        x = motion.x_edge[piece.at] + moved[piece.at, 0, 0]
+        response = self.linearised_response(piece, p, (motion, self._linear), x)
+        return [replace(response, r_full=response.r)]  # linear in the start: the best one is known
+
+    def _with_rival_clock(self, piece: Piece, p: Array) -> Piece:
+        """The run with the clock rate that the model gives to it."""
+        if all(e.clock is None for e in self.model.effects):
+            return piece
+        return piece.with_clock(self.model.clock(self.layout.values(p, piece.run)[0]))
+
+
+@dataclass(eq=False)
+class VirtualRun:
+    """A planned run as a model predicts it: the last run of a layout.
+
+    Parameters
+    ----------
+    design
+        The design of the run.
+    piece
+        What the camera would measure, without noise.
+    layout, p
+        The unknowns of the model with those of the run, and their values (P,).
+
+    """
+
+    design: RunDesign
+    piece: Piece
+    layout: ParameterLayout
+    p: Array
+
+    @cached_property
+    def response(self) -> PieceResponse:
+        """The run with its sensitivities to the unknowns."""
+        return LinearisedRun(self.layout, self.piece, self.design.start).respond(self.p)
+
+
+def make_run(
+    conditions: RunConditions, design: RunDesign, unknowns: Callable[[Span], Unknowns], near: Span, fine: int = 1
+) -> VirtualRun:
+    """Simulate a planned run of a model. Its unknowns depend on the span of the run, the last one in their layout.
+
+    `near` is a span near that of the run, which is not known yet. Raises FrictrackError if the run has fewer than
+    `MIN_RUN_FRAMES` frames, or cannot be integrated.
+    """
+    layout, p = unknowns(near)
+    piece = conditions.blank_piece(design, len(layout.run_names) - 1, fine)
+    found = LeastSquaresProblem(layout.model, layout, [piece]).evaluate(p, [np.array(design.start)])[0]
+    n = _visible_frames(found, design)
+    if n < MIN_RUN_FRAMES:
+        raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
+    motion = found.motion
+    piece = replace(piece, x_hat=motion.x, v_hat=motion.v, a_hat=motion.a, y=found.model_y).first(n)
+    return VirtualRun(design, piece, *unknowns(spans_of([replace(piece, run=0)], 1, conditions.fps * design.rate)[0]))
+
+
+def _visible_frames(found: PieceResponse, design: RunDesign) -> int:
+    """Number of frames until the mass stops or leaves the course."""
+    x, v = (edge[found.piece.at] for edge in (found.motion.x_edge, found.motion.v_edge))
+    (low, high), slow = design.course, design.direction * v < MIN_VISIBLE_SPEED
+    over = np.flatnonzero(slow | (x < low - 1e-9) | (x > high + 1e-9))
+    return int(over[0]) if len(over) else len(x)
+
+
+def simulate_run(truth: Solution, design: RunDesign, fine: int = 1) -> VirtualRun:
+    """Simulate a planned run as a fit predicts it, with at least `fine` panels per frame that other models need."""
+    fine = max([fine, *(e.fine for e in truth.problem.model.effects)])
+    near = truth.problem.layout.span
+    return make_run(
+        RunConditions.of_fit(truth), design, lambda span: extend_layout(truth, span, design.phase), near, fine
+    )

@@ -14,11 +14,16 @@ Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
 """
 
-from frictrack.plan.experiment_setup import ExperimentSetup, candidate_runs, default_setup
-from frictrack.plan.plan_summary import summarise_plan
-from frictrack.plan.run_to_film import next_run
-from frictrack.plan.selection import RunPlan, choose_runs
-from frictrack.plan.setup_from_fit import fitted_setup
+from frictrack.diagnose.experiments import (
+    ExperimentSetup,
+    RunPlan,
+    candidate_runs,
+    choose_runs,
+    default_setup,
+    fitted_setup,
+    next_run,
+    summarise_plan,
+)
 
 __all__ = [
     "ExperimentSetup",

@@ -1,0 +1,304 @@
+"""Forecast the evidence of a planned run: one explanation is true, and a rival is fitted to all runs without noise.
+
+This is the criterion of T-optimal designs. The misfit r that the rival leaves gives the evidence r'r. The prediction
+of the true explanation is uncertain: a change u of its parameters changes the planned run by J u. The rival can follow
+a part of J u; the rest is added to r.
+
+The present runs answer linearly to the forces of the fitted rival: to every coefficient, times the friction level of
+the run if it carries the load. In the planned run the rival is linearised along the motion that it would have to
+reproduce, so that no motion is integrated.
+
+References
+----------
+Hunter & Reiner (1965), Technometrics 7, 307-323.
+Atkinson & Fedorov (1975), Biometrika 62, 57-70.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from frictrack.diagnose.experiments.explanations import MIN_CHI2_FALL, SIZE_ROLES, FittedExplanation
+from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, roles_of
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    model_projection,
+    predicted_objective,
+    refine,
+)
+from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
+from frictrack.fit.stepwise import bic_penalty, is_unconstrained
+from frictrack.records import Array
+
+START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
+MAX_STEPS = 12  # Gauss-Newton steps of a rival
+QUANTILES_95 = (0.025, 0.975)
+N_DEVIATES = 10_000  # of every quantity that is uncertain
+
+
+@dataclass(frozen=True)
+class EvidenceForecast:
+    """The evidence that an experiment is expected to give if one explanation is true.
+
+    With z standard normal, the evidence is ``expected + 2 slopes'z + curvatures'z^2``. The noise of the new data adds
+    a normal deviation, whose variance is four times the evidence.
+
+    Parameters
+    ----------
+    expected
+        Difference of BIC if the fitted values are true.
+    slopes
+        Half of its derivative with respect to each component of z, (k,).
+    curvatures
+        Half of its second derivative, (k,).
+    open_above
+        Whether the size of the effect is unknown: `expected` is computed for a small one.
+
+    Examples
+    --------
+    >>> low, high = EvidenceForecast(100.0).interval()
+    >>> round(low), round(high)
+    (61, 139)
+    >>> low, high = EvidenceForecast.of_size(100.0, 0.1).interval()
+    >>> round(low), round(high)
+    (49, 159)
+
+    """
+
+    expected: float
+    slopes: Array = field(default_factory=lambda: np.zeros(0))
+    curvatures: Array = field(default_factory=lambda: np.zeros(0))
+    open_above: bool = False
+
+    @classmethod
+    def of_size(cls, expected: float, relative_std: float) -> EvidenceForecast:
+        """Forecast of evidence that grows with the square of a size, known to `relative_std` (infinite: unknown)."""
+        if not np.isfinite(relative_std):
+            return cls(expected, open_above=True)
+        mean = max(expected, 0.0)
+        return cls(expected, np.array([mean * relative_std]), np.array([mean * relative_std**2]))
+
+    def shifted(self, by: float) -> EvidenceForecast:
+        """Return the forecast with a known amount of evidence added."""
+        return replace(self, expected=self.expected + by)
+
+    def interval(self) -> tuple[float, float | None]:
+        """95 % interval, from a fixed sample of z and of the noise; None above if the size of the effect is unknown.
+
+        It includes the interval that the noise alone gives at the fitted values, because a parameter may be too
+        uncertain for a linear model of its effect.
+        """
+        deviates = np.random.default_rng(0).standard_normal((N_DEVIATES, len(self.slopes) + 1))
+        noise, z = deviates[:, 0], deviates[:, 1:]
+        change = 2 * z @ self.slopes + z**2 @ self.curvatures
+        without_noise = self.expected + np.array([np.zeros(N_DEVIATES), change])
+        evidence = without_noise + 2 * np.sqrt(np.maximum(without_noise, 0.0)) * noise
+        low, high = np.quantile(evidence, QUANTILES_95, axis=1)
+        return float(low.min()), None if self.open_above else float(high.max())
+
+
+def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
+    """Slopes and curvatures (k,) of the evidence of a planned run, the last response of a rival fitted to all runs.
+
+    `planned` (n, k) is the whitened change of the run for one standard deviation of each uncertain quantity.
+    """
+    law, q = model_projection(rival, np.flatnonzero(~rival.held).tolist()), rival.responses[-1].q
+    moved = np.zeros((len(law.u), planned.shape[1]))
+    moved[law.rows[-1]] = planned - q @ (q.T @ planned)  # its start is free
+    for _ in range(2):  # once more, since what is left is far smaller than what was there
+        moved -= law.u @ (law.u.T @ moved)
+    curvatures, axes = np.linalg.eigh(moved.T @ moved)
+    return axes.T @ (moved.T @ law.r), np.maximum(curvatures, 0.0)
+
+
+@dataclass(frozen=True)
+class ModelDiscrimination:
+    """Two explanations of the same runs, the first of which is taken to be true."""
+
+    truth: FittedExplanation
+    rival: FittedExplanation
+
+    @cached_property
+    def fitted_rival(self) -> Solution:
+        """The rival fitted to what the truth predicts of the present runs, without noise."""
+        rival, truth = self.rival.solution, self.truth.conservative
+        true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in truth.responses}
+        pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
+        problem = rival.problem.rebuild(rival.problem.layout, pieces)
+        return _refine(problem, rival.p, rival.starts, truth.tau_of_other_runs)
+
+    @cached_property
+    def _compressed(self) -> list[PieceResponse]:
+        """The present runs under the fitted rival, in few rows."""
+        return [compress_response(r) for r in self.fitted_rival.responses]
+
+    @cached_property
+    def expected_delta_bic_now(self) -> float:
+        """Expected difference of BIC on the present runs, positive for the truth."""
+        truth = self.truth.conservative
+        return self._bic(self.fitted_rival, truth.problem.layout, truth.p, truth.tau_of_other_runs)
+
+    def forecast_after(self, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
+        """Forecast the difference of BIC once a planned run is filmed too, positive for the truth.
+
+        With `simulate`, the rival is simulated too: slower, and right where its non-linear parameters change much.
+        Raises FrictrackError if the run is too short, or if its motion cannot be integrated under the rival.
+        """
+        run = self.truth.predicted_run(design, max(e.fine for e in self.rival.solution.problem.model.effects))
+        tau = self.truth.scatter_with(run)
+        layout, p = extend_layout(self.fitted_rival, run.layout.spans[-1], design.phase, free=True)
+        planned = LinearisedRun(layout, run.piece, design.start)
+        tied = self._fit(planned, start_rival(planned, p, tau), tau)
+        free = self._with_amplitude_per_run(tied, planned)
+        best = min([tied, *free], key=lambda s: self._bic(s, run.layout, run.p, tau))
+        if simulate:
+            problem = self.rival.solution.problem.rebuild(
+                best.problem.layout, [*self.fitted_rival.problem.pieces, run.piece]
+            )
+            best = _refine(problem, best.p, best.starts, tau)
+        slopes, curvatures = forecast_directions(best, self.truth.uncertain_directions(run))
+        return EvidenceForecast(self._bic(best, run.layout, run.p, tau), slopes, curvatures, self.truth.is_open)
+
+    def _fit(self, planned: LinearisedRun, p: Array, tau: float) -> Solution:
+        """The rival fitted to all runs from unknowns p (P,)."""
+        problem = RivalOfAllRuns(self.fitted_rival, self._compressed, planned)
+        return _refine(problem, p, [*self.fitted_rival.starts, planned.first_start], tau)
+
+    def _bic(self, rival: Solution, layout: ParameterLayout, p: Array, tau: float) -> float:
+        """Difference of BIC between a rival and a truth that explains everything but the penalties of its unknowns."""
+        truth, constraint = self.truth, penalty_residual(layout, p, tau)
+        held = count_unknowns(truth.solution.problem.layout) - count_unknowns(truth.conservative.problem.layout)
+        more = count_unknowns(rival.problem.layout) - count_unknowns(layout) - held
+        return rival.objective - float(constraint @ constraint) + bic_penalty(more, rival.problem.n_frames)
+
+    def _with_amplitude_per_run(self, tied: Solution, planned: LinearisedRun) -> Iterator[Solution]:
+        """The rival with an amplitude per run, if it may have one and its misfit exceeds the penalty of BIC."""
+        layout = tied.problem.layout
+        old = next(e for e in layout.model.effects if e.name == self.rival.effect)
+        sizes = [p for p in old.parameters if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run]
+        needed = bic_penalty(len(sizes) * (len(layout.run_names) - 1), tied.problem.n_frames)
+        if not (sizes and has_per_run_coefficients(old)) or tied.objective < needed:
+            return
+        per_run = old.adjusted(**{p.name: {"per_run": True} for p in sizes})
+        effects = tuple(per_run if e is old else e for e in layout.model.effects)
+        free = replace(layout, model=replace(layout.model, effects=effects))
+        values = {(s.effect, s.parameter, s.run): value for s, value in zip(layout.slots, tied.p, strict=True)}
+        shared = [values.get((s.effect, s.parameter, None), 0.0) for s in free.slots]
+        p = [values.get((s.effect, s.parameter, s.run), one) for s, one in zip(free.slots, shared, strict=True)]
+        with suppress(FrictrackError):
+            yield self._fit(LinearisedRun(free, planned.pieces[0], planned.first_start), np.array(p), tied.tau)
+
+
+def count_unknowns(layout: ParameterLayout) -> int:
+    """Number of parameters without the friction levels."""
+    return len(layout.slots) - len(layout.levels)
+
+
+def _refine(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+    """Refine all unknowns of a rival as far as the choice of a run needs."""
+    return refine(problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
+
+
+class RivalOfAllRuns(LeastSquaresProblem):
+    """The present runs, which answer linearly to the forces of the fitted rival, and a planned run."""
+
+    def __init__(self, about: Solution, responses: Sequence[PieceResponse], planned: LinearisedRun) -> None:
+        layout = planned.layout
+        super().__init__(layout.model, layout, [*(r.piece for r in responses), *planned.pieces])
+        self._present, self._planned = [PresentRun(r, about, layout) for r in responses], planned
+
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
+        """Residuals and sensitivities of all runs at unknowns p (P,)."""
+        return [*(run.at(p) for run in self._present), *self._planned.evaluate(p, starts[-1:])]
+
+
+class PresentRun:
+    """Response of one present run about a fitted rival, under a layout that may have further unknowns.
+
+    The friction level L multiplies the coefficients that carry the load, so that the run answers linearly to a change
+    d of the unknowns and to the products of these with that of L: r = r0 - J d - (d_L / L) J_loaded d_loaded.
+    """
+
+    def __init__(self, response: PieceResponse, about: Solution, layout: ParameterLayout) -> None:
+        active = layout.active(response.piece.run)
+        slots = [layout.slots[i] for i in active]
+        known = {(e.name, q.name): q for e in layout.model.effects for q in e.parameters}
+        parameters = [known.get((s.effect, s.parameter)) for s in slots]
+        self._loaded = np.array([q is not None and q.loaded for q in parameters], dtype=float)
+        self._phases = np.array([q is not None and q.role == "phase" for q in parameters], dtype=bool)
+        self._levels = [k for k, s in enumerate(slots) if s.effect == LEVEL]
+        old = [about.problem.layout.slots[i] for i in response.active]
+        column = {(s.effect, s.parameter): k for k, s in enumerate(old)}
+        place = [column.get((s.effect, s.parameter), -1) for s in slots]
+        self._p = np.append(about.p[response.active], 1.0)[place]
+        self._jac = np.column_stack([response.jac, np.zeros(len(response.jac))])[:, place]
+        if -1 in place:  # a friction level, which was one
+            self._jac[:, place.index(-1)] = self._jac @ (self._loaded * self._p)
+        on_start = np.zeros((len(response.on_start), len(active)))
+        self._response = replace(response, active=active, on_start=on_start)
+
+    def at(self, p: Array) -> PieceResponse:
+        """The response at other unknowns p (P,)."""
+        change = p[self._response.active] - self._p
+        change[self._phases] = (change[self._phases] + np.pi) % (2 * np.pi) - np.pi  # less than half a turn
+        scale = 1.0 + self._loaded * np.sum(change[self._levels] / self._p[self._levels])
+        jac = self._jac * scale
+        jac[:, self._levels] += (self._jac @ (self._loaded * change))[:, None] / self._p[self._levels]
+        residual = self._response.r - self._jac @ (change * scale)
+        return replace(self._response, jac=jac, r=residual, r_full=residual)
+
+
+def compress_response(response: PieceResponse) -> PieceResponse:
+    """The same linear response in as many rows as it has unknowns (QR)."""
+    upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
+    none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
+    return replace(response, jac=upper[:, :-1], r=upper[:, -1], r_full=upper[:, -1], q=none)
+
+
+def start_rival(planned: LinearisedRun, p: Array, tau: float) -> Array:
+    """First unknowns (P,) of a rival: with the phases and event times in the planned run that fit it best."""
+    layout, roles, run = planned.layout, roles_of(planned.layout), planned.pieces[0].run
+    slots = [(i, s, roles[s.effect, s.parameter]) for i, s in enumerate(layout.slots) if s.effect != LEVEL]
+    p = p.copy()
+    for i, phase, role in slots:
+        sizes = [k for k, s, size in slots if s.effect == phase.effect and size in SIZE_ROLES and s.run in (None, run)]
+        if role == "phase" and phase.run == run and sizes:
+            p[i] += _phase_shift(planned.respond(p), layout, sizes[0], i, p)
+    times = [i for i, s, role in slots if s.run == run and not s.linear and s.unit == "s" and role != "phase"]
+    if not times:
+        return p
+    t, own = planned.pieces[0].t, np.array([s.run == run for s in layout.slots])
+    tried = []
+    for trial in [p, *(_with_value(p, i, t[0] + share * (t[-1] - t[0])) for i in times for share in START_TIMES)]:
+        with suppress(FrictrackError):  # a start too wild to be integrated
+            tried.append((predicted_objective(planned, trial, [planned.first_start], tau=tau, free=own)[0], trial))
+    return min(tried, key=lambda one: one[0], default=(0.0, p))[1]
+
+
+def _phase_shift(response: PieceResponse, layout: ParameterLayout, size: int, phase: int, p: Array) -> float:
+    """Change of a phase that fits a run best while the size of the oscillation is free.
+
+    The sensitivities to size A and phase are its two quadratures: A + dA and A dphi are the new ones.
+    """
+    effect, run = layout.slots[phase].effect, layout.slots[phase].run
+    slots = [(k, i, layout.slots[i]) for k, i in enumerate(response.active)]
+    others = [k for k, _, s in slots if s.run == run and s.effect != effect]
+    pair = [response.active.index(i) for i in (size, phase)]
+    step = np.linalg.lstsq(response.jac[:, [*others, *pair]], response.r, rcond=None)[0]
+    return float(np.arctan2(p[size] * step[-1], p[size] + step[-2]))
+
+
+def _with_value(p: Array, i: int, value: float) -> Array:
+    out = p.copy()
+    out[i] = value
+    return out

@@ -1,0 +1,350 @@
+"""Choose the one run to film now, by the information that it is expected to give for its cost.
+
+A diagnosis leaves questions open. Which of several explanations is true: each is taken to be true with the probability
+that its BIC gives it, and the others are fitted to all runs including the planned one. Or whether an effect of a tenth
+of the friction would be seen. Every question has its evidence now and after each candidate run; a run is worth the
+progress toward decisive evidence, weighted by probability, over its cost.
+
+References
+----------
+Box & Hill (1967), Discrimination among mechanistic models, Technometrics 9, 57-71 (weights by probability).
+
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack import effects
+from frictrack.costs import DEFAULT_COSTS, Costs
+from frictrack.diagnose.experiments.candidates import candidate_experiments, candidate_runs, fitted_setup
+from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination
+from frictrack.diagnose.experiments.evidence import NormalMatrices, simulate_runs, tabulate_effect
+from frictrack.diagnose.experiments.explanations import FittedExplanation, explain_by_axes, make_explanation
+from frictrack.diagnose.experiments.rating import MAX_BIC_NEAR, RatedExperiment, compare_all, rate_runs
+from frictrack.diagnose.experiments.selection import detection_threshold
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, last_settings
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
+from frictrack.diagnose.unexplained import FIRST_FORMULA
+from frictrack.distributions import chi2_isf
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.fit.stepwise import add_effect, refine_to_end
+from frictrack.threads import one_thread
+
+DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
+SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
+MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
+MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
+MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
+MAX_EFFECTS = 4  # that are compared
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question: whether `true` differs from `rival` ("": from nothing), with its weight and threshold.
+
+    Evidence adds up: `now` is what the runs say already (without a rival: what they are expected to say).
+    """
+
+    true: str
+    rival: str
+    weight: float
+    decisive: float
+    now: float
+    pair: ModelDiscrimination | None = None
+
+    def progress(self, after: float) -> float:
+        """Weighted progress toward decisive evidence."""
+        return self.weight * float(np.diff(np.clip([self.now / self.decisive, after / self.decisive], 0.0, 1.0))[0])
+
+    def gain(self, after: float) -> float:
+        """Weighted share of decisive evidence that is added, also where little was left to add."""
+        return self.weight * float(np.clip((after - self.now) / self.decisive, 0.0, 1.0))
+
+    def prediction(self, after: EvidenceForecast) -> dict[str, Any]:
+        """Entry of the JSON `predictions`: the evidence of the present runs is known only if there is a rival."""
+        measured = self.now if self.rival else 0.0
+        low, high = after.shifted(-measured).interval()
+        return {
+            "true": self.true,
+            "rival": self.rival or None,
+            "now": self.now,
+            "expected": after.expected,
+            "interval": [low + measured, None if high is None else high + measured],
+            "decisive": self.decisive,
+        }
+
+
+def _after(experiment: RatedExperiment, question: Question) -> EvidenceForecast:
+    """Evidence on a question after a run; what it is now if a motion cannot be integrated."""
+    return experiment.evidence.get((question.true, question.rival), EvidenceForecast(question.now))
+
+
+def _value(experiment: RatedExperiment, questions: Sequence[Question]) -> tuple[float, float]:
+    """Progress over cost; then the plain gain of evidence over cost, where no run makes progress."""
+    pairs = [(q, _after(experiment, q).expected) for q in questions]
+    gain = sum(q.weight * (after - q.now) for q, after in pairs)
+    return sum(q.progress(after) for q, after in pairs) / experiment.cost, gain / experiment.cost
+
+
+def _added_to_measured(pair: ModelDiscrimination, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
+    """Evidence after a planned run: what the present runs give, and what the run is expected to add."""
+    measured = pair.truth.gain - pair.rival.gain
+    return pair.forecast_after(design, simulate=simulate).shifted(measured - pair.expected_delta_bic_now)
+
+
+def _simulated(experiment: RatedExperiment, questions: Sequence[Question]) -> RatedExperiment:
+    """The same run, its evidence on some questions from rivals that are simulated, too."""
+    evidence = dict(experiment.evidence)
+    for q in questions:
+        if q.pair is not None and experiment.design is not None:
+            with suppress(FrictrackError):  # a motion that cannot be integrated
+                evidence[q.true, q.rival] = _added_to_measured(q.pair, experiment.design, simulate=True)
+    return replace(experiment, evidence=evidence)
+
+
+@one_thread()
+def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COSTS) -> dict[str, Any] | None:
+    """Choose the run to film now.
+
+    Parameters
+    ----------
+    fit
+        The fit that was diagnosed.
+    diagnosis
+        Its diagnosis: JSON of `frictrack diagnose`, or `Diagnosis.summary()`.
+    costs
+        Costs of the next run, and what the set-up can do.
+
+    Returns
+    -------
+    dict or None
+        "what", "key", "settings" (speed m/s with sign, mass kg, incline_deg, fps), "cost", "separates",
+        "expected_delta_bic", "expected_interval" (95 %) and "predictions", one for every
+        question that the run is expected to answer if a likely explanation is true. None if nothing is
+        open, or if no run that the set-up can do helps.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.samples.runs()[:1]
+    >>> fit = ft.fit(["coulomb", "viscous"], runs)
+    >>> next_run(fit, ft.diagnose(fit, quick=True).summary()) is None  # one effect is named, without a rival
+    True
+
+    """
+    questions, options = _open_questions(fit, diagnosis, costs)
+    options = [o for o in options if max(_value(o, questions)) > 0]
+    if not options:
+        return None
+    best = max(options, key=lambda o: _value(o, questions))
+    open_now = [q for q in questions if q.now < q.decisive]
+    if sum(q.gain(_after(best, q).expected) for q in open_now) < MIN_GAIN * sum(q.weight for q in questions):
+        return None
+    likely = [q for q in open_now if q.weight >= MIN_WEIGHT_RATIO * max(q.weight for q in open_now)]
+    best = _simulated(best, likely)
+    predicted = [(q, q.prediction(_after(best, q))) for q in likely]
+    separated = [(q, p) for q, p in predicted if p["expected"] >= MIN_CHI2_SEPARATED] or predicted
+    weightiest = max(q.weight for q, _ in separated)
+    weakest = min((p for q, p in separated if q.weight == weightiest), key=lambda p: p["expected"])
+    assert best.settings is not None
+    return {
+        "what": best.words,
+        "key": best.key,
+        "settings": best.settings.summary(),
+        "cost": best.cost,
+        "separates": list(dict.fromkeys(name for q, _ in separated for name in (q.true, q.rival) if name)),
+        "expected_delta_bic": weakest["expected"],
+        "expected_interval": weakest["interval"],
+        "predictions": [p for _, p in separated],
+    }
+
+
+Options = tuple[list[Question], list[RatedExperiment]]
+
+
+def _open_questions(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs) -> Options:
+    """Questions that a diagnosis leaves open, and the runs that may answer them."""
+    if fit.measured or any(p.turns or p.cut for p in fit.solution.problem.pieces):
+        return [], []
+    verdict = diagnosis["verdict"]
+    if verdict not in {"undetermined", "complete"}:
+        found = list_explanations(fit.solution, diagnosis)
+        return _rival_questions(found, costs, further=verdict == "unexplained") if len(found) > 1 else ([], [])
+    if suspected := _suspected_effects(diagnosis):
+        return _power_questions(fit, list(suspected), costs, suspected)
+    questions, options = _power_questions(fit, _unseen_effects(diagnosis), costs)
+    if verdict == "complete":  # only what one of the runs answers
+        questions = [q for q in questions if any(_after(o, q).expected >= q.decisive for o in options)]
+    return questions, options
+
+
+# --- which explanation is true
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """An explanation and its probability among those listed."""
+
+    explanation: FittedExplanation
+    probability: float
+
+
+def list_explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[Weighted]:
+    """List the explanations of what a diagnosis leaves open.
+
+    Parameters
+    ----------
+    solution
+        The fit that was diagnosed.
+    diagnosis
+        JSON of its diagnosis.
+
+    Returns
+    -------
+    list of Weighted
+        Free curves over place, time or speed where nothing explains the misfit; else the effect with rivals, these,
+        and a formula that may be the cause in place of one effect. Empty if the effects found have no rival.
+
+    """
+    if diagnosis["verdict"] == "unexplained":
+        return _weighted(explain_by_axes(solution), None)
+    listed = {c["effect"]: c for c in diagnosis["candidates"]}
+    missing = diagnosis["missing"]
+    formula = _rival_formula(diagnosis) if len(missing) == 1 else None
+    doubtful = next((n for n in missing if listed[n]["indistinguishable_from"]), missing[0] if formula else None)
+    if doubtful is None:
+        return []
+    for name in missing:
+        if name != doubtful:
+            solution = refine_to_end(add_effect(solution, effects.get(name)))
+    kept = _effects_near(solution, listed, doubtful)
+    fitted = list(_fitted(solution, [formula])) if formula else []
+    probability = float(diagnosis["unexplained"]["probability"]) if fitted else None
+    return _weighted([*fitted, *kept], probability)
+
+
+def _effects_near(solution: Solution, listed: Mapping[str, Any], doubtful: str) -> list[FittedExplanation]:
+    """The effect with rivals, and the best of its rivals and of all candidates near it."""
+    rivals, best = listed[doubtful]["indistinguishable_from"], listed[doubtful]["delta_bic"]
+    near = [n for n, c in listed.items() if c["delta_bic"] is not None and best - c["delta_bic"] < MAX_BIC_NEAR]
+    names = [n for n in dict.fromkeys([doubtful, *rivals, *near]) if n not in solution.problem.model]
+    known = [effects.get(n) for n in names[: 2 * MAX_EFFECTS] if n.partition(":")[0] in effects.LIBRARY]
+    return sorted(_fitted(solution, known), key=lambda e: (e.effect != doubtful, -e.gain))[:MAX_EFFECTS]
+
+
+def _weighted(found: Sequence[FittedExplanation], probability: float | None) -> list[Weighted]:
+    """Explanations with their probabilities from BIC; a formula comes first, with its own because of its prior."""
+    gains = np.array([e.gain for e in found])
+    shares = np.exp((gains - gains.max(initial=0.0)) / 2)
+    if probability is not None and len(found) > 1:
+        shares[0] = shares[1:].sum() * probability / max(1.0 - probability, 1e-3)
+    shares /= max(float(shares.sum()), 1e-300)
+    return [Weighted(e, float(share)) for e, share in zip(found, shares, strict=True)]
+
+
+def _rival_formula(diagnosis: Mapping[str, Any]) -> Effect | None:
+    """The formula that may be the cause in place of the effect found, as an effect; None if there is none."""
+    unexplained = diagnosis["unexplained"] or {}
+    if not unexplained.get("rival"):
+        return None
+    table = tomllib.loads(unexplained["formulas"][0]["toml"])["effect"][0]
+    return replace(effects.definitions([effects.read_settings(table)])[0], name=FIRST_FORMULA)
+
+
+def _fitted(solution: Solution, tried: Sequence[Effect]) -> Iterator[FittedExplanation]:
+    """Explanation by every effect under which a motion can be integrated."""
+    for effect in tried:
+        with suppress(FrictrackError):
+            yield make_explanation(effect.name, refine_to_end(add_effect(solution, effect)), solution)
+
+
+def _rival_questions(found: Sequence[Weighted], costs: Costs, *, further: bool) -> Options:
+    """One question for every ordered pair of explanations, weighted by the probability of the first.
+
+    With `further`, evidence that is decisive already must be found once more: the runs are not explained yet.
+    """
+    pairs = compare_all([w.explanation for w in found])
+    probability = {w.explanation.name: w.probability / (len(found) - 1) for w in found}
+    questions = []
+    for pair in pairs:
+        true, now = pair.truth.name, pair.truth.gain - pair.rival.gain
+        decisive = DECISIVE_DELTA_BIC + (now if further and now >= DECISIVE_DELTA_BIC else 0.0)
+        questions.append(Question(true, pair.rival.name, probability[true], decisive, now, pair))
+    entries = candidate_experiments(found[0].explanation.solution, costs, combined=True)
+    return questions, list(rate_runs(pairs, entries, costs, forecast=_added_to_measured))
+
+
+# --- what the runs could show
+
+
+def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Effects that the runs leave open: those of an undetermined verdict; else forces absorbed whatever their size."""
+    if diagnosis["verdict"] == "undetermined":
+        parts = [part for one in diagnosis["undetermined"] for part in one["what"].split(" and ")]
+        return list(dict.fromkeys(part.split(".")[0] for part in parts))
+    limits = diagnosis["detection_limits"]
+    named = [n for n, limit in limits.items() if limit["value"] is None and n in effects.LIBRARY]
+    return [n for n in named if effects.get(n).acts_on == "force" and effects.get(n).sized]
+
+
+def _suspected_effects(diagnosis: Mapping[str, Any]) -> dict[str, float]:
+    """Effects with much evidence that is nearly significant, the best first, and their evidence as chi-squared."""
+    likely = [
+        c
+        for c in diagnosis["candidates"]
+        if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and c["p"] < MAX_P_SUSPECTED and not c["implausible"]
+    ]
+    ordered = sorted(likely, key=lambda c: -c["delta_bic"])
+    return {c["effect"]: float(chi2_isf(c["p"], 1)) for c in ordered if c["effect"] in effects.LIBRARY}
+
+
+def _power_questions(
+    fit: Fit, names: Sequence[str], costs: Costs, suspected: Mapping[str, float] | None = None
+) -> Options:
+    """One question for every effect that the runs cannot show at `SOUGHT_SHARE` of the friction.
+
+    Of `suspected` effects, the evidence is measured; it grows with further runs as that of such an effect would, if the
+    friction levels scatter as they do with the first of them in the model.
+    """
+    if not names:
+        return [], []
+    try:
+        setup = fitted_setup(fit, costs)
+        if suspected:
+            grown = refine_to_end(add_effect(fit.solution, effects.get(next(iter(suspected)))))
+            setup = replace(setup, scatter=grown.tau_of_other_runs)
+        runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
+    except FrictrackError:  # a drive, or a law without Coulomb friction
+        return [], []
+    count = sum(r.experiment in setup.completed for r in runs)
+    tables = {n: t for n in names if (t := tabulate_effect(runs, n, SOUGHT_SHARE, setup.scatter))}
+    times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
+
+    def evidence(name: str, *further: NormalMatrices) -> float:
+        together = NormalMatrices.of_runs([*tables[name][:count], *further])
+        return float(together.unexplained_chi2(scatter_known=not suspected)[0])
+
+    expected = {n: evidence(n) for n in tables}
+    # if the runs say less than is expected of such an effect, it is smaller, and further runs say less, too
+    scale = {n: suspected[n] / max(one, suspected[n]) if suspected else 1.0 for n, one in expected.items()}
+    decisive = detection_threshold(forms=1) if suspected else detection_threshold()
+    questions = [Question(n, "", 1.0 / len(scale), decisive, scale[n] * one) for n, one in expected.items()]
+    last, options = last_settings(fit.solution), []
+    for i, run in enumerate(runs[count:], count):
+        entry, settings = run.experiment, setup.conditions.settings(run.experiment.design)
+        cost = costs.of_run(settings, last)
+        if np.isfinite(cost):
+            after = {(n, ""): EvidenceForecast(scale[n] * evidence(n, *[t[i]] * times)) for n, t in tables.items()}
+            options.append(RatedExperiment(entry.key, f"Film {entry.words}", after, cost, entry.design, settings))
+    return questions, options
