@@ -23,12 +23,11 @@ from scipy.interpolate import BSpline
 from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual, is_far_from_data
 from frictrack.effects import Path
 from frictrack.fit.least_squares import Solution
+from frictrack.fit.smooth_functions import matern_root, most_likely_process
 from frictrack.records import Array
 
 N_SPLINES = 60  # per axis
 LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # correlation lengths over the axis
-SIZE_RATIOS = np.geomspace(1e-3, 1e3, 61)  # amplitudes over that of one unit of chi-squared
-JITTER = 1e-8
 N_CURVE_POINTS = 81  # of the curve
 MIN_LOAD_RATIO = 1.2  # above which runs differ in load
 MIN_REVERSALS = 2  # of a motion with a phase
@@ -166,8 +165,8 @@ def gain_of_separate_curves(compressed: CompressedResidual) -> float:
     )
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     identity = np.eye(len(set(compressed.runs)))
-    roots: list[Array] = [np.asarray(np.kron(identity, root), np.float64) for root in _covariance_roots()]
-    return max(_most_likely(gram, right_side, root)[0] for root in roots)
+    roots = [np.asarray(np.kron(identity, root), np.float64) for root in _roots()]
+    return most_likely_process(gram, right_side, roots).gain
 
 
 def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
@@ -205,19 +204,16 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
-    fits = [_most_likely(gram, right_side, root) for root in _covariance_roots()]
-    best = int(np.argmax([t[0] for t in fits]))
-    gain, mean, root = fits[best]
-    spread = root @ root.T
+    found = most_likely_process(gram, right_side, _roots())
     basis = BSpline.design_matrix(grid, knots, SPLINE_DEGREE).toarray()
     return SmoothForce(
         axis=axis,
-        gain=gain,
+        gain=found.gain,
         at=grid,
-        force=basis @ mean,
-        sigma=np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", basis, spread, basis), 0.0)),
-        share=_share(compressed, traces @ mean),
-        length=span * float(LENGTH_RATIOS[best]),
+        force=basis @ found.mean,
+        sigma=np.linalg.norm(basis @ found.spread, axis=1),
+        share=_share(compressed, traces @ found.mean),
+        length=span * float(LENGTH_RATIOS[found.root]),
     )
 
 
@@ -228,28 +224,11 @@ def _knots(low: float, high: float) -> Array:
 
 
 @cache
-def _covariance_roots() -> list[Array]:
-    """Square roots (m, m) of the Matern 5/2 covariance of spline coefficients for every length ratio."""
+def _roots() -> list[Array]:
+    """Roots (m, m) of the covariance of the spline coefficients for every length ratio."""
     knots = _knots(0.0, 1.0)
     centres = np.array([knots[i + 1 : i + SPLINE_DEGREE + 1].mean() for i in range(N_SPLINES)])
-    roots = []
-    for length in LENGTH_RATIOS:
-        z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
-        roots.append(np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES)))
-    return roots
-
-
-def _most_likely(gram: Array, right_side: Array, root: Array) -> tuple[float, Array, Array]:
-    """Gain, mean (m,) and root of the covariance (m, m) of the coefficients at the most likely amplitude."""
-    values, vectors = np.linalg.eigh(root.T @ gram @ root)
-    values = np.maximum(values, 0.0)
-    g = vectors.T @ (root.T @ right_side)
-    sizes = SIZE_RATIOS[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
-    gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
-    best = int(np.argmax(gains))
-    shrunk = sizes[best] / (1 + sizes[best] * values)
-    basis = root @ vectors
-    return float(gains[best]), basis @ (shrunk * g), basis * np.sqrt(shrunk)
+    return [matern_root(centres, length) for length in LENGTH_RATIOS.tolist()]
 
 
 def _share(compressed: CompressedResidual, fitted: Array) -> float:
