@@ -23,7 +23,7 @@ from scipy.interpolate import BSpline
 from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual, is_far_from_data
 from frictrack.effects import Path
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.smooth_functions import matern_root, most_likely_process
+from frictrack.fit.smooth_functions import SmoothProcess, matern_root, most_likely_process
 from frictrack.records import Array
 
 N_SPLINES = 60  # per axis
@@ -88,16 +88,19 @@ class SmoothForce:
         Share of the chi-squared above its expectation.
     length
         Correlation length, in the unit of the axis.
+    traces
+        Traces (M, k) in the compressed residual of its k independent components of unit variance.
 
     """
 
     axis: Axis
-    gain: float  # twice the rise of the log restricted likelihood
+    gain: float
     at: Array
     force: Array
     sigma: Array
-    share: float  # of the chi-squared above the noise
-    length: float  # over which the force is alike, in the unit of the axis
+    share: float
+    length: float
+    traces: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +154,50 @@ def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis] = ()) -> 
     return sorted((_smooth(compressed, axis) for axis in axes or candidate_axes(compressed)), key=lambda s: -s.gain)
 
 
-def gain_of_separate_curves(compressed: CompressedResidual) -> float:
-    """Gain if every run has its own smooth force over time, with common amplitude and length."""
-    t = compressed.concatenate(lambda p: p.t)
+@dataclass(frozen=True)
+class SeparateCurves:
+    """A smooth force over time in every run, with common amplitude and length: one process on splines, run by run."""
+
+    process: SmoothProcess
+    runs: list[int]
+    knots: Array
+
+    def at(self, run: int, t: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the force in one run at times since release."""
+        k = self.runs.index(run)
+        own, basis = slice(k * N_SPLINES, (k + 1) * N_SPLINES), _basis(t, self.knots)
+        return basis @ self.process.mean[own], np.sum((basis @ self.process.spread[own]) ** 2, axis=1)
+
+
+def separate_curves(compressed: CompressedResidual, known: Array | None = None) -> SeparateCurves:
+    """Find the most likely smooth force over time if every run has its own.
+
+    Parameters
+    ----------
+    compressed
+        The compressed residual.
+    known
+        Traces (M, k) of forces that explain a part of it.
+
+    Returns
+    -------
+    SeparateCurves
+
+    """
+    t, runs = compressed.concatenate(lambda p: p.t), sorted(set(compressed.runs))
     knots = _knots(float(t.min()), float(t.max()))
-    design = BSpline.design_matrix(t, knots, SPLINE_DEGREE).toarray()
     of = np.repeat(compressed.runs, [len(p.t) for p in compressed.paths])
-    traces = np.hstack(
-        [
-            compressed.traces_of(compressed.split_by_piece(design * (of == run)[:, None]))
-            for run in sorted(set(compressed.runs))
-        ]
-    )
-    gram, right_side = traces.T @ traces, traces.T @ compressed.residual
-    identity = np.eye(len(set(compressed.runs)))
-    roots = [np.asarray(np.kron(identity, root), np.float64) for root in _roots()]
-    return most_likely_process(gram, right_side, roots).gain
+    basis = _basis(t, knots)
+    columns = np.hstack([basis * (of == run)[:, None] for run in runs])
+    traces = compressed.traces_of(compressed.split_by_piece(columns))
+    if known is not None:
+        q, _ = np.linalg.qr(known)
+        traces = traces - q @ (q.T @ traces)
+        residual = compressed.residual - q @ (q.T @ compressed.residual)
+    else:
+        residual = compressed.residual
+    roots = [np.asarray(np.kron(np.eye(len(runs)), root), np.float64) for root in _roots()]
+    return SeparateCurves(most_likely_process(traces.T @ traces, traces.T @ residual, roots), runs, knots)
 
 
 def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
@@ -199,13 +230,12 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     low, high = float(u.min()), float(u.max())
     span = max(high - low, 1e-12)
     knots = _knots(low, high)
-    design = BSpline.design_matrix(np.clip(u, low, high), knots, SPLINE_DEGREE).toarray()
-    factor = compressed.concatenate(axis.times)
-    traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
+    columns = _basis(u, knots) * compressed.concatenate(axis.times)[:, None]
+    traces = compressed.traces_of(compressed.split_by_piece(columns))
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
     found = most_likely_process(gram, right_side, _roots())
-    basis = BSpline.design_matrix(grid, knots, SPLINE_DEGREE).toarray()
+    basis = _basis(grid, knots)
     return SmoothForce(
         axis=axis,
         gain=found.gain,
@@ -214,6 +244,7 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
         sigma=np.linalg.norm(basis @ found.spread, axis=1),
         share=_share(compressed, traces @ found.mean),
         length=span * float(LENGTH_RATIOS[found.root]),
+        traces=traces @ found.prior,
     )
 
 
@@ -221,6 +252,11 @@ def _knots(low: float, high: float) -> Array:
     return np.concatenate(
         [[low] * SPLINE_DEGREE, np.linspace(low, high, N_SPLINES - SPLINE_DEGREE + 1), [high] * SPLINE_DEGREE]
     )
+
+
+def _basis(u: Array, knots: Array) -> Array:
+    """Values (n, m) of the splines at u (n,), constant beyond their ends."""
+    return np.asarray(BSpline.design_matrix(np.clip(u, knots[0], knots[-1]), knots, SPLINE_DEGREE).toarray())
 
 
 @cache

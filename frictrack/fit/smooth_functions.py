@@ -179,7 +179,7 @@ def matern_root(points: Array, length: float) -> Array:
 
 
 @dataclass(frozen=True)
-class GaussianProcess:
+class SmoothProcess:
     """The most likely Gaussian process of K coefficients.
 
     Attributes
@@ -202,7 +202,7 @@ class GaussianProcess:
     prior: Array
 
 
-def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_trace: float = np.inf) -> GaussianProcess:
+def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_trace: float = np.inf) -> SmoothProcess:
     """Find the correlation length and size of the highest restricted likelihood.
 
     Parameters
@@ -218,7 +218,7 @@ def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_tr
 
     Returns
     -------
-    GaussianProcess
+    SmoothProcess
 
     """
     found = [_most_likely_size(gram, data, root, max_trace) for root in roots]
@@ -226,7 +226,7 @@ def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_tr
     return replace(found[best], root=best)
 
 
-def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -> GaussianProcess:
+def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -> SmoothProcess:
     """The process of one correlation length at its most likely size."""
     values, vectors = np.linalg.eigh(root.T @ gram @ root)
     values = np.maximum(values, 0.0)
@@ -238,4 +238,4 @@ def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -
     size = float(sizes[best, 0])
     shrunk = size / (1 + size * values)
     basis = root @ vectors
-    return GaussianProcess(float(gains[best]), 0, basis @ (shrunk * g), basis * np.sqrt(shrunk), basis * np.sqrt(size))
+    return SmoothProcess(float(gains[best]), 0, basis @ (shrunk * g), basis * np.sqrt(shrunk), basis * np.sqrt(size))
