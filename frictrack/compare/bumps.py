@@ -198,23 +198,21 @@ def force_traces(piece: LinearisedPiece, forces: Array) -> Array:
     return piece.without_start(piece.whitened_rows(forces, False))
 
 
-def trace_bumps(piece: LinearisedPiece, bumps: Sequence[Bump]) -> Array:
-    """Traces (K, n) in one piece of bumps of one kind, of size one."""
-    path, at_place = piece.path, bumps[0].at_place
+def bump_grid(law: ModelProjection, pieces: Sequence[LinearisedPiece], bumps: list[Bump]) -> BumpGrid:
+    """Trace bumps of one kind, in time of one piece or in place."""
+    traces, place = [], bumps[0].at_place
     centre, width = np.array([[b.centre, b.width] for b in bumps]).T[:, :, None]
-    shapes = np.exp(-((((path.x if at_place else path.t) - centre) / width) ** 2) / 2)
-    return force_traces(piece, shapes * (path.load * path.s) if at_place else shapes)
+    for i, (rows, piece) in enumerate(zip(law.rows, pieces, strict=True)):
+        if bumps[0].acts_in(i):
+            shapes = np.exp(-((((piece.path.x if place else piece.path.t) - centre) / width) ** 2) / 2)
+            traces.append((rows, force_traces(piece, shapes * (piece.path.load * piece.path.s) if place else shapes)))
+    return BumpGrid(bumps, traces, law)
 
 
 def bump_grids(law: ModelProjection, pieces: Sequence[LinearisedPiece]) -> list[BumpGrid]:
     """Make the grids of bumps at all times of every piece, and after them that of bumps at all places."""
-    grids = []
-    for i, (rows, piece) in enumerate(zip(law.rows, pieces, strict=True)):
-        bumps = _bumps_in_time(i, piece.response.piece.t)
-        grids.append(BumpGrid(bumps, [(rows, trace_bumps(piece, bumps))], law))
-    places = _bumps_in_place(*course_ends(law))
-    traces = [(rows, trace_bumps(piece, places)) for rows, piece in zip(law.rows, pieces, strict=True)]
-    return [*grids, BumpGrid(places, traces, law)]
+    in_time = [_bumps_in_time(i, piece.response.piece.t) for i, piece in enumerate(pieces)]
+    return [bump_grid(law, pieces, bumps) for bumps in (*in_time, _bumps_in_place(*course_ends(law)))]
 
 
 def _widths(narrowest: float, widest: float) -> list[float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.compare.bumps import Bump, force_traces, trace_bumps, width_limits
+from frictrack.compare.bumps import Bump, bump_grid, force_traces, width_limits
 from frictrack.compare.local_forces import (
     ALPHA,
     ALPHA_PIECE,
@@ -21,7 +21,6 @@ from frictrack.compare.local_forces import (
     start_search,
     without_model,
 )
-from frictrack.distributions import normal_sf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
 from frictrack.fit.linearised import LinearisedPiece
@@ -32,12 +31,8 @@ from frictrack.records import Array, Mask, Run, stretches
 SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
 TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # height at the end of a span over the peak
 MIN_CHI2_RESOLVED = 6.6  # rise with the shortest width above which a duration is resolved
-MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
-MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
 MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
-N_WIDTHS, N_CENTRES = 25, 15  # grid of widths and centres for the span of a bump
-N_REFINEMENTS = 2  # of that grid around likely values
-MAX_CHI2_DIFFERENCE = 16.0  # from the best fit, within which a width and centre count
+N_WIDTHS = 60  # tried for the span of a bump
 
 
 @dataclass(frozen=True)
@@ -71,30 +66,22 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
 
     """
     solution = keep_compared_frames(solution)
-    found = _spans_of_residual(solution, runs) if missing is None else _spans_of_effect(solution, runs, missing)
+    if missing is None:
+        found = _spans_of_bumps(find_local_forces(solution), runs)
+    else:
+        found = _spans_of_effect(solution, runs, missing)
     spans = [_to_dict(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
     return sorted(spans, key=lambda s: -s["share_of_error"])
-
-
-def _spans_of_residual(solution: Solution, runs: Sequence[Run]) -> list[FailingSpan]:
-    """Spans of the local forces in the residual."""
-    found = find_local_forces(solution)
-    if not found.bumps:
-        return []
-    if not found.complete and isinstance(solution.problem.pieces[0], MeasuredFrictionPiece):
-        return _spans_of_measured_friction(found)
-    return _spans_of_bumps(found, runs)
 
 
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
     """Extent of the bumps of a search in every piece."""
     columns = bump_columns(found, found.bumps, derivatives=False)[:, :, 0]
     sizes, best = solve_sizes(found.law, columns)
-    total = excess_chi2(found.law)
-    spans = []
+    total, spans = excess_chi2(found.law), list[FailingSpan]()
     for k, bump in enumerate(found.bumps):
         others = np.delete(columns, k, axis=1)
-        likely = _consensus_bump(found, bump, others)
+        likely = replace(bump, width=_likely_width(found, bump, others))
         unresolved = not bump.at_place and _is_unresolved(found, bump, others, best)
         for i, rows in enumerate(found.law.rows):
             if bump.acts_in(i):
@@ -102,18 +89,6 @@ def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan
                 smear = _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
                 spans.append(FailingSpan(i, np.flatnonzero(_inside(found, likely, i, smear)), share, found.p(bump)))
     return _merge_overlapping(spans)
-
-
-def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
-    """Spans where the residual of a measured friction force itself is significant, if the model fails everywhere."""
-    spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
-    for i, response in enumerate(found.law.responses):
-        size = np.abs(response.r)
-        for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
-            p = min(1.0, 2 * len(size) * float(normal_sf(size[s].max())))
-            if p < ALPHA:
-                spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
-    return spans
 
 
 def _merge_overlapping(spans: Sequence[FailingSpan]) -> list[FailingSpan]:
@@ -158,65 +133,16 @@ def _is_unresolved(found: LocalForces, bump: Bump, others: Array, best: float) -
     return solve_sizes(found.law, np.hstack([others, column]))[1] - best < MIN_CHI2_RESOLVED
 
 
-def _consensus_bump(found: LocalForces, bump: Bump, others: Array) -> Bump:
-    """The bump whose frames overlap best with those of all centres and widths, weighted by their likelihood.
+def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
+    """Mean of the log width, weighted by the likelihood of the widths, next to `others` (N + m, k).
 
     A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
     """
     law = found.law.with_columns(others)
-    reach = 3 * _centre_std(found, law, bump)
-    centres = np.linspace(bump.centre - reach, bump.centre + reach, N_CENTRES)
     widths = np.geomspace(*width_limits(found.law, bump), N_WIDTHS)
-    for _ in range(N_REFINEMENTS):
-        likely = np.flatnonzero(_relative_likelihood(found, law, _grid(bump, centres, widths)))
-        centres = np.linspace(*_ends(centres, likely // N_WIDTHS), N_CENTRES)
-        widths = np.geomspace(*_ends(widths, likely % N_WIDTHS), N_WIDTHS)
-    tried = _grid(bump, centres, widths)
-    weight = _relative_likelihood(found, law, tried)
-    at = np.flatnonzero(weight)
-    inside = np.stack([_frames(found, tried[k]) for k in at]).astype(np.float32)
-    count = inside.sum(axis=1)
-    overlap = 2 * (inside @ inside.T) / np.maximum(count[:, None] + count, 1.0)
-    return tried[at[int(np.argmax(overlap @ weight[at]))]]
-
-
-def _grid(bump: Bump, centres: Array, widths: Array) -> list[Bump]:
-    """The bump at every centre with every width."""
-    return [replace(bump, centre=c, width=w) for c in centres.tolist() for w in widths.tolist()]
-
-
-def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
-    """The part of a grid that some of its rows span, one step further on either side."""
-    return float(grid[max(rows.min() - 1, 0)]), float(grid[min(rows.max() + 1, len(grid) - 1)])
-
-
-def _relative_likelihood(found: LocalForces, law: ModelProjection, bumps: Sequence[Bump]) -> Array:
-    """Likelihood of every bump of one piece or of all, relative to the best, (k,), each at its best size.
-
-    It is 0 where negligible.
-    """
-    squares, data, on_law = np.zeros(len(bumps)), np.zeros(len(bumps)), np.zeros((len(bumps), law.u.shape[1]))
-    for i, (rows, piece) in enumerate(zip(law.rows, found.model.pieces, strict=True)):
-        if bumps[0].acts_in(i):
-            own = trace_bumps(piece, bumps)
-            squares += np.einsum("kn,kn->k", own, own)
-            data += own @ law.r[rows]
-            on_law += own @ law.u[rows]
-    gain = data**2 / np.maximum(squares - np.einsum("kp,kp->k", on_law, on_law), 1e-300)
-    return np.asarray(np.where(gain > gain.max() - MAX_CHI2_DIFFERENCE, np.exp((gain - gain.max()) / 2), 0.0))
-
-
-def _centre_std(found: LocalForces, law: ModelProjection, bump: Bump) -> float:
-    """Standard deviation of a bump's centre, with size and width free (width within a factor of e)."""
-    derivatives = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
-    derivatives = without_model(law, derivatives)
-    prior = np.diag([0.0, bump.width**-2, 1.0])
-    return float(np.sqrt(np.linalg.pinv(derivatives.T @ derivatives + prior, hermitian=True)[1, 1]))
-
-
-def _frames(found: LocalForces, bump: Bump) -> Mask:
-    """Frames of all pieces, concatenated, that a bump covers."""
-    return np.concatenate([_inside(found, bump, i, 0.0) for i in range(len(found.law.rows)) if bump.acts_in(i)])
+    tried = [replace(bump, width=width) for width in widths.tolist()]
+    gains = bump_grid(law, found.model.pieces, tried).significances(law) ** 2
+    return float(np.exp(np.average(np.log(widths), weights=np.exp((gains - gains.max()) / 2))))
 
 
 def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from frictrack.axes import AXES
 from frictrack.diagnose.compressed import CompressedResidual
-from frictrack.diagnose.smooth_forces import ResidualForces, separate_curves
+from frictrack.diagnose.smooth_forces import ResidualForces, raw_traces, separate_curves
 from frictrack.diagnose.waves import FoundWaves, WaveScan
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import linearise
@@ -27,6 +27,8 @@ from frictrack.fit.segments import Rows
 from frictrack.records import Array
 
 N_DRAWS = 199
+MIN_SINGULAR_VALUE = 1e-6  # of a direction of the model in one run; smaller ones are rounding
+STRIDE = 8  # of the scanned periods: those between are slow modulations of these
 MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that counts as repeating there
 MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs must predict, and its significance level
 MIN_EXPLAINED = 0.99  # of the gain of separate forces, above which a common one may be most of the misfit
@@ -137,7 +139,7 @@ def assess_repeatability(
     """
     forces, waves = forces or ResidualForces(solution, about_measurement=True), waves or WaveScan(linearise(solution))
     misfit = _Misfit.of(forces.compressed, rng)
-    if len(misfit.rows) < 2:
+    if len(misfit.model) < 2:
         return Repeatability(
             words="One run cannot show whether the misfit repeats: film another one, best at another speed."
         )
@@ -145,12 +147,14 @@ def assess_repeatability(
     found = []
     for axis in ("x", "t", "v"):
         smooth = next(s for s in forces.smooth if s.axis.name == axis)
-        gains, evidence = misfit.predicted(smooth.traces), max(smooth.gain, 0.0)
-        if axis == "x" and waves.in_place is not None:
-            gains = _larger_gains(gains, misfit.predicted_by_waves(_wave_traces(forces.compressed, waves.in_place.f)))
-            evidence = max(evidence, waves.in_place.evidence)
+        tried, evidence = [smooth.traces], max(smooth.gain, 0.0)
+        if axis == "x" and (in_place := waves.in_place) is not None:
+            frequencies = [in_place.f[in_place.best], *in_place.f[::STRIDE]]
+            tried += [misfit.scaled(_wave_traces(forces.compressed, f)) for f in frequencies]
+            evidence = max(evidence, in_place.evidence)
         explained = evidence / separate if separate > 0 else 0.0
-        found.append(replace(misfit.result(axis, gains), evidence=evidence - separate, explained=explained))
+        result = misfit.result(axis, [misfit.predicted(traces) for traces in tried])
+        found.append(replace(result, evidence=evidence - separate, explained=explained))
     if waves.in_time is not None:
         found.append(replace(_common_frequency(waves.in_time, misfit, rng), evidence=waves.in_time.evidence - separate))
     found = sort_axes(found)
@@ -159,74 +163,76 @@ def assess_repeatability(
 
 @dataclass(frozen=True)
 class _Misfit:
-    """The compressed residual and draws of it without anything common, (M, D), by run: `rows`, and `excess` (R,).
+    """The compressed residual and draws of it without anything common, (M, D), next to a model of each run's own.
 
-    The excess is chi-squared above its expectation, at least its standard deviation.
+    The rows of every run and orthonormal columns (m, P) there of all that the model can absorb in it are projected out:
+    so nothing passes from run to run but what is tested. The `excess` (R,) is chi-squared above its expectation, at
+    least its standard deviation; `whole` is that next to the common model.
     """
 
-    rows: list[Rows]
+    model: list[tuple[Rows, Array]]
     series: Array
     excess: Array
+    whole: Array
 
     @classmethod
     def of(cls, compressed: CompressedResidual, rng: np.random.Generator) -> _Misfit:
-        r, u = compressed.residual, compressed.model_directions
-        run = np.repeat(compressed.runs, [len(m) for m in compressed.force_maps])
-        rows = [np.flatnonzero(run == one) for one in sorted(set(compressed.runs))]
-        drawn = compressed.project_out_model(r[:, None] * rng.choice([-1.0, 1.0], (len(r), N_DRAWS)))
-        free = 1 - np.sum(u**2 * (1 - (1 - compressed.model_shares) ** 2), axis=1)
-        excess = []
-        for own in rows:
-            chi2, dof = float(r[own] @ r[own]), max(float(free[own].sum()), 1.0)
-            drawn[own] *= np.sqrt(chi2 / np.maximum(np.sum(drawn[own] ** 2, axis=0), 1e-300))
-            excess.append(max(chi2 - dof, float(np.sqrt(2 * dof))))
-        return cls(rows, np.column_stack([r, drawn]), np.array(excess))
+        r, run = compressed.residual, np.repeat(compressed.runs, [len(m) for m in compressed.force_maps])
+        model = []
+        for one in sorted(set(compressed.runs)):
+            rows = np.flatnonzero(run == one)
+            u, size, _ = np.linalg.svd(compressed.model_directions[rows], full_matrices=False)
+            model.append((rows, u[:, size > MIN_SINGULAR_VALUE]))
+        drawn = r[:, None] * rng.choice([-1.0, 1.0], (len(r), N_DRAWS))
+        series, excess, whole = _without_model(np.column_stack([r, drawn]), model), [], []
+        for rows, u in model:
+            chi2, free = np.sum(series[rows] ** 2, axis=0), max(len(rows) - u.shape[1], 1)
+            series[rows] *= np.sqrt(chi2[0] / np.maximum(chi2, 1e-300))
+            excess.append(max(float(chi2[0]) - free, float(np.sqrt(2 * free))))
+            whole.append(max(float(r[rows] @ r[rows]) - free, excess[-1]))
+        return cls(model, series, np.array(excess), np.array(whole))
 
     def predicted(self, traces: Array) -> Array:
         """Fall of every run's chi-squared with a process fitted to the other runs, (R, D).
 
-        With the normal equations A'A c = A'r of the other runs, c ~ N(0, I) before, the fall is c'(2 A'r - A'A c) in
-        the run.
+        A are the traces (M, k) of its components of unit variance. With c from (I + A'A) c = A'r of the other runs, the
+        fall is c'(2 A'r - A'A c) in the run.
         """
-        gram = np.stack([traces[own].T @ traces[own] for own in self.rows])
-        data = np.stack([traces[own].T @ self.series[own] for own in self.rows])
+        traces = _without_model(traces, self.model)
+        gram = np.stack([traces[rows].T @ traces[rows] for rows, _ in self.model])
+        data = np.stack([traces[rows].T @ self.series[rows] for rows, _ in self.model])
         c = np.linalg.solve(np.eye(traces.shape[1]) + gram.sum(axis=0) - gram, data.sum(axis=0) - data)
         return np.asarray(np.einsum("rkd,rkd->rd", c, 2 * data - gram @ c))
 
-    def predicted_by_waves(self, traces: Array) -> Array:
-        """The same (R, D) with that of G waves, traces (M, G, 2), that is best in the other runs."""
-        gram = np.stack([np.einsum("mgi,mgj->gij", traces[own], traces[own]) for own in self.rows])
-        data = np.stack([np.einsum("mgi,md->gid", traces[own], self.series[own], optimize=True) for own in self.rows])
-        out, draws = [], np.arange(self.series.shape[1])
-        for own_gram, own_data in zip(gram, data, strict=True):
-            others = data.sum(axis=0) - own_data
-            c = np.linalg.pinv(gram.sum(axis=0) - own_gram, rcond=1e-6, hermitian=True) @ others
-            best = np.argmax(np.sum(c * others, axis=1), axis=0)
-            size = c[best, :, draws]  # (D, 2)
-            out.append(np.einsum("di,di->d", size, 2 * own_data[best, :, draws])
-                       - np.einsum("di,dij,dj->d", size, own_gram[best], size))  # fmt: skip
-        return np.array(out)
+    def scaled(self, traces: Array) -> Array:
+        """Traces (M, k) of components as large as the misfit."""
+        return traces * np.sqrt(self.excess.sum() / np.maximum(np.sum(traces**2, axis=0), 1e-300))
 
-    def result(self, axis: str, gains: Array) -> AxisRepeatability:
-        """Share of the misfit predicted, its p-value, and the number of runs, from gains (R, D)."""
-        share = gains.sum(axis=0) / self.excess.sum()
+    def result(self, axis: str, tried: Sequence[Array]) -> AxisRepeatability:
+        """Share of the misfit predicted, its p-value, and the number of runs, from the best of gains (R, D) tried."""
+        shares = np.stack([gains.sum(axis=0) for gains in tried]) / self.excess.sum()
+        share, best = shares.max(axis=0), tried[int(np.argmax(shares[:, 0]))]
         p = float((1 + np.sum(share[1:] >= share[0])) / len(share))
-        runs = int(np.sum(gains[:, 0] > MIN_PREDICTED_SHARE * self.excess))
-        return AxisRepeatability(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(self.rows))
+        runs = int(np.sum(best[:, 0] > MIN_PREDICTED_SHARE * self.excess))
+        return AxisRepeatability(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(self.model))
 
 
-def _larger_gains(one: Array, other: Array) -> Array:
-    """The larger of two gains (R, D), for the data and for every draw."""
-    return np.where(other.sum(axis=0) > one.sum(axis=0), other, one)
+def _without_model(columns: Array, model: Sequence[tuple[Rows, Array]]) -> Array:
+    """Columns (M, k) with the model of every run projected out."""
+    out = np.array(columns)
+    for rows, u in model:
+        out[rows] -= u @ (u.T @ out[rows])
+    return out
 
 
-def _wave_traces(compressed: CompressedResidual, f: Array) -> Array:
-    """Traces (M, G, 2) of dry friction forces that are a sine and a cosine over the place."""
+def _wave_traces(compressed: CompressedResidual, f: float) -> Array:
+    """Traces (M, 4) of dry friction forces that are a sine and a cosine over the place, with slow modulation."""
     columns = []
     for path in compressed.paths:
-        wave = np.exp(2j * np.pi * path.x[:, None] * f) * (path.load * path.s)[:, None]
-        columns.append(np.hstack([wave.imag, wave.real]))
-    return compressed.traces_of(columns).reshape(-1, 2, len(f)).transpose(0, 2, 1)
+        turns, dry = 2 * np.pi * f * path.x, path.load * path.s
+        wave = np.column_stack([np.sin(turns) * dry, np.cos(turns) * dry])
+        columns.append(np.hstack([wave, path.x[:, None] * wave]))
+    return raw_traces(compressed, columns)
 
 
 def _common_frequency(waves: FoundWaves, misfit: _Misfit, rng: np.random.Generator) -> AxisRepeatability:
@@ -235,8 +241,8 @@ def _common_frequency(waves: FoundWaves, misfit: _Misfit, rng: np.random.Generat
     shifts = rng.integers(0, len(waves.f), (N_DRAWS, len(gains), 1))
     drawn = np.take_along_axis(gains[None], (np.arange(len(waves.f)) + shifts) % len(waves.f), axis=2)
     p = float((1 + np.sum(drawn.sum(axis=1).max(axis=1) >= gains.sum(axis=0).max())) / (1 + N_DRAWS))
-    share = float(np.clip(gains[:, best].sum() / misfit.excess.sum(), 0.0, 1.0))
-    runs = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * misfit.excess))
+    share = float(np.clip(gains[:, best].sum() / misfit.whole.sum(), 0.0, 1.0))
+    runs = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * misfit.whole))
     return AxisRepeatability("phase", share, p, runs, len(gains), float(waves.f[best]))
 
 

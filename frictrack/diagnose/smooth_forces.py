@@ -89,7 +89,7 @@ class SmoothForce:
     length
         Correlation length, in the unit of the axis.
     traces
-        Traces (M, k) in the compressed residual of its k independent components of unit variance.
+        Traces (M, k) in the compressed residual of its k independent components of unit variance, model included.
 
     """
 
@@ -231,7 +231,8 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     span = max(high - low, 1e-12)
     knots = _knots(low, high)
     columns = _basis(u, knots) * compressed.concatenate(axis.times)[:, None]
-    traces = compressed.traces_of(compressed.split_by_piece(columns))
+    raw = raw_traces(compressed, compressed.split_by_piece(columns))
+    traces = compressed.project_out_model(raw)
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
     found = most_likely_process(gram, right_side, _roots())
@@ -244,8 +245,13 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
         sigma=np.linalg.norm(basis @ found.spread, axis=1),
         share=_share(compressed, traces @ found.mean),
         length=span * float(LENGTH_RATIOS[found.root]),
-        traces=traces @ found.prior,
+        traces=raw @ found.prior,
     )
+
+
+def raw_traces(compressed: CompressedResidual, columns: Sequence[Array]) -> Array:
+    """Traces (M, k) of forces (n_i, k) along the pieces, N, without projection."""
+    return np.concatenate([m @ c for m, c in zip(compressed.force_maps, columns, strict=True)])
 
 
 def _knots(low: float, high: float) -> Array:
