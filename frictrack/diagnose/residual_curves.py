@@ -8,7 +8,7 @@ DerSimonian & Laird (1986), Control. Clin. Trials 7, 177-188.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -124,52 +124,28 @@ def residual_series(before: Solution, after: Solution | None, effects: Sequence[
         found also `after`, the residual with them, and `F`, the force that they add against the motion (N).
 
     """
-    later: Sequence[PieceResponse | None] = [None] * len(before.responses)
-    if after is not None and _same_frames(before, after):
-        later = after.responses
-    kept = _kept_frames(before)
-    rows = [_series(first, second, kept) for first, second in zip(before.responses, later, strict=True)]
-    out = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-    if "after" in out and after is not None:
-        out["F"] = np.concatenate([force[kept] for force in _forces(after, effects)])
-    return out
+    sizes = [len(r.piece.t) for r in before.responses]
+    wanted = min(len({r.piece.run for r in before.responses}) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
+    kept = slice(None, None, max(1, -(-sum(sizes) // wanted)))
 
+    def joined(of: Callable[[PieceResponse], Array], solution: Solution) -> Array:
+        return np.concatenate([np.broadcast_to(of(r), r.piece.t.shape)[kept] for r in solution.responses])
 
-def _same_frames(before: Solution, after: Solution) -> bool:
-    sizes = [[len(r.piece.t) for r in solution.responses] for solution in (before, after)]
-    return sizes[0] == sizes[1]
-
-
-def _kept_frames(solution: Solution) -> slice:
-    """Every k-th frame of each piece."""
-    runs = {r.piece.run for r in solution.responses}
-    frames = sum(len(r.piece.t) for r in solution.responses)
-    wanted = min(len(runs) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
-    return slice(None, None, max(1, -(-frames // wanted)))
-
-
-def _series(first: PieceResponse, second: PieceResponse | None, kept: slice) -> dict[str, Array]:
-    piece = first.piece
-    x, v = position_and_velocity(first)
     out = {
-        "run": np.full(len(piece.t), float(piece.run)),
-        "t": piece.t,
-        "x": x,
-        "v": np.abs(v),
-        "before": piece.y - first.model_y,
-        "sigma": np.broadcast_to(piece.noise, piece.t.shape),
+        "run": joined(lambda r: np.array(float(r.piece.run)), before),
+        "t": joined(lambda r: r.piece.t, before),
+        "x": joined(lambda r: position_and_velocity(r)[0], before),
+        "v": joined(lambda r: np.abs(position_and_velocity(r)[1]), before),
+        "before": joined(lambda r: r.piece.y - r.model_y, before),
+        "sigma": joined(lambda r: np.asarray(r.piece.noise), before),
     }
-    if second is not None:
-        out["after"] = second.piece.y - second.model_y
-    return {name: np.asarray(values)[kept] for name, values in out.items()}
-
-
-def _forces(solution: Solution, effects: Sequence[str]) -> list[Array]:
-    """Force that some effects of a fit add to every piece, N, positive against the motion."""
-    fitted = [one for one in (FittedEffect(name, solution) for name in effects) if one.effect.acts_on == "force"]
-    directions = [np.where(position_and_velocity(r)[1] < 0, -1.0, 1.0) for r in solution.responses]
-    blocks = [one.blocks for one in fitted]
-    return [d * sum((b[k] for b in blocks), np.zeros(len(d))) for k, d in enumerate(directions)]
+    if after is not None and sizes == [len(r.piece.t) for r in after.responses]:
+        out["after"] = joined(lambda r: r.piece.y - r.model_y, after)
+        direction = joined(lambda r: np.where(position_and_velocity(r)[1] < 0, -1.0, 1.0), after)
+        fitted = [FittedEffect(name, after) for name in effects]
+        forces = [np.concatenate([b[kept] for b in one.blocks]) for one in fitted if one.effect.acts_on == "force"]
+        out["F"] = direction * np.sum(forces, axis=0) if forces else np.zeros_like(direction)
+    return out
 
 
 def residual_figures(
