@@ -21,6 +21,7 @@ from frictrack.compare.local_forces import (
     start_search,
     without_model,
 )
+from frictrack.distributions import normal_sf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
 from frictrack.fit.linearised import LinearisedPiece
@@ -32,6 +33,8 @@ SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
 TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # height at the end of a span over the peak
 MIN_CHI2_RESOLVED = 6.6  # rise with the shortest width above which a duration is resolved
 MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
+MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
+MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
 N_WIDTHS = 60  # tried for the span of a bump
 
 
@@ -67,7 +70,9 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     """
     solution = keep_compared_frames(solution)
     if missing is None:
-        found = _spans_of_bumps(find_local_forces(solution), runs)
+        local = find_local_forces(solution)
+        everywhere = not local.complete and not solution.problem.simulates
+        found = _spans_of_measured_friction(local) if everywhere else _spans_of_bumps(local, runs)
     else:
         found = _spans_of_effect(solution, runs, missing)
     spans = [_to_dict(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
@@ -89,6 +94,18 @@ def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan
                 smear = _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
                 spans.append(FailingSpan(i, np.flatnonzero(_inside(found, likely, i, smear)), share, found.p(bump)))
     return _merge_overlapping(spans)
+
+
+def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
+    """Spans where the residual of a measured friction force itself is significant, if the model fails everywhere."""
+    spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
+    for i, response in enumerate(found.law.responses):
+        size = np.abs(response.r)
+        for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
+            p = min(1.0, 2 * len(size) * float(normal_sf(size[s].max())))
+            if p < ALPHA:
+                spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
+    return spans
 
 
 def _merge_overlapping(spans: Sequence[FailingSpan]) -> list[FailingSpan]:
