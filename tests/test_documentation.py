@@ -15,7 +15,9 @@ import pytest
 
 import frictrack
 from frictrack import effects, plots
-from frictrack.compare import WaveScan, deconvolve_force, find_local_forces
+from frictrack.compare import find_local_forces
+from frictrack.diagnose.missing_force import deconvolve_force
+from frictrack.diagnose.waves import WaveScan
 from frictrack.study import schema
 
 pytest.importorskip("numpydoc", reason="the documentation needs the extra docs")
@@ -220,7 +222,7 @@ def test_a_broad_missing_force_is_centred_as_the_gallery_shows_it():
     made = gallery_runs.simulate_example("measured_load", gallery_runs.EXAMPLES["measured_load"])
     fit = frictrack.fit("tustin", [one.run for one in made])
     local = find_local_forces(fit.solution)
-    pieces, _ = deconvolve_force(local, WaveScan(local.law.solution))
+    pieces, _ = deconvolve_force(local, WaveScan(local.model))
     for piece in pieces:
         truth, curve = made[piece.run].truth, fit.curves[piece.run]
         missing = np.interp(piece.t, curve.t, np.interp(curve.t, truth.t, truth.F) - curve.F_model)

@@ -1,4 +1,4 @@
-"""Prediction of a run from the others: the held-out error beside the noise, and what the runs share."""
+"""Prediction of a run from the others: the held-out error beside the noise."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import frictrack as ft
-from frictrack.diagnose.repeatability.common_curves import _project_own_columns
-from frictrack.fit.least_squares import model_projection
 from frictrack.records import Displacement
 
 FPS, NOISE_M, F_C, MASS = 4000, 5e-6, 2.0, 0.35
@@ -36,12 +34,3 @@ def test_a_dropped_frame_can_be_held_out_wherever_it_falls(seed):
 def test_a_model_without_the_dropped_frame_fails_where_it_is_held_out():
     runs = [slide(3.0, 150, 0), slide(4.0, 201, 1), slide(5.0, len(T), 2)]
     assert ft.fit("coulomb", runs).errors["heldout_rms_um"] > 20 * 1e6 * NOISE_M
-
-
-def test_a_column_that_lies_within_the_columns_of_every_run_is_not_shared():
-    """The coefficient of a model whose level is free in every run: what is left of it is rounding, not information."""
-    runs = [slide(3.0, len(T), 0), slide(5.0, len(T), 1)]
-    solution = ft.fit("coulomb,viscous", runs).solution
-    projected = _project_own_columns(model_projection(solution), [], solution.residual)
-    assert [s.effect for s in solution.problem.layout.slots if s.run is None] == ["coulomb", "viscous"]
-    assert {columns.shape[1] for columns in projected.shared} == {1}

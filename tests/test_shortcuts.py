@@ -8,8 +8,7 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare import ForceTraces
-from frictrack.compare.spectral_lines import sine_cosine_columns
+from frictrack.compare.bumps import force_traces
 from frictrack.diagnose.experiments.discrimination import compress_response
 from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError
@@ -121,11 +120,10 @@ def test_matrices_of_panels_are_inverted():
 
 
 def test_waves_from_the_edges_of_panels_are_traced_as_from_the_nodes(slide):
-    response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)  # at 2000 frames per second
-    whole = displacement_response(response, sine_cosine_columns(response.piece.panels.t, f))
-    whole = whole.reshape(-1, len(f), 2).transpose(2, 1, 0)
-    traces = ForceTraces.of(slide, response)
-    error = np.linalg.norm(traces.of_waves(traces.t, f) - whole, axis=2) / np.linalg.norm(whole, axis=2)
+    piece, f = linearise(slide).pieces[0], np.linspace(5.0, 300.0, 75)  # at 2000 frames per second
+    whole = displacement_response(piece.response, np.sin(2 * np.pi * piece.response.piece.panels.t[:, None] * f)).T
+    error = np.linalg.norm(force_traces(piece, np.sin(2 * np.pi * piece.path.t * f[:, None])) - whole, axis=1)
+    error /= np.linalg.norm(whole, axis=1)
     radians = 2 * np.pi * f / 2000.0  # between two frames; a cubic errs by the fourth power
     assert np.all(error < 1e-5 + 0.04 * radians**4)
 

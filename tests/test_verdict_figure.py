@@ -11,7 +11,7 @@ from test_plots import candidate, diagnosis, drawn, model, results
 
 import frictrack as ft
 from frictrack import models, plots
-from frictrack.diagnose.residual_series import residual_series
+from frictrack.diagnose.residual_curves import residual_series
 from frictrack.plots import failed_model
 from frictrack.plots.verdict import _spans
 from frictrack.plots.verdict_data import HeldOutError, data_of_diagnosis, data_of_study

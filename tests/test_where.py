@@ -9,15 +9,14 @@ import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, models, plots, samples
-from frictrack.compare import WaveScan, deconvolve_force, failing_spans, find_local_forces
-from frictrack.compare.bump_dictionary import _bumps_in_time
-from frictrack.compare.global_significance import GlobalSignificance, curve_length
-from frictrack.compare.local_forces import bump_columns, start_search
-from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, find_failure_pattern
-from frictrack.diagnose.repeatability.common_curves import describe_axes
-from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
+from frictrack.compare import failing_spans, find_local_forces, start_search
+from frictrack.compare.bumps import GlobalSignificance, _bumps_in_time, curve_length
+from frictrack.compare.local_forces import bump_columns
+from frictrack.diagnose.missing_force import deconvolve_force
+from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, describe_axes
+from frictrack.diagnose.residual_curves import find_failure_pattern, mean_curve, residual_figures
+from frictrack.diagnose.waves import WaveScan
 from frictrack.fit import add_effect, fit
-from frictrack.fit.least_squares import model_projection
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.plots import style
 
@@ -32,7 +31,7 @@ MOMENTS = (0.031, 0.062, 0.045, 0.052)  # s, of a blow in each run
 def deconvolved(solution):
     """The force that a fit lacks, and the strongest line."""
     found = find_local_forces(solution)
-    return deconvolve_force(found, WaveScan(found.law.solution))
+    return deconvolve_force(found, WaveScan(found.model))
 
 
 def lacking(effect, values, specs=FOUR, sigma=5e-6, seed=1):
@@ -75,9 +74,8 @@ def on_patch(run):
 
 def test_a_curve_of_looks_has_the_length_of_its_angle():
     turn = np.linspace(0, 1.2, 300)
-    assert curve_length([(3 * np.stack([np.cos(turn), np.sin(turn)]), 1.0)], np.full(300, 3.0)) == pytest.approx(
-        1.2, rel=1e-3
-    )
+    traces = 3 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    assert curve_length([(traces, 1.0)], np.full(300, 3.0)) == pytest.approx(1.2, rel=1e-3)
     assert curve_length([(np.eye(2), 1.0)], np.array([1.0, 0.0])) == 0.0
 
 
@@ -86,7 +84,7 @@ def test_the_bound_on_chance_is_one_and_a_close_one():
     rng, n, width = np.random.default_rng(3), 400, 6.0
     looks = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / width) ** 2) / 2)
     norm = np.linalg.norm(looks, axis=0)
-    chance = GlobalSignificance(curve_length([(looks, 1.0)], norm), 1, 1e6)
+    chance = GlobalSignificance(curve_length([(looks.T, 1.0)], norm), 1, 1e6)
     highest = np.max(np.abs(looks.T @ rng.standard_normal((n, 4000))) / norm[:, None], axis=0)
     for level in (3.0, 3.5, 4.0):
         seen = np.mean(highest > level)
@@ -108,15 +106,14 @@ def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched
 
 
 def test_norms_beside_a_growing_model_are_those_of_the_projected_traces(patched):
-    search = start_search(model_projection(patched[1]))
-    bumps, law = search.dictionary, search.law
-    for grown in (law, law.with_columns(bump_columns(search, bumps.place_bumps[30:32])[:, :, 0])):
-        pieces = zip(law.rows, bumps.time_columns, bumps.time_norms(grown), strict=True)
-        everywhere = slice(0, law.rows[-1].stop), np.concatenate(bumps.place_columns), bumps.place_norms(grown)
-        for rows, columns, norms in [*pieces, everywhere]:
-            traces = np.zeros((len(grown.u), columns.shape[1]))  # with the penalty rows of the model
-            traces[rows] = columns
-            left = np.linalg.norm(traces - grown.u @ (grown.u.T @ traces), axis=0)
+    search = start_search(patched[1])
+    law = search.law
+    for grown in (law, law.with_columns(bump_columns(search, search.grids[-1].bumps[30:32])[:, :, 0])):
+        for grid in search.grids:
+            traces = np.zeros((len(grown.u), len(grid.bumps)))  # with the penalty rows of the model
+            for rows, own in grid.traces:
+                traces[rows] = own.T
+            left, norms = np.linalg.norm(traces - grown.u @ (grown.u.T @ traces), axis=0), grid.norms(grown)
             shown = norms > 0
             np.testing.assert_allclose(norms[shown], left[shown], rtol=1e-6)
             assert shown.sum() > 0.9 * len(norms)
@@ -184,7 +181,7 @@ def test_the_missing_force_of_a_line_is_told_with_its_phase():
     solution = fit(LAW, lacking("vibration", vibration)).solution
     pieces, line = deconvolved(solution)
     assert line.frequency == pytest.approx(61.3, abs=1.5)
-    assert line.p < 1e-6
+    assert WaveScan(find_local_forces(solution).model).in_time.p < 1e-6
     size = np.sqrt(2 * np.mean(np.concatenate([p.F for p in pieces]) ** 2))
     assert size == pytest.approx(1.0, abs=0.3)
     curve = residual_figures(pieces, line)["common_phase"]  # one period: up first, then down
@@ -314,7 +311,7 @@ def test_a_piece_of_a_few_frames_has_one_look():
     runs, _ = study(models.of(LAW.split(",")), DRY, specs=slides, sigma=1e-5, rng=np.random.default_rng(2))
     solution = fit(LAW, runs).solution
     shortest = min(solution.responses, key=lambda r: len(r.piece.t))
-    assert len(_bumps_in_time(1, shortest)) >= 1
+    assert len(_bumps_in_time(1, shortest.piece.t)) >= 1
     assert find_local_forces(solution).bumps == []
 
 
@@ -334,7 +331,7 @@ def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
     pattern = find_failure_pattern(solution, np.random.default_rng(0))
     assert pattern.repeats.best.axis == "x"
     assert "repeats at the same place in 3 of 4 runs" in pattern.repeats.words
-    assert pattern.local.law.solution.chi2 > 2 * solution.chi2  # refitted beside the patch, without it
+    assert pattern.local.solution.chi2 > 2 * solution.chi2  # refitted with the patch, without it
     compared = pattern.forces.solution  # with it formulas and effects are compared
     assert compared.chi2 == pytest.approx(solution.chi2, rel=1e-6)
 

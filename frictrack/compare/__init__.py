@@ -6,12 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from frictrack.compare.bump_dictionary import course_ends
-from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
-from frictrack.compare.force_traces import ForceTraces, WaveScan, WaveTraces, pair_products
-from frictrack.compare.local_forces import LocalForces, find_local_forces
+from frictrack.compare.local_forces import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.compare.spans import failing_spans
-from frictrack.compare.spectral_lines import SpectralLine
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.lazy import imported
@@ -24,19 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
-    "DeconvolvedForce",
-    "ForceTraces",
     "LocalForces",
-    "SpectralLine",
-    "WaveScan",
-    "WaveTraces",
     "compare",
-    "course_ends",
-    "deconvolve_force",
+    "continue_search",
     "failing_spans",
     "find_local_forces",
     "history",
-    "pair_products",
+    "start_search",
 ]
 
 

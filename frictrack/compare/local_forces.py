@@ -1,13 +1,14 @@
 """Find local forces that a fitted model lacks: their place or time, width, size and significance.
 
 A local force is a Gaussian bump at one time of one run, or at one place of the course with one size for all runs.
-The search is a sliding Frank-Wolfe algorithm on the linearised model. It adds the most significant bump, refines
-centres and widths of all bumps together, and continues in the residual. It works on the displacement, where the noise
-is white.
+The search is a sliding Frank-Wolfe algorithm on the model linearised about the measured motion, where a misfit of any
+size leaves places and times as they are. It adds the most significant bump, refines centres and widths of all bumps
+together, and continues in the residual. It works on the displacement, where the noise is white.
 
 References
 ----------
 Denoyelle, Duval, Peyre & Soubies (2020), Inverse Problems 36, 014001.
+Kaufman (1975), BIT 15, 49-57 (variable projection).
 
 """
 
@@ -15,81 +16,83 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.optimize import least_squares
 
-from frictrack.compare.bump_dictionary import (
-    BumpDictionary,
-    build_dictionary,
-    families,
-    quotients,
-    search_significance,
-    width_limits,
-)
-from frictrack.compare.bumps import Bump, NodeMotion, motion_at_nodes
-from frictrack.compare.effect_forces import effect_force_at_nodes
-from frictrack.compare.global_significance import GlobalSignificance
-from frictrack.compare.refitting import fit_at_one_level, refit_with_forces
+from frictrack.compare.bumps import Bump, BumpGrid, GlobalSignificance, bump_grids, force_traces, width_limits
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
-    LeastSquaresProblem,
     ModelProjection,
     Solution,
-    displacement_response,
     model_projection,
+    refine,
 )
+from frictrack.fit.linearised import LinearisedModel, linearise
+from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.pieces import Piece
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search
+ALPHA_PIECE = 0.2  # level in its own piece for a bump in time if other pieces have one
 MAX_ROUNDS = 4  # of adding bumps
-MIN_REDUCED_CHI2_REFITTED = 1.5  # above it the model is refitted together with the bumps
-MAX_REFITS = 2
+MAX_STEPS = 6  # of refining bumps
+MIN_CHI2_FALL = 0.1  # of a step of refining them
+MIN_REDUCED_CHI2_FAR = 1.5  # above it the friction levels, and the model's other parameters, may absorb misfit
+MIN_SHARE_LOCAL = 0.5  # of the misfit that bumps explain together, above which the model is refitted with them
+MAX_REFIT_STEPS = 6
+MIN_LEVEL_SCATTER = 1e-3  # relative; with less, all runs have one friction level
 MIN_SHARE_PER_BUMP = 0.02  # of the chi-squared that all bumps explain
 MIN_CHI2_GAIN_PLACE = 10.0  # by which one place must gain more than a bump in time of one run
 MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a shorter one
-ALPHA_PIECE = 0.2  # level in its own piece for a bump in time if other pieces have one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LocalForces:
-    """State of a search for local forces: the bumps found, the model with and without them, and their significance.
+    """State of a search for local forces: the bumps found, and the model with and without them.
 
     Parameters
     ----------
     bumps
         Bumps found so far.
     law
-        The model's residual and directions, without the bumps. Its `solution` is the fit, or the model refitted
-        together with the bumps; its residual then contains their traces again.
+        The model's residual and directions, without the bumps, linearised about the measured motion.
     residual
         The same with the bumps.
-    nodes
-        Motion of every piece at its integration nodes.
-    dictionary
-        All bumps that may be added.
-    significance, piece_significance
-        Significance of the whole search, and of the search in each piece alone.
+    solution
+        The fit, or the model refitted together with the bumps, without them.
+    model
+        Its linearisation, with maps from forces along the measured motion to traces.
+    grids
+        Bumps that may be added: in time of every piece, and in place.
     p_remaining
         p-value of the most significant bump that remains.
 
     """
 
     bumps: list[Bump]
-    law: ModelProjection  # without the bumps
-    residual: ModelProjection  # with them
-    nodes: list[NodeMotion]
-    dictionary: BumpDictionary
-    significance: GlobalSignificance
-    piece_significance: list[GlobalSignificance]  # of the search in every piece alone
-    p_remaining: float = 1.0  # p of what still stands out most
+    law: ModelProjection
+    residual: ModelProjection
+    solution: Solution
+    model: LinearisedModel
+    grids: list[BumpGrid]
+    p_remaining: float = 1.0
+
+    @cached_property
+    def significance(self) -> GlobalSignificance:
+        """Significance of the whole search; that in one piece alone is that of its grid."""
+        parts = [grid.significance for grid in self.grids]
+        return GlobalSignificance(sum(p.length for p in parts), sum(p.families for p in parts), parts[-1].dof)
 
     def p(self, bump: Bump) -> float:
         """p-value of a bump: in the whole search, or in its piece alone where that suffices (see `is_credible`)."""
-        global_p = self.significance(bump.z)
-        if bump.piece is None or global_p < ALPHA or not self.is_credible(bump):
-            return global_p
-        return min(global_p, self.piece_significance[bump.piece](bump.z))
+        p = self.significance(bump.z)
+        return p if p < ALPHA or not self.is_credible(bump) else self.p_in_piece(bump)
+
+    def p_in_piece(self, bump: Bump) -> float:
+        """p-value of a bump in time in the search of its piece alone."""
+        return 1.0 if bump.piece is None else self.grids[bump.piece].significance(bump.z)
 
     def is_credible(self, bump: Bump) -> bool:
         """Whether noise alone rarely shows such a bump.
@@ -100,40 +103,38 @@ class LocalForces:
             return True
         others = {b.piece for b in self.bumps if not b.at_place} - {bump.piece}
         stronger = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
-        return (
-            bump.piece is not None
-            and bool(others)
-            and not stronger
-            and self.piece_significance[bump.piece](bump.z) < ALPHA_PIECE
-        )
+        return bool(others) and not stronger and self.p_in_piece(bump) < ALPHA_PIECE
 
     @property
     def complete(self) -> bool:
         """Whether no significant bump remains."""
         return self.p_remaining >= ALPHA
 
-
-def start_search(law: ModelProjection) -> LocalForces:
-    """Prepare a search for local forces."""
-    at = [motion_at_nodes(law.solution, r) for r in law.responses]
-    dictionary = build_dictionary(law)
-    return LocalForces([], law, law, at, dictionary, *search_significance(dictionary))
+    @property
+    def explained(self) -> float:
+        """Chi-squared that the bumps explain."""
+        return float(self.law.r @ self.law.r - self.residual.r @ self.residual.r)
 
 
-def find_local_forces(solution: Solution, explained: Solution | None = None) -> LocalForces:
+def start_search(solution: Solution, kept: Sequence[int] | None = None) -> LocalForces:
+    """Prepare a search for local forces in the residual of a fit, with all of its unknowns or those `kept`."""
+    model = linearise(solution)
+    law = model_projection(model.solution, kept)
+    return LocalForces([], law, law, solution, model, bump_grids(law, model.pieces))
+
+
+def find_local_forces(solution: Solution) -> LocalForces:
     """Find the local forces in the residual of a fit.
 
-    A model with a large misfit is far from its linearisation: it is refitted once or twice together with the forces
-    found. Its friction levels absorb misfit too (a run may seem to have a twentieth of the friction). Therefore the
-    search first starts where all runs have one level, and the scatter of the levels is estimated again with the forces.
-    If significant forces remain, the misfit is not local, and the search starts at the fit.
+    Friction levels absorb misfit too: without a strong effect, a run may seem to have a twentieth of the friction. A
+    large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
+    scatter of the levels is estimated again beside them, and the model is refitted together with them. If significant
+    forces remain, the misfit is not local, and the search starts at the scatter of the fit.
 
     Parameters
     ----------
     solution
         The fit.
-    explained
-        The fit with forces more that explain everything; the model is then refitted together with these.
 
     Returns
     -------
@@ -141,43 +142,50 @@ def find_local_forces(solution: Solution, explained: Solution | None = None) -> 
         The finished search.
 
     """
-    if explained is not None and (refitted := _refitted_with_known_forces(solution, explained)) is not None:
-        return continue_search(start_search(model_projection(refitted)))
-    law = model_projection(solution)
-    if _misfit(law) <= MIN_REDUCED_CHI2_REFITTED or not all(type(p) is Piece for p in solution.problem.pieces):
-        return continue_search(start_search(law))
-    found = _search_and_refit(model_projection(fit_at_one_level(solution)), solution.problem, estimate_scatter=True)
-    return found if found.bumps and found.complete else _search_and_refit(law, solution.problem, estimate_scatter=False)
+    start = start_search(solution)
+    if start.law.r @ start.law.r <= MIN_REDUCED_CHI2_FAR * len(start.law.r):
+        return continue_search(start)
+    found = continue_search(_with_scatter(start, MIN_LEVEL_SCATTER) if solution.levels_are_random else start)
+    if found.bumps and found.explained > MIN_SHARE_LOCAL * float(found.law.r @ found.law.r):
+        found = continue_search(_refitted(_with_scatter(found, _level_scatter(found))))
+    return found if found.complete or not solution.levels_are_random else continue_search(start)
 
 
-def _refitted_with_known_forces(solution: Solution, explained: Solution) -> Solution | None:
-    """The model refitted together with the forces that a larger one adds; None where it differs in something else."""
-    names = set(explained.problem.model.names) - set(solution.problem.model.names)
-    added = [e for e in explained.problem.model.effects if e.name in names]
-    if not added or any(e.acts_on != "force" or e.modifies or e.replaces for e in added):
-        return None
-    forces = [np.sum([effect_force_at_nodes(explained, r, e.name) for e in added], axis=0) for r in explained.responses]
-    if any(len(f) != len(p.panels.t) for f, p in zip(forces, solution.problem.pieces, strict=True)):
-        return None
+def _with_scatter(found: LocalForces, tau: float) -> LocalForces:
+    """The search at another scatter of the friction levels."""
+    model = replace(found.model, solution=found.model.solution.with_scatter(tau))
+    law, solution = model_projection(model.solution), found.solution.with_scatter(tau)
+    scattered = LocalForces(found.bumps, law, law, solution, model, [replace(grid, model=law) for grid in found.grids])
+    return _prune(_fit_bumps(scattered)) if found.bumps else scattered
+
+
+def _refitted(found: LocalForces) -> LocalForces:
+    """The search beside the model refitted together with the bumps; the same where no motion can be integrated."""
+    solution = found.solution
+    if not all(type(p) is Piece for p in solution.problem.pieces):
+        return found
+    pieces = []
+    for i, (piece, along) in enumerate(zip(solution.problem.pieces, found.model.pieces, strict=True)):
+        force = sum((b.size * b.derivatives(along.path)[0] for b in found.bumps if b.acts_in(i)), 0.0 * along.path.t)
+        known = piece.known - np.interp(piece.panels.t, along.path.t, force) / piece.mass
+        pieces.append(replace(piece, known=known))
+    bare, tau = solution.problem, solution.tau
     try:
-        return refit_with_forces(solution, solution.problem, forces, estimate_scatter=True)
+        fit = refine(bare.rebuild(bare.layout, pieces), solution.p, solution.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
+        start = start_search(refine(bare, fit.p, fit.starts, tau=tau, max_steps=0))
     except FrictrackError:
-        return None
+        return found
+    return _prune(_fit_bumps(replace(start, bumps=found.bumps)))
 
 
-def _search_and_refit(law: ModelProjection, bare: LeastSquaresProblem, *, estimate_scatter: bool) -> LocalForces:
-    """Search, refit the model together with what is found, and search on; see `refit_with_forces`."""
-    found = continue_search(start_search(law))
-    for _ in range(MAX_REFITS):
-        if not found.bumps or _misfit(found.law) <= MIN_REDUCED_CHI2_REFITTED:
-            break
-        found = continue_search(_refit(found, bare, estimate_scatter=estimate_scatter))
-    return found
-
-
-def _misfit(law: ModelProjection) -> float:
-    """Reduced chi-squared of the residual."""
-    return float(law.r @ law.r) / len(law.r)
+def _level_scatter(found: LocalForces) -> float:
+    """Estimate the scatter of the friction levels beside the bumps."""
+    solution, layout = found.model.solution, found.solution.problem.layout
+    jac, data = solution.jac, solution.random_effect_data()
+    q, _ = np.linalg.qr(bump_columns(found, found.bumps)[: len(data), :, 0])
+    data = data - q @ (q.T @ data)
+    basis = jacobian_basis(jac - q @ (q.T @ jac), layout.levels, prior_jacobian(layout, solution.p))
+    return max(basis.spread(basis.u.T @ data, float(data @ data)), MIN_LEVEL_SCATTER)
 
 
 def continue_search(found: LocalForces) -> LocalForces:
@@ -188,21 +196,8 @@ def continue_search(found: LocalForces) -> LocalForces:
         if not starts:
             return found
         tried = [_fit_bumps(replace(found, bumps=[*found.bumps, *more])) for more in starts]
-        found = _prune(min(tried, key=lambda f: float(f.residual.r @ f.residual.r)))
+        found = _prune(max(tried, key=lambda f: f.explained))
     return replace(found, p_remaining=_strongest_bumps(found)[1])
-
-
-def _refit(found: LocalForces, bare: LeastSquaresProblem, *, estimate_scatter: bool) -> LocalForces:
-    """Refit the model together with the bumps found, and search on in what both leave."""
-    forces = [
-        sum((b.size * at.force(b) for b in found.bumps if b.piece in (None, i)), np.zeros(len(at.t)))
-        for i, at in enumerate(found.nodes)
-    ]
-    try:
-        refitted = refit_with_forces(found.law.solution, bare, forces, estimate_scatter=estimate_scatter)
-    except FrictrackError:  # a law so wild that its motion cannot be integrated
-        return found
-    return _prune(_fit_bumps(replace(start_search(model_projection(refitted)), bumps=found.bumps)))
 
 
 def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
@@ -211,191 +206,110 @@ def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
     The sets hold one place for all runs, at the best centre of every width, or bumps in time, at most one per piece.
     Bumps in time are added one by one, because the model's error in one run affects all runs.
     """
-    residual, moments, p_remaining = found.residual, list[Bump](), 1.0
+    places = [] if len(found.law.rows) < 2 else _strongest_places(found)
+    moments, p_remaining = list[Bump](), 1.0
     while True:
-        present = replace(found, residual=residual, bumps=[*found.bumps, *moments])
-        moment = _strongest_moment(present, {b.piece for b in moments})
-        places = [] if moments or len(residual.rows) < 2 else _strongest_places(present)
+        moment = _strongest_moment(found, {b.piece for b in moments})
         best = max(places, key=lambda b: b.z, default=moment)
         if places and found.significance(best.z) < ALPHA and best.z**2 > moment.z**2 + MIN_CHI2_GAIN_PLACE:
             return [[b] for b in places if found.significance(b.z) < ALPHA], found.significance(best.z)
-        p_remaining = min(p_remaining, present.significance(moment.z))
-        if not present.is_credible(moment):
+        p_remaining = min(p_remaining, found.significance(moment.z))
+        if not found.is_credible(moment):
             return [moments] if moments else [], p_remaining
         moments.append(moment)
-        residual = residual.with_columns(bump_columns(found, [moment])[:, :, 0])
+        columns = bump_columns(found, [moment], derivatives=False)[:, :, 0]
+        found = replace(found, residual=found.residual.with_columns(columns), bumps=[*found.bumps, moment])
+        places = []
 
 
 def _strongest_moment(found: LocalForces, done: set[int | None]) -> Bump:
     """The most significant bump in time over the pieces not yet done; the shortest of about equal ones."""
-    time_norms = found.dictionary.time_norms(found.residual)
     best = [Bump(0, 0.0, 1.0)]
-    for i, rows in enumerate(found.residual.rows):
+    for i, grid in enumerate(found.grids[:-1]):
         if i not in done:
-            z = np.abs(quotients(found.dictionary.time_columns[i].T @ found.residual.r[rows], time_norms[i]))
+            z = np.abs(grid.significances(found.residual))
             k = int(np.argmax(z**2 >= np.max(z) ** 2 - MIN_CHI2_GAIN_LONGER))
-            best.append(replace(found.dictionary.time_bumps[i][k], z=float(z[k])))
+            best.append(replace(grid.bumps[k], z=float(z[k])))
     return max(best, key=lambda b: b.z)
 
 
 def _strongest_places(found: LocalForces) -> list[Bump]:
     """The most significant place for every width."""
-    residual, dictionary = found.residual, found.dictionary
-    common = dictionary.place_norms(residual)
-    dots = np.sum(
-        [c.T @ residual.r[rows] for rows, c in zip(residual.rows, dictionary.place_columns, strict=True)], axis=0
-    )
-    z = np.abs(quotients(dots, common))
-    best = [s.start + int(np.argmax(z[s])) for s in families(dictionary.place_bumps)]
-    return [replace(dictionary.place_bumps[k], z=float(z[k])) for k in best]
+    grid = found.grids[-1]
+    z = np.abs(grid.significances(found.residual))
+    best = [s.start + int(np.argmax(z[s])) for s in grid.families]
+    return [replace(grid.bumps[k], z=float(z[k])) for k in best]
 
 
 def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool = True) -> Array:
-    """Traces of bumps in the displacement.
-
-    Parameters
-    ----------
-    found
-        The search.
-    bumps
-        Its K bumps, or others.
-    derivatives
-        Whether to add derivatives by centre and by log width.
-
-    Returns
-    -------
-    ndarray, shape (N + m, K, 1) or (N + m, K, 3)
-        Traces per unit of size over all frames.
-
-    """
-    law = found.law
-    out = np.zeros((len(law.r), len(bumps), 3 if derivatives else 1))
-    for i, (rows, response, at) in enumerate(zip(law.rows, law.responses, found.nodes, strict=True)):
-        present = [k for k, b in enumerate(bumps) if b.piece in (None, i)]
-        if present:
-            force = [at.force_derivatives(bumps[k]) if derivatives else at.force(bumps[k])[:, None] for k in present]
-            out[rows, present] = displacement_response(response, np.concatenate(force, axis=1)).reshape(
-                -1, len(present), out.shape[2]
-            )
+    """Traces of K bumps per unit of size over all frames, with derivatives by centre and log width, (N + m, K, 3)."""
+    count = 3 if derivatives else 1
+    out = np.zeros((len(found.law.r), len(bumps), count))
+    for i, (rows, piece) in enumerate(zip(found.law.rows, found.model.pieces, strict=True)):
+        acting = [k for k, b in enumerate(bumps) if b.acts_in(i)]
+        if acting:
+            forces = np.concatenate([bumps[k].derivatives(piece.path)[:count] for k in acting])
+            out[rows, acting] = force_traces(piece, forces).T.reshape(-1, len(acting), count)
     return out
 
 
-def _fit_bumps(found: LocalForces, steps: int = 6) -> LocalForces:
-    """Refine sizes, centres and widths of all bumps together with the model (Levenberg-Marquardt)."""
-    bumps = found.bumps
-    columns = bump_columns(found, bumps)
-    sizes, chi2 = solve_sizes(found.law, columns[:, :, 0])
-    damping = 1e-2
-    for _ in range(steps):
-        candidate = _damped_step(found, bumps, columns, sizes, damping)
-        tried = bump_columns(found, candidate)
-        new_sizes, new = solve_sizes(found.law, tried[:, :, 0])
-        if new < chi2:
-            gained, damping = chi2 - new, damping / 10
-            bumps, columns, sizes, chi2 = candidate, tried, new_sizes, new
-            if gained < 0.1:
-                break
-        else:
-            damping *= 30
-    residual = found.law.with_columns(columns[:, :, 0])
-    return replace(found, bumps=_with_sizes(found.law, columns[:, :, 0], bumps, sizes), residual=residual)
+def _fit_bumps(found: LocalForces) -> LocalForces:
+    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection)."""
+    law, bumps, k = found.law, found.bumps, len(found.bumps)
+    limits = np.log([width_limits(law, b) for b in bumps])
+    first = np.array([b.width for b in bumps])
+    computed: dict[bytes, tuple[Array, Array]] = {}
+
+    def moved(theta: Array) -> list[Bump]:  # centres in first widths, then log widths
+        pairs = zip(bumps, theta[:k] * first, np.exp(theta[k:]), strict=True)
+        return [replace(b, centre=b.centre + float(shift), width=float(width)) for b, shift, width in pairs]
+
+    def traces(theta: Array) -> tuple[Array, Array]:
+        if theta.tobytes() not in computed:
+            columns = bump_columns(found, moved(theta))
+            columns = without_model(law, columns.reshape(len(columns), -1)).reshape(columns.shape)
+            computed[theta.tobytes()] = columns, solve_sizes(law, columns[:, :, 0])[0]
+        return computed[theta.tobytes()]
+
+    def residual(theta: Array) -> Array:
+        columns, sizes = traces(theta)
+        return law.r - columns[:, :, 0] @ sizes
+
+    def jacobian(theta: Array) -> Array:
+        columns, sizes = traces(theta)
+        q, _ = np.linalg.qr(columns[:, :, 0])
+        slopes = np.concatenate([columns[:, :, 1] * sizes * first, columns[:, :, 2] * sizes], axis=1)
+        return np.asarray(q @ (q.T @ slopes) - slopes)
+
+    start = np.concatenate([np.zeros(k), np.clip(np.log(first), *limits.T)])
+    free = np.full(k, np.inf)
+    bounds = np.concatenate([-free, limits[:, 0]]), np.concatenate([free, limits[:, 1]])
+    theta = least_squares(
+        residual, start, jacobian, bounds, ftol=MIN_CHI2_FALL / float(law.r @ law.r), xtol=None, gtol=None,
+        max_nfev=MAX_STEPS + 1,
+    ).x  # fmt: skip
+    columns, sizes = traces(theta)
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns[:, :, 0].T @ columns[:, :, 0])), 0.0))
+    z = np.divide(sizes, deviation, out=np.zeros(k), where=deviation > 0)  # 0: the runs do not see it
+    fitted = [replace(b, size=float(s), z=float(q)) for b, s, q in zip(moved(theta), sizes, z, strict=True)]
+    return replace(found, bumps=fitted, residual=law.with_columns(columns[:, :, 0]))
 
 
 def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
-    """Fit sizes of columns together with the model by least squares.
-
-    Parameters
-    ----------
-    law
-        Residual and directions of the model.
-    columns
-        Traces, (N + m, K).
-
-    Returns
-    -------
-    sizes : ndarray, shape (K,)
-    chi2 : float
-
-    """
-    clean = columns - law.u @ (law.u.T @ columns)
-    sizes, *_ = np.linalg.lstsq(clean, law.r, rcond=1e-10)
-    residual = law.r - clean @ sizes
-    return np.asarray(sizes, dtype=np.float64), float(residual @ residual)
+    """Fit sizes (K,) of columns (N + m, K) together with the model; sizes and chi-squared."""
+    clean = without_model(law, columns)
+    sizes = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-10)[0], dtype=np.float64)
+    return sizes, float(np.sum((law.r - clean @ sizes) ** 2))
 
 
-def _damped_step(found: LocalForces, bumps: Sequence[Bump], columns: Array, sizes: Array, damping: float) -> list[Bump]:
-    """Return the bumps after one damped step of sizes, centres and widths."""
-    law, k = found.law, len(bumps)
-    scale = np.array([b.width for b in bumps])
-    jac = np.concatenate([columns[:, :, 0], columns[:, :, 1] * sizes * scale, columns[:, :, 2] * sizes], axis=1)
-    jac -= law.u @ (law.u.T @ jac)
-    residual = law.r - jac[:, :k] @ sizes
-    norm = np.linalg.norm(jac, axis=0)
-    norm[norm == 0] = 1.0
-    hold = np.concatenate([np.zeros(k), np.full(k, np.sqrt(damping)), np.full(k, np.sqrt(damping))])
-    unit = np.vstack([jac / norm, np.diag(hold), np.diag(np.concatenate([np.zeros(2 * k), np.ones(k)]) / norm)])
-    step = np.linalg.lstsq(unit, np.concatenate([residual, np.zeros(6 * k)]), rcond=1e-12)[0] / norm
-    out = []
-    for j, b in enumerate(bumps):
-        low, high = width_limits(found.law.responses, b)
-        centre = b.centre + b.width * float(np.clip(step[k + j], -3, 3))
-        width = b.width * float(np.exp(np.clip(step[2 * k + j], -0.7, 0.7)))
-        out.append(replace(b, centre=centre, width=float(np.clip(width, low, high))))
-    return out
-
-
-def _with_sizes(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
-    """Return the bumps with their sizes and their joint significance."""
-    clean = columns - law.u @ (law.u.T @ columns)
-    inverse = np.linalg.pinv(clean.T @ clean)
-    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    z = np.divide(sizes, deviation, out=np.zeros(len(bumps)), where=deviation > 0)  # 0: the runs do not see it
-    return [replace(b, size=float(s), z=float(q)) for b, s, q in zip(bumps, sizes, z, strict=True)]
+def without_model(law: ModelProjection, columns: Array) -> Array:
+    """Project the model out of columns (N + m, k)."""
+    return np.asarray(columns - law.u @ (law.u.T @ columns))
 
 
 def _prune(found: LocalForces) -> LocalForces:
     """Remove bumps that are no longer significant, or that carry almost none of the misfit."""
-    if not found.bumps:
-        return found
-    total = float(found.law.r @ found.law.r - found.residual.r @ found.residual.r)
-    kept = [b for b in found.bumps if found.is_credible(b) and b.z**2 > MIN_SHARE_PER_BUMP * total]
+    kept = [b for b in found.bumps if found.is_credible(b) and b.z**2 > MIN_SHARE_PER_BUMP * found.explained]
     if len(kept) == len(found.bumps) or not kept:
         return found
-    return _prune(_fit_bumps(replace(found, bumps=kept), steps=3))
-
-
-def bump_forces(found: LocalForces) -> tuple[list[Array], list[Array]]:
-    """Force of all bumps, and its variance.
-
-    Parameters
-    ----------
-    found
-        A finished search.
-
-    Returns
-    -------
-    forces : list of ndarray
-        Force at the frames of every piece, N, (n,).
-    variances : list of ndarray
-        Its variance from size, centre and width, N^2, (n,).
-
-    """
-    bumps, law, k = found.bumps, found.law, len(found.bumps)
-    if not bumps:
-        zeros = [np.zeros(len(r.piece.t)) for r in law.responses]
-        return zeros, zeros
-    sizes = np.array([b.size for b in bumps])
-    scale = np.stack([np.ones(k), sizes, sizes], axis=1)
-    columns = (bump_columns(found, bumps) * scale).reshape(len(law.r), -1)
-    clean = columns - law.u @ (law.u.T @ columns)
-    prior = np.zeros(3 * k)
-    prior[2::3] = 1.0  # a width that the runs do not determine is known within a factor of e
-    covariance = np.linalg.pinv(clean.T @ clean + np.diag(prior), hermitian=True)
-    forces, variances = [], []
-    for i, (response, at) in enumerate(zip(law.responses, found.nodes, strict=True)):
-        present = np.array([b.piece in (None, i) for b in bumps])
-        derivatives = np.stack([at.force_derivatives(b) for b in bumps], axis=1) * present[:, None] * scale
-        flat = np.stack([np.interp(response.piece.t, at.t, q) for q in derivatives.reshape(len(at.t), -1).T], axis=1)
-        forces.append(flat[:, ::3] @ sizes)
-        variances.append(np.einsum("nj,jk,nk->n", flat, covariance, flat))
-    return forces, variances
+    return _prune(_fit_bumps(replace(found, bumps=kept)))

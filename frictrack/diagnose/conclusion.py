@@ -24,9 +24,9 @@ from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.power import detection_limit, find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
-from frictrack.diagnose.repeatability import FailurePattern, Repeatability, find_failure_pattern
+from frictrack.diagnose.repeatability import Repeatability
+from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
-from frictrack.diagnose.residual_series import residual_series
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force

@@ -23,12 +23,11 @@ from scipy.interpolate import BSpline
 from frictrack.diagnose.compressed import SPLINE_DEGREE, CompressedResidual, compress_residual, is_far_from_data
 from frictrack.effects import Path
 from frictrack.fit.least_squares import Solution
+from frictrack.fit.smooth_functions import SmoothProcess, matern_root, most_likely_process
 from frictrack.records import Array
 
 N_SPLINES = 60  # per axis
 LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # correlation lengths over the axis
-SIZE_RATIOS = np.geomspace(1e-3, 1e3, 61)  # amplitudes over that of one unit of chi-squared
-JITTER = 1e-8
 N_CURVE_POINTS = 81  # of the curve
 MIN_LOAD_RATIO = 1.2  # above which runs differ in load
 MIN_REVERSALS = 2  # of a motion with a phase
@@ -89,16 +88,19 @@ class SmoothForce:
         Share of the chi-squared above its expectation.
     length
         Correlation length, in the unit of the axis.
+    traces
+        Traces (M, k) in the compressed residual of its k independent components of unit variance, model included.
 
     """
 
     axis: Axis
-    gain: float  # twice the rise of the log restricted likelihood
+    gain: float
     at: Array
     force: Array
     sigma: Array
-    share: float  # of the chi-squared above the noise
-    length: float  # over which the force is alike, in the unit of the axis
+    share: float
+    length: float
+    traces: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,22 +154,50 @@ def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis] = ()) -> 
     return sorted((_smooth(compressed, axis) for axis in axes or candidate_axes(compressed)), key=lambda s: -s.gain)
 
 
-def gain_of_separate_curves(compressed: CompressedResidual) -> float:
-    """Gain if every run has its own smooth force over time, with common amplitude and length."""
-    t = compressed.concatenate(lambda p: p.t)
+@dataclass(frozen=True)
+class SeparateCurves:
+    """A smooth force over time in every run, with common amplitude and length: one process on splines, run by run."""
+
+    process: SmoothProcess
+    runs: list[int]
+    knots: Array
+
+    def at(self, run: int, t: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the force in one run at times since release."""
+        k = self.runs.index(run)
+        own, basis = slice(k * N_SPLINES, (k + 1) * N_SPLINES), _basis(t, self.knots)
+        return basis @ self.process.mean[own], np.sum((basis @ self.process.spread[own]) ** 2, axis=1)
+
+
+def separate_curves(compressed: CompressedResidual, known: Array | None = None) -> SeparateCurves:
+    """Find the most likely smooth force over time if every run has its own.
+
+    Parameters
+    ----------
+    compressed
+        The compressed residual.
+    known
+        Traces (M, k) of forces that explain a part of it.
+
+    Returns
+    -------
+    SeparateCurves
+
+    """
+    t, runs = compressed.concatenate(lambda p: p.t), sorted(set(compressed.runs))
     knots = _knots(float(t.min()), float(t.max()))
-    design = BSpline.design_matrix(t, knots, SPLINE_DEGREE).toarray()
     of = np.repeat(compressed.runs, [len(p.t) for p in compressed.paths])
-    traces = np.hstack(
-        [
-            compressed.traces_of(compressed.split_by_piece(design * (of == run)[:, None]))
-            for run in sorted(set(compressed.runs))
-        ]
-    )
-    gram, right_side = traces.T @ traces, traces.T @ compressed.residual
-    identity = np.eye(len(set(compressed.runs)))
-    roots: list[Array] = [np.asarray(np.kron(identity, root), np.float64) for root in _covariance_roots()]
-    return max(_most_likely(gram, right_side, root)[0] for root in roots)
+    basis = _basis(t, knots)
+    columns = np.hstack([basis * (of == run)[:, None] for run in runs])
+    traces = compressed.traces_of(compressed.split_by_piece(columns))
+    if known is not None:
+        q, _ = np.linalg.qr(known)
+        traces = traces - q @ (q.T @ traces)
+        residual = compressed.residual - q @ (q.T @ compressed.residual)
+    else:
+        residual = compressed.residual
+    roots = [np.asarray(np.kron(np.eye(len(runs)), root), np.float64) for root in _roots()]
+    return SeparateCurves(most_likely_process(traces.T @ traces, traces.T @ residual, roots), runs, knots)
 
 
 def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
@@ -200,25 +230,28 @@ def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
     low, high = float(u.min()), float(u.max())
     span = max(high - low, 1e-12)
     knots = _knots(low, high)
-    design = BSpline.design_matrix(np.clip(u, low, high), knots, SPLINE_DEGREE).toarray()
-    factor = compressed.concatenate(axis.times)
-    traces = compressed.traces_of(compressed.split_by_piece(design * factor[:, None]))
+    columns = _basis(u, knots) * compressed.concatenate(axis.times)[:, None]
+    raw = raw_traces(compressed, compressed.split_by_piece(columns))
+    traces = compressed.project_out_model(raw)
     gram, right_side = traces.T @ traces, traces.T @ compressed.residual
     grid = np.linspace(low, high, N_CURVE_POINTS)
-    fits = [_most_likely(gram, right_side, root) for root in _covariance_roots()]
-    best = int(np.argmax([t[0] for t in fits]))
-    gain, mean, root = fits[best]
-    spread = root @ root.T
-    basis = BSpline.design_matrix(grid, knots, SPLINE_DEGREE).toarray()
+    found = most_likely_process(gram, right_side, _roots())
+    basis = _basis(grid, knots)
     return SmoothForce(
         axis=axis,
-        gain=gain,
+        gain=found.gain,
         at=grid,
-        force=basis @ mean,
-        sigma=np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", basis, spread, basis), 0.0)),
-        share=_share(compressed, traces @ mean),
-        length=span * float(LENGTH_RATIOS[best]),
+        force=basis @ found.mean,
+        sigma=np.linalg.norm(basis @ found.spread, axis=1),
+        share=_share(compressed, traces @ found.mean),
+        length=span * float(LENGTH_RATIOS[found.root]),
+        traces=raw @ found.prior,
     )
+
+
+def raw_traces(compressed: CompressedResidual, columns: Sequence[Array]) -> Array:
+    """Traces (M, k) of forces (n_i, k) along the pieces, N, without projection."""
+    return np.concatenate([m @ c for m, c in zip(compressed.force_maps, columns, strict=True)])
 
 
 def _knots(low: float, high: float) -> Array:
@@ -227,29 +260,17 @@ def _knots(low: float, high: float) -> Array:
     )
 
 
+def _basis(u: Array, knots: Array) -> Array:
+    """Values (n, m) of the splines at u (n,), constant beyond their ends."""
+    return np.asarray(BSpline.design_matrix(np.clip(u, knots[0], knots[-1]), knots, SPLINE_DEGREE).toarray())
+
+
 @cache
-def _covariance_roots() -> list[Array]:
-    """Square roots (m, m) of the Matern 5/2 covariance of spline coefficients for every length ratio."""
+def _roots() -> list[Array]:
+    """Roots (m, m) of the covariance of the spline coefficients for every length ratio."""
     knots = _knots(0.0, 1.0)
     centres = np.array([knots[i + 1 : i + SPLINE_DEGREE + 1].mean() for i in range(N_SPLINES)])
-    roots = []
-    for length in LENGTH_RATIOS:
-        z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
-        roots.append(np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(N_SPLINES)))
-    return roots
-
-
-def _most_likely(gram: Array, right_side: Array, root: Array) -> tuple[float, Array, Array]:
-    """Gain, mean (m,) and root of the covariance (m, m) of the coefficients at the most likely amplitude."""
-    values, vectors = np.linalg.eigh(root.T @ gram @ root)
-    values = np.maximum(values, 0.0)
-    g = vectors.T @ (root.T @ right_side)
-    sizes = SIZE_RATIOS[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
-    gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
-    best = int(np.argmax(gains))
-    shrunk = sizes[best] / (1 + sizes[best] * values)
-    basis = root @ vectors
-    return float(gains[best]), basis @ (shrunk * g), basis * np.sqrt(shrunk)
+    return [matern_root(centres, length) for length in LENGTH_RATIOS.tolist()]
 
 
 def _share(compressed: CompressedResidual, fitted: Array) -> float:

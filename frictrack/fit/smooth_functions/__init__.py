@@ -1,12 +1,23 @@
-"""Smooth functions: interpolation from knots and Chebyshev points, Matern covariance, correlation time of a series."""
+"""Smooth functions: interpolation, correlation time of a series, and Gaussian processes of the most likely size."""
 
-from frictrack.fit.smooth_functions.chebyshev import ChebyshevAxis
-from frictrack.fit.smooth_functions.correlation import correlation_time_frames
-from frictrack.fit.smooth_functions.interpolation import linear_interpolation_matrix, matern_covariance
+from frictrack.fit.smooth_functions.gaussian_process import (
+    SmoothProcess,
+    matern_covariance,
+    matern_root,
+    most_likely_process,
+)
+from frictrack.fit.smooth_functions.interpolation import (
+    ChebyshevAxis,
+    correlation_time_frames,
+    linear_interpolation_matrix,
+)
 
 __all__ = [
     "ChebyshevAxis",
+    "SmoothProcess",
     "correlation_time_frames",
     "linear_interpolation_matrix",
     "matern_covariance",
+    "matern_root",
+    "most_likely_process",
 ]

@@ -20,7 +20,7 @@ White, H. (1982). Maximum likelihood estimation of misspecified models. Economet
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,22 +34,28 @@ from frictrack.fit.least_squares import (
     model_projection,
     white_noise_covariance,
 )
-from frictrack.fit.smooth_functions import correlation_time_frames, linear_interpolation_matrix, matern_covariance
+from frictrack.fit.smooth_functions import (
+    correlation_time_frames,
+    linear_interpolation_matrix,
+    matern_root,
+    most_likely_process,
+)
 from frictrack.records import Array
 
 KNOTS = {"x": 60, "v": 40}  # knots of a force that all runs share
 MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # knots of independent forces: over all pieces; per piece
 CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # correlation lengths of the force, share of the axis
-PROCESS_SIZES = np.geomspace(1e-4, 1e4, 81)  # variances to try, relative to one unit of chi-squared
+MAX_TRACE = 100.0  # standard deviations of noise; a larger force would not leave the motion as it was linearised
 MIN_EVIDENCE_SHARE = 0.5  # share of the best evidence; less plausible axes are ignored
 MIN_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
-JITTER = 1e-8
 MIN_AXIS_RANGE = 1e-6  # share of the largest value; narrower axes are ignored
 REJECTION_REMARK = (
     "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
     "holds for a missing force of the size that the residual shows"
 )
 MAX_NOISE_CHI2 = 1.2  # chi-squared per degree of freedom up to which a residual counts as noise
+
+_Forces = list[tuple[slice, Array]]  # per piece: which of all K forces act there, and their values (m, k) at its nodes
 
 
 @dataclass(frozen=True)
@@ -95,11 +101,11 @@ def misfit_of(solution: Solution) -> Misfit | None:
     law = model_projection(solution)
     inverse_hessian, _ = white_noise_covariance(solution)
     candidates = []
-    for axis, forces, covariances in _force_bases(solution):
-        traces = _trace_products(law, forces)
-        evidence, covariance = _maximise_evidence(traces, covariances)
-        gradient = inverse_hessian @ traces.gradient
-        candidates.append(Misfit(axis, evidence, gradient @ covariance @ gradient.T))
+    for axis, forces, roots in _force_bases(solution):
+        gram, data, gradient = _trace_products(law, forces)
+        force = most_likely_process(gram, data, roots, MAX_TRACE)
+        moved = inverse_hessian @ gradient @ force.prior
+        candidates.append(Misfit(axis, force.gain, moved @ moved.T))
     best = max(candidates, key=lambda m: m.evidence)
     return (
         _widest_covariance(best, [m for m in candidates if m.evidence > MIN_EVIDENCE_SHARE * best.evidence])
@@ -108,38 +114,22 @@ def misfit_of(solution: Solution) -> Misfit | None:
     )
 
 
-@dataclass(frozen=True)
-class TraceProducts:
-    """Inner products of the traces T (N, K) of unit forces in the data, summed piece by piece.
+def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array, Array]:
+    """Inner products of the traces of K unit forces in the data.
 
-    Attributes
-    ----------
-    gram : array of shape (K, K)
-        Of the part of the traces that the model cannot follow, with itself.
-    data : array of shape (K,)
-        With the residual.
-    gradient : array of shape (P, K)
-        With the Jacobian.
-
+    They are those of what the model cannot follow of them with itself (K, K), with the residual (K,), and those of the
+    whole traces with the Jacobian (P, K).
     """
-
-    gram: Array
-    data: Array
-    gradient: Array
-
-
-def _trace_products(law: ModelProjection, forces: Sequence[PieceForces]) -> TraceProducts:
-    """Multiply the traces of unit forces with the data, the model and one another."""
-    size = max(f.columns.stop for f in forces)
+    size = max(columns.stop for columns, _ in forces)
     gram, data = np.zeros((size, size)), np.zeros(size)
     on_model, gradient = np.zeros((law.u.shape[1], size)), np.zeros((len(law.solution.p), size))
-    for rows, response, force in zip(law.rows, law.solution.responses, forces, strict=True):
-        columns, trace = force.columns, displacement_response(response, force.values)
+    for rows, response, (columns, values) in zip(law.rows, law.responses, forces, strict=True):
+        trace = displacement_response(response, values)
         gram[columns, columns] += trace.T @ trace
         data[columns] += law.r[rows] @ trace
         on_model[:, columns] += law.u[rows].T @ trace
         gradient[response.active, columns] += response.jac.T @ trace
-    return TraceProducts(gram - on_model.T @ on_model, data, gradient)
+    return gram - on_model.T @ on_model, data, gradient
 
 
 def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
@@ -180,69 +170,29 @@ def dispersion(solution: Solution) -> float:
     return max(chi2_per_frame * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
 
 
-def _maximise_evidence(traces: TraceProducts, covariances: list[Array]) -> tuple[float, Array]:
-    """Twice the rise of the log restricted likelihood at the best length and size, and the covariance (K, K) there."""
-    best = (0.0, np.zeros_like(traces.gram))
-    for covariance_shape in covariances:
-        root = np.linalg.cholesky(covariance_shape + JITTER * np.eye(len(covariance_shape)))
-        values, vectors = np.linalg.eigh(root.T @ traces.gram @ root)
-        values = np.maximum(values, 0.0)
-        unit = float(values.max()) or 1.0
-        square = (vectors.T @ (root.T @ traces.data)) ** 2
-        sizes = PROCESS_SIZES[:, None] / unit
-        gain = np.sum(square * sizes / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
-        k = int(np.argmax(gain))
-        if gain[k] > best[0]:
-            best = (float(gain[k]), float(sizes[k, 0]) * (root @ root.T))
-    return best
-
-
-@dataclass(frozen=True)
-class PieceForces:
-    """Unit forces along one piece, N: the values (m, k) at its nodes, and which of all K forces they are."""
-
-    columns: slice
-    values: Array
-
-
-def _force_bases(solution: Solution) -> Iterator[tuple[str, list[PieceForces], list[Array]]]:
-    """Yield axis, unit forces through knots along every piece, and their covariances (K, K) for every length."""
+def _force_bases(solution: Solution) -> Iterator[tuple[str, _Forces, list[Array]]]:
+    """Yield axis, unit forces through knots along every piece, and roots of their covariances for every length."""
     motions = [_motion_at_nodes(solution, r) for r in solution.responses]
-    n_knots = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
-    independent = [
-        PieceForces(
-            slice(i * n_knots, (i + 1) * n_knots),
-            linear_interpolation_matrix(t, np.linspace(t[0], t[-1], n_knots)),
-        )
+    count = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
+    own: _Forces = [
+        (slice(i * count, (i + 1) * count), linear_interpolation_matrix(t, np.linspace(t[0], t[-1], count)))
         for i, (t, *_) in enumerate(motions)
     ]
-    unit_knots = np.linspace(0.0, 1.0, n_knots)
-    yield (
-        "t",
-        independent,
-        [
-            np.asarray(np.kron(np.eye(len(motions)), matern_covariance(unit_knots, length)))
-            for length in CORRELATION_LENGTHS
-        ],
-    )
-    for axis, values in (("x", [q[1] for q in motions]), ("v", [np.abs(q[2]) for q in motions])):
-        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    yield "t", own, [np.asarray(np.kron(np.eye(len(motions)), root)) for root in _roots(count)]
+    for axis, values in (("x", [x for _, x, _, _ in motions]), ("v", [np.abs(v) for _, _, v, _ in motions])):
+        low, high = min(float(u.min()) for u in values), max(float(u.max()) for u in values)
         if not high - low > MIN_AXIS_RANGE * max(abs(low), abs(high)):
             continue
         knots = np.linspace(low, high, KNOTS[axis])
-        covariances = [matern_covariance((knots - low) / (high - low), length) for length in CORRELATION_LENGTHS]
-        for factor in (
-            [q[3] for q in motions],
-            [np.sign(q[3]) if axis == "v" else np.ones_like(q[3]) for q in motions],
-        ):
-            yield (
-                axis,
-                [
-                    PieceForces(slice(0, len(knots)), linear_interpolation_matrix(v, knots) * f[:, None])
-                    for v, f in zip(values, factor, strict=True)
-                ],
-                covariances,
-            )
+        dry = [factor for *_, factor in motions]
+        for factors in (dry, [np.sign(f) if axis == "v" else np.ones_like(f) for f in dry]):
+            pairs = zip(values, factors, strict=True)
+            shared = [(slice(0, len(knots)), linear_interpolation_matrix(u, knots) * f[:, None]) for u, f in pairs]
+            yield axis, shared, _roots(len(knots))
+
+
+def _roots(count: int) -> list[Array]:
+    return [matern_root(np.linspace(0.0, 1.0, count), length) for length in CORRELATION_LENGTHS]
 
 
 def _motion_at_nodes(solution: Solution, response: PieceResponse) -> tuple[Array, Array, Array, Array]:

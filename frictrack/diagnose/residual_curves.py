@@ -1,30 +1,35 @@
-"""Compute the missing force against time, place, velocity, acceleration and phase, and the mean curve of all runs."""
+"""Curves of a residual for figures and files: along every run, and the missing force with its mean over each axis.
+
+References
+----------
+DerSimonian & Laird (1986), Control. Clin. Trials 7, 177-188.
+
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.compare import (
-    DeconvolvedForce,
-    LocalForces,
-    SpectralLine,
-    WaveScan,
-    deconvolve_force,
-    find_local_forces,
-)
-from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
+from frictrack.compare import LocalForces, continue_search, find_local_forces, start_search
+from frictrack.diagnose.effect_description import FittedEffect
+from frictrack.diagnose.missing_force import DeconvolvedForce, deconvolve_force
+from frictrack.diagnose.repeatability import Repeatability, assess_repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
-from frictrack.fit.least_squares import Solution
+from frictrack.diagnose.waves import SpectralLine, WaveScan
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve
 SMOOTHING_WIDTH = 1 / 80  # of the axis
 MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point of a run's range, for the run to count there
+MAX_SAMPLES_PER_RUN, MAX_SAMPLES = 300, 40_000  # of a figure; a panel of a page shows no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,62 +53,99 @@ class FailurePattern:
 
     @cached_property
     def local(self) -> LocalForces:
-        """The local forces in the residual of the fit.
-
-        A fit with a large misfit is far from its linearisation; what runs have in common is estimated with the model
-        refitted together with these forces.
-        """
-        return find_local_forces(self.fit, self.explained)
+        """The local forces in the residual of the fit, or of the model with the parameters of `explained`."""
+        known = None if self.explained is None else _with_parameters_of(self.explained, self.fit)
+        return find_local_forces(self.fit) if known is None else continue_search(start_search(known))
 
     @cached_property
     def repeats(self) -> Repeatability:
         """Whether the misfit repeats from run to run, and over which axis."""
-        smooth = self.forces if self._solution is self.fit else ResidualForces(self._solution)
-        return assess_repeatability(self._solution, self.rng, waves=self._waves, forces=smooth)
+        return assess_repeatability(self.local.solution, self.rng, self._waves, self._about_measurement)
 
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
         """Curves of the missing force; see `residual_figures`."""
         best = self.repeats.best
-        return residual_figures(*deconvolve_force(self.local, self._waves), "x" if best is None else best.axis)
+        pieces, line = deconvolve_force(self.local, self._waves, self._about_measurement)
+        return residual_figures(pieces, line, "x" if best is None else best.axis)
 
     @cached_property
     def forces(self) -> ResidualForces:
         """Smooth forces in the residual of the fit itself, with which effects and formulas are compared."""
         return ResidualForces(self.fit)
 
-    @property
-    def _solution(self) -> Solution:
-        """The model refitted together with the local forces; its residual contains their traces."""
-        return self.local.law.solution
+    @cached_property
+    def _about_measurement(self) -> ResidualForces:
+        """Smooth forces in the residual in which the local ones were found."""
+        return ResidualForces(self.local.solution, about_measurement=True)
 
     @cached_property
     def _waves(self) -> WaveScan:
-        """The scan for waves, which both share."""
-        return WaveScan(self._solution)
+        return WaveScan(self.local.model)
 
 
 def find_failure_pattern(
     solution: Solution, rng: np.random.Generator, explained: Solution | None = None
 ) -> FailurePattern:
-    """Find what the misfit of a fit has in common from run to run.
+    """Find what the misfit of a fit has in common from run to run; see `FailurePattern`."""
+    fit = keep_compared_frames(solution)
+    return FailurePattern(fit, rng, explained if fit is solution else None)
+
+
+def _with_parameters_of(explained: Solution, solution: Solution) -> Solution | None:
+    """The model of a fit with the parameters of a larger one, which no misfit moved; None where that lacks some."""
+    names, values = solution.problem.layout.names, dict(zip(explained.problem.layout.names, explained.p, strict=True))
+    if not set(names) <= values.keys() or len(explained.responses) != len(solution.responses):
+        return None
+    p, tau = np.array([values[name] for name in names]), explained.tau_of_other_runs
+    try:
+        return refine(solution.problem, p, explained.starts, tau=tau, max_steps=0)
+    except FrictrackError:  # without these effects no motion can be integrated
+        return None
+
+
+def residual_series(before: Solution, after: Solution | None, effects: Sequence[str]) -> dict[str, Array]:
+    """Residual of a model and of the model with the effects found, for figures and files.
 
     Parameters
     ----------
-    solution
-        The fit.
-    rng
-        Random generator.
-    explained
-        The fit with effects that explain everything; None if there are none.
+    before
+        The fit that is diagnosed.
+    after
+        The fit with the effects found; None if none was found.
+    effects
+        Names of the effects found.
 
     Returns
     -------
-    FailurePattern
+    dict
+        One row per sample of all runs, all (n,): `run` (index), `t` since release (s), `x` (m) and `v` along the motion
+        (m/s) of the model; `before`, the residual, and `sigma`, its noise (m, or N for measured friction). With effects
+        found also `after`, the residual with them, and `F`, the force that they add against the motion (N).
 
     """
-    fit = keep_compared_frames(solution)
-    return FailurePattern(fit, rng, explained if fit is solution else None)
+    sizes = [len(r.piece.t) for r in before.responses]
+    wanted = min(len({r.piece.run for r in before.responses}) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
+    kept = slice(None, None, max(1, -(-sum(sizes) // wanted)))
+
+    def joined(of: Callable[[PieceResponse], Array], solution: Solution) -> Array:
+        return np.concatenate([np.broadcast_to(of(r), r.piece.t.shape)[kept] for r in solution.responses])
+
+    out = {
+        "run": joined(lambda r: np.array(float(r.piece.run)), before),
+        "t": joined(lambda r: r.piece.t, before),
+        "x": joined(lambda r: position_and_velocity(r)[0], before),
+        "v": joined(lambda r: np.abs(position_and_velocity(r)[1]), before),
+        "before": joined(lambda r: r.piece.y - r.model_y, before),
+        "sigma": joined(lambda r: np.asarray(r.piece.noise), before),
+    }
+    if after is not None and sizes == [len(r.piece.t) for r in after.responses]:
+        out["after"] = joined(lambda r: r.piece.y - r.model_y, after)
+        direction = joined(lambda r: np.where(position_and_velocity(r)[1] < 0, -1.0, 1.0), after)
+        fitted = [FittedEffect(name, after) for name in effects]
+        forces = [np.concatenate([b[kept] for b in one.blocks]) for one in fitted if one.effect.acts_on == "force"]
+        out["F"] = direction * np.sum(forces, axis=0) if forces else np.zeros_like(direction)
+    return out
 
 
 def residual_figures(

@@ -1,0 +1,118 @@
+"""Find the most likely Gaussian process in the residual of a model: a smooth force that the model lacks.
+
+The force is f = L z with coefficients z ~ N(0, s I), where L L' is the Matern 5/2 covariance. Its traces in the
+residual r are T f, with the model projected out of T and r. The restricted likelihood of the size s needs only the
+eigenvalues w of L' T'T L and the components g of L' T'r along their eigenvectors:
+
+    2 log p(s) = sum s g^2 / (1 + s w) - log(1 + s w)
+
+References
+----------
+Rasmussen, C. E. & Williams, C. K. I. (2006). Gaussian Processes for Machine Learning, Eq. 4.17 and ch. 5. MIT Press.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.records import Array
+
+SIZES = np.geomspace(1e-3, 1e3, 61)  # variances of a process over that of one unit of chi-squared
+JITTER = 1e-8  # of unit variance, that keeps covariances of near points invertible
+
+
+def matern_covariance(points: Array, length: float) -> Array:
+    """Compute the covariance of a Matern 5/2 process of unit variance.
+
+    Parameters
+    ----------
+    points : array of shape (K,)
+        Where it is evaluated.
+    length : float
+        Correlation length, in the unit of the points.
+
+    Returns
+    -------
+    array of shape (K, K)
+        Covariance (1 + d + d^2/3) exp(-d), d = sqrt(5) distance/length.
+
+    Examples
+    --------
+    >>> matern_covariance(np.array([0.0, 1.0]), 1.0).round(3).tolist()
+    [[1.0, 0.524], [0.524, 1.0]]
+
+    """
+    d = np.sqrt(5.0) * np.abs(points[:, None] - points) / length
+    return np.asarray((1 + d + d**2 / 3) * np.exp(-d))
+
+
+def matern_root(points: Array, length: float) -> Array:
+    """Root L (K, K) of the covariance of a Matern 5/2 process at points (K,)."""
+    return np.asarray(np.linalg.cholesky(matern_covariance(points, length) + JITTER * np.eye(len(points))))
+
+
+@dataclass(frozen=True)
+class SmoothProcess:
+    """The most likely Gaussian process of K coefficients.
+
+    Attributes
+    ----------
+    gain : float
+        Twice the rise of the log restricted likelihood over that of no force.
+    root : int
+        Which of the roots, and so which correlation length.
+    mean : array of shape (K,)
+        Its mean.
+    spread, prior : array of shape (K, K)
+        Roots of its covariance, with the data and without.
+
+    """
+
+    gain: float
+    root: int
+    mean: Array
+    spread: Array
+    prior: Array
+
+
+def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_trace: float = np.inf) -> SmoothProcess:
+    """Find the correlation length and size of the highest restricted likelihood.
+
+    Parameters
+    ----------
+    gram : array of shape (K, K)
+        Gram matrix T'T of the traces of unit coefficients, the model projected out.
+    data : array of shape (K,)
+        Their products T'r with the residual.
+    roots : sequence of array of shape (K, K)
+        Root of the covariance for every correlation length.
+    max_trace : float
+        Largest standard deviation of a trace of the process, in those of the noise.
+
+    Returns
+    -------
+    SmoothProcess
+
+    """
+    found = [_most_likely_size(gram, data, root, max_trace) for root in roots]
+    best = int(np.argmax([one.gain for one in found]))
+    return replace(found[best], root=best)
+
+
+def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -> SmoothProcess:
+    """The process of one correlation length at its most likely size."""
+    values, vectors = np.linalg.eigh(root.T @ gram @ root)
+    values = np.maximum(values, 0.0)
+    g = vectors.T @ (root.T @ data)
+    sizes = SIZES[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
+    sizes = np.minimum(sizes, max_trace**2 / max(float(values[-1]), 1e-300))
+    gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
+    best = int(np.argmax(gains))
+    size = float(sizes[best, 0])
+    shrunk = size / (1 + size * values)
+    basis = root @ vectors
+    return SmoothProcess(float(gains[best]), 0, basis @ (shrunk * g), basis * np.sqrt(shrunk), basis * np.sqrt(size))
