@@ -1,6 +1,6 @@
 """Fit a model by least squares of the simulated motion (output error), and quantify the result.
 
-The modules: the problem and its sensitivities, Gauss-Newton, covariance, projection of residuals, held-out error.
+The modules: the problem and its sensitivities, the linearised solution, Gauss-Newton, covariance, held-out error.
 """
 
 from frictrack.fit.least_squares.covariance import (
@@ -13,8 +13,8 @@ from frictrack.fit.least_squares.covariance import (
 )
 from frictrack.fit.least_squares.gauss_newton import (
     MIN_CHI2_FALL,
-    Solution,
     fit_with_scatter,
+    hold,
     predicted_objective,
     refine,
     refine_further,
@@ -22,8 +22,9 @@ from frictrack.fit.least_squares.gauss_newton import (
 )
 from frictrack.fit.least_squares.heldout import HIDDEN_SIGMA_FACTOR, heldout_rms, is_predictable
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
-from frictrack.fit.least_squares.projection import (
+from frictrack.fit.least_squares.solution import (
     ModelProjection,
+    Solution,
     displacement_response,
     model_projection,
     position_and_velocity,
@@ -43,6 +44,7 @@ __all__ = [
     "displacement_response",
     "fit_with_scatter",
     "heldout_rms",
+    "hold",
     "inverse_normal_matrix",
     "is_predictable",
     "model_projection",

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.fft import dct
 
 from frictrack.distributions import student_ppf
-from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
 from frictrack.motion.noise import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.fit.segments import Piece
 from frictrack.records import Array, Mask
