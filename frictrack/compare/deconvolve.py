@@ -31,7 +31,7 @@ from frictrack.fit.least_squares import (
     Solution,
     position_and_velocity,
 )
-from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.records import Array
 
 

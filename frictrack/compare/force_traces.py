@@ -15,7 +15,7 @@ from frictrack.compare.bumps import motion_at_nodes
 from frictrack.effects import frequencies, spatial_periods
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.linearised import Float32Array
-from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, KrylovResponse, LinearResponse
 

@@ -32,7 +32,7 @@ from frictrack.fit.least_squares import (
     model_projection,
     position_and_velocity,
 )
-from frictrack.fit.measured_friction import MeasuredFrictionPiece, keep_compared_frames
+from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.segments import Rows
 from frictrack.records import Array, Mask, Run, stretches
 

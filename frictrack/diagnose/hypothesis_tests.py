@@ -18,7 +18,7 @@ from frictrack.fit.linearised import (
     LinearisedModel,
     measured_series,
 )
-from frictrack.fit.measured_friction import is_measured_friction
+from frictrack.fit.observations import is_measured_friction
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array

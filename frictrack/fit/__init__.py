@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
@@ -11,18 +12,17 @@ from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
+from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_at, unfitted_problem
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.measured_friction import (
-    MeasuredFrictionProblem,
+from frictrack.fit.observations import (
     check_effects,
+    fit_accelerations,
     fit_measured_friction,
     friction_pieces,
-    friction_spans,
+    friction_problem,
     is_measured_friction,
     reference_load,
-    search_measured_friction,
     uses_measured_friction,
 )
 from frictrack.fit.parameters import (
@@ -37,7 +37,7 @@ from frictrack.fit.parameters import (
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, with_uncertainty
-from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
+from frictrack.fit.routes import FitOutcome, Route, check_route
 from frictrack.fit.segments import (
     Piece,
     Reference,
@@ -199,7 +199,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     route = Route(domain, search, rng, over)
     if search == "varpro":
         solution = fit_displacement(law, pieces, names, _fps(fitted))
-        found = fit_in_force_domain(solution, fitted) if domain == "force" else FitOutcome(solution)
+        found = fit_accelerations(solution, fitted) if domain == "force" else FitOutcome(solution)
     else:
         found = fit_by_search(unfitted_problem(law, pieces, names, _fps(fitted)), fitted, route, callback)
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
@@ -234,12 +234,10 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
     pieces = friction_pieces(fitted, reference.load)
     names, lengths = tuple(r.name for r in fitted), (0,) * len(fitted)
     if route.search == "varpro":
-        return _finish(
-            FitOutcome(fit_measured_friction(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths)
-        )
-    how = route.search, route.over, np.random.default_rng(route.rng)
-    solution, optima = search_measured_friction(law, pieces, (names, _fps(fitted)), how)
-    return _finish(FitOutcome(solution, None, *optima), runs, reference, (route, lengths))
+        found = FitOutcome(fit_measured_friction(law, pieces, names, _fps(fitted)))
+    else:
+        found = fit_by_search(friction_problem(law, pieces, names, _fps(fitted)), fitted, route, None)
+    return _finish(found, runs, reference, (route, lengths))
 
 
 def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
@@ -358,24 +356,23 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     by_cell = bool(saved.get("measured", False))
     law = _law(str(saved["law"]), bool(saved["weighed"]))
     lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
+    names, fps = tuple(r.name for r in fitted), _fps(fitted)
+    absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     if by_cell:
         reference = Reference(1.0, float(saved["reference_load"]))
-        pieces = friction_pieces(fitted, reference.load)
+        first = friction_problem(law, friction_pieces(fitted, reference.load), names, fps)
+        problem = first.rebuild(replace(first.layout, absent=absent), first.pieces)
+        starts = problem.first_starts()
     else:
         reference = reference_of(fitted, float(saved["reference_mass"]))
         pieces = _divided(sections_of(fitted, reference, through_reversals=law.turns), lengths)
-    absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
-    spans = friction_spans(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
-    layout = ParameterLayout(law, tuple(r.name for r in fitted), spans, absent)
-    if by_cell:
-        return _cell_restored(MeasuredFrictionProblem(law, layout, pieces), saved, runs, reference)
-    fine = max(e.fine for e in law.effects)
-    cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
-    problem = LeastSquaresProblem(law, layout, cut)
-    tau = float(saved["tau"])
+        layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
+        fine = max(e.fine for e in law.effects)
+        cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
+        problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
     route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
-    where = list(np.asarray(saved["starts"])), tau
     optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
+    where = starts, float(saved["tau"])
     found = _standing(problem, np.asarray(saved["p"]), where, fitted, (route, optima))
     return _finish(found, runs, reference, (route, lengths))
 
@@ -390,14 +387,3 @@ def _law(text: str, weighed: bool) -> Model:
             "must be declared again with @frictrack.effect"
         ) from e
     return law if weighed else with_mass(law)
-
-
-def _cell_restored(
-    problem: MeasuredFrictionProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference
-) -> Fit:
-    held = np.zeros(len(problem.layout.slots), dtype=bool)
-    p, tau = np.asarray(saved["p"]), float(saved["tau"])
-    solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
-    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
-    found = FitOutcome(solution, None, np.asarray(saved["optima"]), np.asarray(saved["costs"]))
-    return _finish(found, runs, reference, (route, (0,) * len(problem.pieces)))

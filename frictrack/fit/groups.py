@@ -85,9 +85,9 @@ class GroupFits(StorableFit):
         share = frames / frames.sum()
         ways = {f.heldout[1] for f in group_fits}
         heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in group_fits]) ** 2))
-        objective = group_fits[0].objective
-        return objective.errors(group_fits, self.curves) | {
-            **objective.heldout_summary(heldout),
+        observation = group_fits[0].observation
+        return observation.errors(group_fits, self.curves) | {
+            **observation.heldout_summary(heldout),
             "heldout": "run" if ways == {"run"} else "frames",
             "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in group_fits])),
             **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),

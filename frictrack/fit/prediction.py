@@ -11,7 +11,7 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
-from frictrack.fit.measured_friction import friction_pieces, is_measured_friction
+from frictrack.fit.observations import friction_pieces
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, Reference, cut_into_segments, sections_of, segment_frames
 from frictrack.records import Array, Mask, Run
@@ -47,10 +47,8 @@ def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
     layout = ParameterLayout(old.model, (run.name,), (old.layout.span,), events)
     p = _start_unknowns(solution, layout)
     free = np.array([s.run is not None for s in layout.slots], dtype=bool)
-    if is_measured_friction(old):
-        problem = old.rebuild(layout, friction_pieces([run], reference.load))
-        return refine(problem, _with_best_phases(problem, p), problem.first_starts(), free=free)
-    problem = LeastSquaresProblem(old.model, layout, _pieces(solution, run, reference))
+    pieces = _pieces(solution, run, reference) if old.simulates else friction_pieces([run], reference.load)
+    problem = old.rebuild(layout, pieces)
     return refit_until_stop(refine(problem, _with_best_phases(problem, p), problem.first_starts(), free=free), free)
 
 

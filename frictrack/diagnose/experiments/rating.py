@@ -23,7 +23,7 @@ from frictrack.diagnose.experiments.settings import last_settings, settings_of
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import is_measured_friction
+from frictrack.fit.observations import is_measured_friction
 
 MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run that excludes it
 MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations

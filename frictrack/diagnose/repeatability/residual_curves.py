@@ -19,7 +19,7 @@ from frictrack.compare import (
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import keep_compared_frames
+from frictrack.fit.observations import keep_compared_frames
 from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve

@@ -7,6 +7,7 @@ from frictrack.fit.least_squares.covariance import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
     batch_count,
+    clustered_covariance,
     covariance_of,
     inverse_normal_matrix,
     white_noise_covariance,
@@ -20,7 +21,7 @@ from frictrack.fit.least_squares.gauss_newton import (
     refine_further,
     refit_with_scatter,
 )
-from frictrack.fit.least_squares.heldout import HIDDEN_SIGMA_FACTOR, heldout_rms, is_predictable
+from frictrack.fit.least_squares.heldout import heldout_rms
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.least_squares.solution import (
     ModelProjection,
@@ -31,7 +32,6 @@ from frictrack.fit.least_squares.solution import (
 )
 
 __all__ = [
-    "HIDDEN_SIGMA_FACTOR",
     "MIN_CHI2_FALL",
     "MIN_SINGULAR_VALUE",
     "NORMAL_QUANTILE_975",
@@ -40,13 +40,13 @@ __all__ = [
     "PieceResponse",
     "Solution",
     "batch_count",
+    "clustered_covariance",
     "covariance_of",
     "displacement_response",
     "fit_with_scatter",
     "heldout_rms",
     "hold",
     "inverse_normal_matrix",
-    "is_predictable",
     "model_projection",
     "position_and_velocity",
     "predicted_objective",

@@ -125,27 +125,49 @@ def batch_count(solution: Solution) -> int:
     return int(min(max(round(np.sqrt(n)), MIN_BATCHES_PER_UNKNOWN * len(solution.p)), n))
 
 
-def _batch_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) from the scatter of the gradients of batches of segments (cluster-robust sandwich).
+def clustered_covariance(solution: Solution, bread: Array, gradients: Array) -> Array:
+    """Compute the covariance from the scatter of the gradients of clusters of frames (cluster-robust sandwich).
 
-    Unmodelled forces are correlated within a segment and often with its neighbours. With as many batches as segments
-    per batch, batches are nearly independent. Widened to Student's t for the number of batches.
+    Unmodelled forces are correlated between neighbouring frames, so the clusters must be longer than this correlation.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    bread : array of shape (P, P)
+        Inverse normal matrix.
+    gradients : array of shape (k, P)
+        Gradient of the objective from every cluster.
+
+    Returns
+    -------
+    array of shape (P, P)
+        Covariance of the unknowns, widened to Student's t for the number of clusters.
 
     References
     ----------
+    Huber, P. J. (1967). Proc. Fifth Berkeley Symposium 1, 221-233.
     Liang, K.-Y. & Zeger, S. L. (1986). Longitudinal data analysis. Biometrika 73, 13-22.
     White, H. (1980). Econometrica 48, 817-838.
-    Flegal, J. M. & Jones, G. L. (2010). Batch means. Annals of Statistics 38, 1034-1070.
 
+    """
+    count = len(gradients)
+    widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
+    return np.asarray(bread @ (widening * gradients.T @ gradients + penalty.T @ penalty) @ bread)
+
+
+def _batch_covariance(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) from batches of segments.
+
+    With as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means, Annals
+    of Statistics 38, 1034-1070).
     """
     gradients = np.zeros((len(solution.responses), len(solution.p)))
     for gradient, r in zip(gradients, solution.responses, strict=True):
         gradient[r.active] = r.jac.T @ r.r
-    count = batch_count(solution)
-    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, count)])
-    widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
-    penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
-    return np.asarray(bread @ (widening * batches.T @ batches + penalty.T @ penalty) @ bread)
+    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, batch_count(solution))])
+    return clustered_covariance(solution, bread, batches)
 
 
 def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:

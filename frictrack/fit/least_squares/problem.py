@@ -16,7 +16,7 @@ from frictrack.fit.least_squares.joined_law import JoinedLaw, LawStructure, diff
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import JoinedPieces, Piece, group_by_size, split_motions
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
@@ -166,7 +166,8 @@ class LeastSquaresProblem:
 
     """
 
-    simulates = True
+    observed = "displacement"  # what is compared
+    simulates = True  # whether the model makes a motion
 
     def __init__(
         self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece], budget: EvaluationBudget | None = None
@@ -205,6 +206,18 @@ class LeastSquaresProblem:
     def first_starts(self) -> list[Array]:
         """Return start position (m) and speed (m/s) of every piece, from the smoothed motion."""
         return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
+
+    def hidden_frames(self, responses: Sequence[PieceResponse]) -> list[Mask]:
+        """Return which frames of every piece a held-out error leaves out: the odd ones."""
+        return [np.arange(len(r.r)) % 2 == 1 for r in responses]
+
+    def kept_rows(self, responses: Sequence[PieceResponse], hidden: Sequence[Mask]) -> list[Array]:
+        """Return sensitivities and residual (m, A + 1) of every piece at its other frames, start projected out."""
+        out = []
+        for r, rows in zip(responses, hidden, strict=True):
+            (q, _), kept = np.linalg.qr(r.q[~rows]), np.column_stack([r.jac, r.r])[~rows]
+            out.append(kept - q @ (q.T @ kept))
+        return out
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it.

@@ -100,13 +100,7 @@ class Solution:
         return np.concatenate([r.r for r in self.responses])
 
     def _stacked(self, blocks: Sequence[Array]) -> Array:
-        """Rows (m, A) of every piece, in the columns of all unknowns: (sum of m, P)."""
-        out = np.zeros((sum(len(block) for block in blocks), len(self.p)))
-        row = 0
-        for block, r in zip(blocks, self.responses, strict=True):
-            out[row : row + len(block), r.active] = block
-            row += len(block)
-        return out
+        return stacked_rows(blocks, [r.active for r in self.responses], len(self.p))
 
     @property
     def basis(self) -> JacobianBasis:
@@ -215,6 +209,16 @@ class Solution:
             departure = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
         departure[layout.levels] += self.p[layout.levels] - 1
         return departure
+
+
+def stacked_rows(blocks: Sequence[Array], active: Sequence[Sequence[int]], n_unknowns: int) -> Array:
+    """Stack rows (m, A) of pieces in the columns of all unknowns, (sum of m, P)."""
+    out = np.zeros((sum(len(block) for block in blocks), n_unknowns))
+    row = 0
+    for block, columns in zip(blocks, active, strict=True):
+        out[row : row + len(block), columns] = block
+        row += len(block)
+    return out
 
 
 @dataclass(frozen=True)
