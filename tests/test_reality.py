@@ -19,8 +19,7 @@ from frictrack.diagnose.admissible import physical_objection
 from frictrack.diagnose.subsampling import subsample
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit, restore, state
-from frictrack.fit.observations import friction_noise, weight_by_noise
-from frictrack.fit.observations.measured_friction import strokes
+from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise
 from frictrack.fit.segments.swings import join_swings
 from frictrack.friction import moving_sections
 from frictrack.motion import differentiate, low_pass

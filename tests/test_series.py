@@ -18,7 +18,7 @@ from frictrack import effects, export, models, plots, report, samples
 from frictrack.compare import compare
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, friction_pieces, restore, state
-from frictrack.fit.observations import block_covariance
+from frictrack.fit.observations.measured_friction import block_covariance
 from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run

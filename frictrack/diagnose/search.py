@@ -175,14 +175,14 @@ def _search(
     (own, auxiliary), (rng, level, notify) = signals, means
     generators, budget = rng.spawn(2), search_budget(start.problem, MAX_SIZE)
     start = replace(start, problem=start.problem.with_budget(budget))
-    observation = observation_of(start.problem)
-    sensor = assess_accelerometer(start, fit.runs, auxiliary or {}) if observation.has_motion else None
+    observation, simulates = observation_of(start.problem), start.problem.simulates
+    sensor = assess_accelerometer(start, fit.runs, auxiliary or {}) if simulates else None
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, level)
     scanned = sorted(first.tests.scanned, key=lambda s: -s.excess[0])
     space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
-    formula = _FormulaInstead(start, shapes, observation.has_motion)
+    formula = _FormulaInstead(start, shapes, simulates)
     beaten = False
     for size in range(1, MAX_SIZE + 1):
         beaten = last.something_is_missing and size > MIN_SIZE_IMITATING and formula.explains_more(best)

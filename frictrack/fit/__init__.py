@@ -15,9 +15,9 @@ from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_at, unfitted_problem
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.observations import (
+from frictrack.fit.observations.acceleration import fit_accelerations
+from frictrack.fit.observations.load_cell import (
     check_effects,
-    fit_accelerations,
     fit_measured_friction,
     friction_pieces,
     friction_problem,

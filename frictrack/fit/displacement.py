@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import product
@@ -45,7 +45,7 @@ STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
 STOP_MARGIN_FRAMES = 2.0  # frames left out before a stop
 GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame below which no second start is tried
 MAX_REVERSAL_SEGMENTS = 16  # segments used for the first fit of a long record with reversals
-COEFFICIENT_SHARES = (0.5, 0.2, 0.0)  # factors on start coefficients with which the motion diverges
+COEFFICIENT_SHARES = (1.0, 0.5, 0.2, 0.0)  # factors on start coefficients, until the motion does not diverge
 
 
 def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
@@ -85,21 +85,12 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
         found.append(_by_variable_projection(model, pieces, names, spans))
     can_grow = not any(e.relaxed for e in model.effects)  # a relaxed effect has too many parameters for a scan
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
-        found += _by_adding_effects(model, pieces, names, spans, needed=not found)
+        with suppress(FrictrackError) if found else nullcontext():
+            found.append(_from_scratch(model, pieces, names, spans))
+        for other in reversed_ties(model):
+            with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
+                found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
     return refit_until_stop(min(found, key=lambda s: s.objective))
-
-
-def _by_adding_effects(
-    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], needed: bool
-) -> list[Solution]:
-    """Fits to which one effect after the other was added; FrictrackError if `needed` and there is none."""
-    found = []
-    with nullcontext() if needed else suppress(FrictrackError):
-        found.append(_from_scratch(model, pieces, names, spans))
-    for other in reversed_ties(model):
-        with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
-            found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
-    return found
 
 
 def _by_variable_projection(
@@ -109,29 +100,23 @@ def _by_variable_projection(
 
     FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
     """
-    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
-    if any(lacking):
-        raise FrictrackError(next(filter(None, lacking)))
     _, scanned = entry_order(model)
     # clock errors are found in simulation, for few runs
     later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
     first = Model(tuple(e for e in model.effects if e not in later))
-    layout = ParameterLayout(first, names, spans)
-    fine = max(e.fine for e in first.effects)
-    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
-    blocks = [displacement_block(p) for p in ready]
-    separable = SeparableModel(layout, blocks)
+    problem = LeastSquaresProblem(first, ParameterLayout(first, names, spans), pieces)
+    blocks = [displacement_block(p) for p in problem.pieces]
+    separable = SeparableModel(problem.layout, blocks)
     search = variable_projection(separable)
     state = search()
     absent = search.unneeded_events(state, bic_penalty(EVENT_PARAMETERS, separable.size))
     if absent:
-        layout = replace(layout, absent=absent)
-        separable = SeparableModel(layout, blocks)
         start_values = dict(zip(search.separable.layout.names, state.nonlinear_values, strict=True))
-        problem = ProjectedProblem(separable, separable.data)
-        state = problem.refine(problem.at(np.array([start_values[n] for n in layout.names])))
-    law = LeastSquaresProblem(first, layout, ready)
-    solution = _with_free_amplitudes(_refine_shrunk(law, separable.law(state.nonlinear_values, state.coefficients)))
+        problem = problem.rebuild(replace(problem.layout, absent=absent), problem.pieces)
+        separable = SeparableModel(problem.layout, blocks)
+        projected = ProjectedProblem(separable, separable.data)
+        state = projected.refine(projected.at(np.array([start_values[n] for n in problem.layout.names])))
+    solution = _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
     return _add_later(solution, model, later) if later else solution
 
 
@@ -140,16 +125,11 @@ def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
 
     Along the measured motion a model that lacks an effect may have coefficients with which its own motion diverges.
     """
-    starts = problem.first_starts()
-    with suppress(FrictrackError):
-        return fit_with_scatter(problem, p, starts)
-    linear, found = np.array([s.linear for s in problem.layout.slots]), []
+    linear = np.array([s.linear for s in problem.layout.slots])
     for share in COEFFICIENT_SHARES:
         with suppress(FrictrackError):
-            found.append(fit_with_scatter(problem, np.where(linear, share * p, p), starts))
-    if not found:
-        raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
-    return min(found, key=lambda s: s.objective)
+            return fit_with_scatter(problem, np.where(linear, share * p, p), problem.first_starts())
+    raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
 
 
 def _with_free_amplitudes(solution: Solution) -> Solution:
@@ -202,7 +182,9 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
     layout = ParameterLayout(Model(tuple(plain)), names, spans)
-    return _fit_and_add(model, LeastSquaresProblem(layout.model, layout, pieces), guess_coefficients, scanned)
+    problem = LeastSquaresProblem(layout.model, layout, pieces)
+    solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
+    return _add_later(solution, model, scanned)
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
@@ -210,14 +192,8 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
     subset = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
     if len(subset) == len(pieces) or {p.run for p in subset} != {p.run for p in pieces}:
         return _fit_through_reversals(model, pieces, names, spans)
-    return _on_all(_fit_through_reversals(model, subset, names, spans), pieces)
-
-
-def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
-    """A fit to some pieces, refined by one step with all of them."""
-    fine = max(e.fine for e in found.problem.model.effects)
-    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
-    problem = found.problem.rebuild(found.problem.layout, ready)
+    found = _fit_through_reversals(model, subset, names, spans)
+    problem = found.problem.rebuild(found.problem.layout, pieces)
     return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
 
 
@@ -229,16 +205,8 @@ def _fit_through_reversals(
     layout = ParameterLayout(Model(tuple(start_effects)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     guess = shoot_lengthening if any(p.slack for p in pieces) else best_on_grid
-    if later:
-        return _fit_and_add(model, problem, guess, later)
-    return fit_with_scatter(problem, guess(problem), problem.first_starts())
-
-
-def _fit_and_add(
-    model: Model, problem: LeastSquaresProblem, guess: Callable[[LeastSquaresProblem], Array], later: list[Effect]
-) -> Solution:
-    """Fit from a guess of the unknowns (P,), add the later effects one by one, and refine to convergence."""
-    return _add_later(fit_with_scatter(problem, guess(problem), problem.first_starts()), model, later)
+    solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
+    return _add_later(solution, model, later) if later else solution
 
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
@@ -274,15 +242,11 @@ def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
         shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
         problem = LeastSquaresProblem(solution.problem.model, solution.problem.layout, shorter)
         with suppress(FrictrackError):  # the motion under a law that lacks much cannot be integrated everywhere
-            solution = _refitted(problem, solution, free)
+            if free is None:
+                solution = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+            else:
+                solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
     return solution
-
-
-def _refitted(problem: LeastSquaresProblem, solution: Solution, free: Mask | None) -> Solution:
-    """The fit of a problem from a solution of another one."""
-    if free is None:
-        return fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
-    return refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
 
 
 def _frames_before_stop(response: PieceResponse) -> int:
@@ -454,12 +418,12 @@ def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list
     """Displacement (n, K) per unit coefficient, then the measured one, in units of sigma."""
     values, level = problem.layout.values(p, piece.run)
     force_columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
-    inputs = [piece.known]
+    inputs, effects = [piece.known], {e.name: e for e in problem.model.effects}
     for i in linear:
         slot = problem.layout.slots[i]
         has_column = slot.effect in force_columns and slot.run in (None, piece.run)
         column = (
-            force_columns[slot.effect][:, problem.column(slot.effect, slot.parameter)]
+            force_columns[slot.effect][:, [q.name for q in effects[slot.effect].linear].index(slot.parameter)]
             if has_column
             else np.zeros_like(piece.known)
         )

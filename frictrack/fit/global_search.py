@@ -14,7 +14,8 @@ import numpy as np
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem
-from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
+from frictrack.fit.observations.acceleration import fit_starts, linearise_accelerations
+from frictrack.fit.observations.load_cell import friction_block
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
 from frictrack.fit.routes import FitOutcome, Route
 from frictrack.fit.segments import AccelerationChain, Piece, acceleration_chains, acceleration_noise, spans_of
@@ -38,9 +39,7 @@ MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance t
 
 def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
     """Create the problem of a model that has no start values yet."""
-    layout = ParameterLayout(model, names, spans_of(pieces, len(names), fps))
-    fine = max(e.fine for e in model.effects)
-    return LeastSquaresProblem(model, layout, [p if p.per_frame >= fine else p.refined(fine) for p in pieces])
+    return LeastSquaresProblem(model, ParameterLayout(model, names, spans_of(pieces, len(names), fps)), pieces)
 
 
 def fit_by_search(

@@ -20,7 +20,7 @@ from frictrack.records import Array, Curve, ModelledMotion, Run
 class DisplacementObservation(Observation):
     """Residuals of the displacement."""
 
-    unit, metres_or_newtons, has_motion = "um", 1e6, True
+    unit, metres_or_newtons = "um", 1e6
 
     def estimates(self, fitted: FittedRuns) -> Estimates:
         """Return the parameters; intervals of badly determined ones come from profiles, at an optimum."""

@@ -5,7 +5,7 @@ not to be friction: from the differences between repeated strokes over the same 
 of the instrument. With one record and no repeat, slow misfit counts as misfit.
 
 Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
-time. Of long series every short block is one frame.
+time. Every block that is short beside it is one frame, and so is every short block of long series.
 
 The misfit of a model is mostly far above the white noise and correlated between frames. So the covariance of a fit
 comes from the scatter of blocks of frames that are longer than this correlation.
@@ -75,8 +75,8 @@ class FrictionNoise:
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     """Weight every frame by the noise of the measurement.
 
-    Of correlated frames only some are kept; of long series every block is one frame. The noise is always that of all
-    frames: a model that was refined on few of them is first refined on all.
+    Every block of correlated frames, or of a long series, is one frame. The noise is always that of all frames: a model
+    that was refined on few of them is first refined on all.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     noise = friction_noise(solution)
     stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
     block = -(-solution.problem.n_frames // MAX_FRAMES)
-    step, reduced = max(stride, block), _every_nth_frame if stride >= block else _averaged
+    step = max(stride, block)
     sigma = noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step))
-    pieces = [reduced(r, step) for r in solution.responses]
+    pieces = [_averaged(r, step) for r in solution.responses]
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
@@ -227,19 +227,16 @@ def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Arr
     return np.interp(at, coordinate[order], residual[order])
 
 
-def _every_nth_frame(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """Every few of the frames of a piece."""
-    piece = _measured(response)
-    return piece if step == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), step), step)
-
-
 def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
     """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
 
     The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
     friction is averaged but its residual.
     """
-    piece = _measured(response)
+    piece = response.piece
+    assert isinstance(piece, MeasuredFrictionPiece)
+    if step == 1:
+        return piece
     n = len(piece.t) // step * step
     frames = piece.frames[:n].reshape(-1, step)
     direction = piece.path.s[piece.at[:n]].reshape(-1, step)
@@ -247,11 +244,6 @@ def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
     middle = (np.arange(len(frames)) * step + step // 2)[kept]
     residual = (piece.y - response.model_y)[:n].reshape(-1, step)[kept].mean(axis=1)
     return replace(piece.at_frames_kept(middle, step), y=response.model_y[middle] + residual)
-
-
-def _measured(response: PieceResponse) -> MeasuredFrictionPiece:
-    assert isinstance(response.piece, MeasuredFrictionPiece)
-    return response.piece
 
 
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
@@ -329,7 +321,7 @@ def block_covariance(solution: Solution) -> Array:
 class FrictionObservation(Observation):
     """Residuals of a measured friction force."""
 
-    unit, metres_or_newtons, has_motion = "N", 1.0, False
+    unit, metres_or_newtons = "N", 1.0
 
     def estimates(self, fitted: FittedRuns) -> Estimates:
         """Return the parameters; their standard deviations come from blocks of the residual, which is correlated."""

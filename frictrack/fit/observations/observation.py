@@ -19,7 +19,6 @@ class Observation(ABC):
 
     unit: str  # of errors in JSON keys: "um" or "N"
     metres_or_newtons: float  # factor from SI to that unit
-    has_motion: bool  # whether the model makes a motion, so that formulas and other sensors can be compared with it
 
     @abstractmethod
     def estimates(self, fitted: FittedRuns) -> Estimates:
