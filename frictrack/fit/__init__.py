@@ -12,13 +12,14 @@ from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_at, unfitted_problem
+from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_of, unfitted_problem
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.observations.acceleration import fit_accelerations
-from frictrack.fit.observations.load_cell import (
+from frictrack.fit.observations import (
     check_effects,
+    fit_accelerations,
     fit_measured_friction,
+    fit_starts,
     friction_pieces,
     friction_problem,
     is_measured_friction,
@@ -269,7 +270,7 @@ def _standing(
     route, optima = how
     if route.is_default:
         return FitOutcome(refine(problem, p, where[0], tau=where[1], max_steps=1))
-    return outcome_at(problem, p, where, runs, route, optima)
+    return outcome_of(fit_starts(problem, p, *where), runs, route, optima)
 
 
 def _fps(runs: Sequence[Run]) -> float:

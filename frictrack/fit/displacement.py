@@ -308,10 +308,10 @@ def best_on_grid(problem: LeastSquaresProblem) -> Array:
         p = np.where([s.effect == "level" for s in layout.slots], 1.0, 0.0)
         p[scanned] = point
         for n, columns, right in _windowed(problem, p, lengths):
-            basis_vectors, residual = _solve_coefficients(problem, p, columns, right)
+            unknowns, residual = _solve_coefficients(problem, p, columns, right)
             unexplained_share = float(residual @ residual) / max(float(right @ right), 1e-300)
             if unexplained_share < smallest_share:
-                best, smallest_share, length = basis_vectors, unexplained_share, n
+                best, smallest_share, length = unknowns, unexplained_share, n
     return _refined(problem, best, scanned, length) if scanned else best
 
 
@@ -326,14 +326,14 @@ def _refined(problem: LeastSquaresProblem, p: Array, scanned: list[int], length:
     low, high = (bound[scanned] for bound in problem.layout.bounds)
     scale = np.maximum(np.abs(p[scanned]), 1e-12)
 
+    def solved(theta: Array) -> tuple[Array, Array]:
+        unknowns = p.copy()
+        unknowns[scanned] = np.clip(theta * scale, low, high)
+        ((_, columns, right),) = _windowed(problem, unknowns, [length])
+        return _solve_coefficients(problem, unknowns, columns, right)
+
     def residual(theta: Array) -> Array:
         return solved(theta)[1]
-
-    def solved(theta: Array) -> tuple[Array, Array]:
-        basis_vectors = p.copy()
-        basis_vectors[scanned] = np.clip(theta * scale, low, high)
-        ((_, columns, right),) = _windowed(problem, basis_vectors, [length])
-        return _solve_coefficients(problem, basis_vectors, columns, right)
 
     inside = np.clip(p[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
     found = least_squares(residual, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=MAX_REFINEMENTS)
@@ -400,7 +400,7 @@ def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Ite
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
     for n in lengths:
-        cut = np.concatenate([basis_vectors for piece, white in rows for basis_vectors in _unstarted(piece, white, n)])
+        cut = np.concatenate([window for piece, white in rows for window in _unstarted(piece, white, n)])
         yield n, cut[:, :-1], cut[:, -1]
 
 
@@ -409,8 +409,8 @@ def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
     out = []
     start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t[0]]))
     for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
-        basis_vectors, _ = np.linalg.qr(start[rows])
-        out.append(white[rows] - basis_vectors @ (basis_vectors.T @ white[rows]))
+        q, _ = np.linalg.qr(start[rows])
+        out.append(white[rows] - q @ (q.T @ white[rows]))
     return out
 
 
@@ -419,14 +419,11 @@ def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list
     values, level = problem.layout.values(p, piece.run)
     force_columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
     inputs, effects = [piece.known], {e.name: e for e in problem.model.effects}
-    for i in linear:
-        slot = problem.layout.slots[i]
-        has_column = slot.effect in force_columns and slot.run in (None, piece.run)
-        column = (
-            force_columns[slot.effect][:, [q.name for q in effects[slot.effect].linear].index(slot.parameter)]
-            if has_column
-            else np.zeros_like(piece.known)
-        )
+    for slot in (problem.layout.slots[i] for i in linear):
+        column = np.zeros_like(piece.known)
+        if slot.effect in force_columns and slot.run in (None, piece.run):
+            place = [q.name for q in effects[slot.effect].linear].index(slot.parameter)
+            column = force_columns[slot.effect][:, place]
         inputs.append(-column / piece.mass)
     displacement = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
     return piece.whitened(np.column_stack([displacement[:, 1:], piece.y - displacement[:, 0]]))

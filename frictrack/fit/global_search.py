@@ -13,9 +13,8 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.displacement import refit_until_stop
-from frictrack.fit.least_squares import LeastSquaresProblem
-from frictrack.fit.observations.acceleration import fit_starts, linearise_accelerations
-from frictrack.fit.observations.load_cell import friction_block
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution
+from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
 from frictrack.fit.routes import FitOutcome, Route
 from frictrack.fit.segments import AccelerationChain, Piece, acceleration_chains, acceleration_noise, spans_of
@@ -70,21 +69,13 @@ def fit_by_search(
     tau = searched_scatter(problem.layout, optima[0])
     law = fit_starts(problem, optima[0], problem.first_starts(), tau)
     law = refit_until_stop(law, np.zeros(len(law.p), dtype=bool))
-    return outcome_at(law.problem, law.p, (law.starts, tau), runs, route, (optima, costs))
+    return outcome_of(law, runs, route, (optima, costs))
 
 
-def outcome_at(
-    problem: LeastSquaresProblem,
-    p: Array,
-    starts_and_scatter: tuple[Sequence[Array], float],
-    runs: Sequence[Run],
-    route: Route,
-    optima: tuple[Array, Array],
-) -> FitOutcome:
-    """Create the outcome of known unknowns: only their starts are fitted."""
-    solution = fit_starts(problem, p, *starts_and_scatter)
-    force = linearise_accelerations(solution, runs) if route.domain == "force" and problem.simulates else None
-    return FitOutcome(solution, force, *optima)
+def outcome_of(solution: Solution, runs: Sequence[Run], route: Route, optima: tuple[Array, Array]) -> FitOutcome:
+    """Create the outcome of known unknowns whose starts have been fitted."""
+    filtered = route.domain == "force" and solution.problem.simulates
+    return FitOutcome(solution, linearise_accelerations(solution, runs) if filtered else None, *optima)
 
 
 def search_parameters(

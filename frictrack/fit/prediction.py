@@ -11,7 +11,7 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
-from frictrack.fit.observations.load_cell import friction_pieces
+from frictrack.fit.observations import friction_pieces
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, Reference, cut_into_segments, sections_of, segment_frames
 from frictrack.records import Array, Mask, Run

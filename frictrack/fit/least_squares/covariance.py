@@ -68,17 +68,17 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
-    full, unseen = white_noise_covariance(solution)
+    white, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
-        return _batch_covariance(solution, full), unseen
-    full = full + _systematic_covariance(solution, full)
+        return _batch_covariance(solution, white), unseen
+    full = white + _systematic_covariance(solution, white)
     full = full * (student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = inverse_normal_matrix(
         np.vstack([solution.few_rows, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
     )
-    variance = np.maximum(np.diag(white_noise_covariance(solution)[0]), 1e-300)
+    variance = np.maximum(np.diag(white), 1e-300)
     share = np.maximum(
         np.log(np.maximum(np.diag(larger_scatter), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3
     )
@@ -88,12 +88,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
 def _systematic_covariance(solution: Solution, bread: Array) -> Array:
     """Covariance (P, P) that slow tracking errors and the remaining camera shake add."""
-    gradients = [np.zeros((0, len(solution.p)))]
-    for r in solution.responses:
-        gradient = _systematic_gradients(r)
-        gradients.append(np.zeros((len(gradient), len(solution.p))))
-        gradients[-1][:, r.active] = gradient
-    added = np.vstack(gradients) @ bread
+    added = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ bread
     return added.T @ added
 
 
@@ -163,9 +158,7 @@ def _batch_covariance(solution: Solution, bread: Array) -> Array:
     With as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means, Annals
     of Statistics 38, 1034-1070).
     """
-    gradients = np.zeros((len(solution.responses), len(solution.p)))
-    for gradient, r in zip(gradients, solution.responses, strict=True):
-        gradient[r.active] = r.jac.T @ r.r
+    gradients = solution.stacked([(r.jac.T @ r.r)[None] for r in solution.responses])
     batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, batch_count(solution))])
     return clustered_covariance(solution, bread, batches)
 

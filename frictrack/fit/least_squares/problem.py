@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
@@ -203,13 +203,7 @@ class LeastSquaresProblem:
         counts = [0 if self.model.memory else len(piece.panels.t) for piece in self.pieces]
         return group_by_size(counts, MAX_JOINED_NODES, alone=self.model.memory)
 
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        """Simulate and linearise piece i alone."""
-        return self._respond_together((i,), p, {i: start})[0]
-
-    def _respond_together(
-        self, rows: tuple[int, ...], p: Array, starts: Sequence[Array] | Mapping[int, Array]
-    ) -> list[PieceResponse]:
+    def _respond_together(self, rows: tuple[int, ...], p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate and linearise some pieces together."""
         simulation = self._simulation(rows)
         joined = self._with_clock(simulation.joined, p)
@@ -219,17 +213,13 @@ class LeastSquaresProblem:
         g = law.sensitivities(motion)
         edges = linear.edge_states(*_with_starts(g))
         simulation.guess, simulation.near, simulation.is_first = motion.a, linear, False
-        return [
-            self._linearised_response(
-                piece,
-                law,
-                (own, own_linear),
-                (own.x_edge[piece.at], edges[edge_rows, 0][piece.at][:, [*columns, -2, -1]]),
-            )
-            for piece, columns, edge_rows, (own, own_linear) in zip(
-                joined.pieces, simulation.columns, joined.edges, split_motions(joined, motion, linear), strict=True
-            )
-        ]
+        responses, split = [], split_motions(joined, motion, linear)
+        for piece, columns, rows_of_edges, own in zip(
+            joined.pieces, simulation.columns, joined.edges, split, strict=True
+        ):
+            sensitivities = edges[rows_of_edges, 0][piece.at][:, [*columns, -2, -1]]
+            responses.append(self._linearised_response(piece, law, own, (own[0].x_edge[piece.at], sensitivities)))
+        return responses
 
     def _simulation(self, rows: tuple[int, ...]) -> _Simulation:
         """The simulation of some pieces together, with their previous motion."""

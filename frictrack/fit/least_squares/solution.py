@@ -92,14 +92,15 @@ class Solution:
     @property
     def jac(self) -> Array:
         """Whitened Jacobian of all frames, starts projected out, (N, P)."""
-        return self._stacked([r.jac for r in self.responses])
+        return self.stacked([r.jac for r in self.responses])
 
     @property
     def residual(self) -> Array:
         """Whitened residual of all frames, starts projected out, (N,)."""
         return np.concatenate([r.r for r in self.responses])
 
-    def _stacked(self, blocks: Sequence[Array]) -> Array:
+    def stacked(self, blocks: Sequence[Array]) -> Array:
+        """Stack rows (m, A) of every piece in the columns of all unknowns, (sum of m, P)."""
         return stacked_rows(blocks, [r.active for r in self.responses], len(self.p))
 
     @property
@@ -126,7 +127,7 @@ class Solution:
         def expanded(few: Array) -> Array:
             return np.concatenate([q @ own for (q, _), own in zip(factors, np.split(few, ends), strict=True)])
 
-        return self._stacked([upper for _, upper in factors]), expanded
+        return self.stacked([upper for _, upper in factors]), expanded
 
     @property
     def few_rows(self) -> Array:
@@ -137,7 +138,7 @@ class Solution:
     def few_rows_and_residual(self) -> tuple[Array, Array]:
         """The linearised model in few rows: Jacobian (M, P) and residual (M,)."""
         upper = [np.asarray(np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r")) for r in self.responses]
-        return self._stacked([u[:, :-1] for u in upper]), np.concatenate([u[:, -1] for u in upper])
+        return self.stacked([u[:, :-1] for u in upper]), np.concatenate([u[:, -1] for u in upper])
 
     @property
     def penalised_rows_and_residual(self) -> tuple[Array, Array]:

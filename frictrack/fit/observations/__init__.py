@@ -5,18 +5,44 @@ noise, errors and remarks of that quantity. Everything else is blind to the kind
 """
 
 from frictrack.fit.least_squares import LeastSquaresProblem
-from frictrack.fit.observations.acceleration import AccelerationObservation
+from frictrack.fit.observations.acceleration import (
+    AccelerationObservation,
+    fit_accelerations,
+    fit_starts,
+    linearise_accelerations,
+)
 from frictrack.fit.observations.displacement import DisplacementObservation
-from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, is_measured_friction, keep_compared_frames
+from frictrack.fit.observations.load_cell import (
+    MeasuredFrictionPiece,
+    check_effects,
+    fit_measured_friction,
+    friction_block,
+    friction_pieces,
+    friction_problem,
+    is_measured_friction,
+    keep_compared_frames,
+    reference_load,
+    uses_measured_friction,
+)
 from frictrack.fit.observations.measured_friction import FrictionObservation, weight_by_noise
 from frictrack.fit.observations.observation import Observation
 
 __all__ = [
     "MeasuredFrictionPiece",
     "Observation",
+    "check_effects",
+    "fit_accelerations",
+    "fit_measured_friction",
+    "fit_starts",
+    "friction_block",
+    "friction_pieces",
+    "friction_problem",
     "is_measured_friction",
     "keep_compared_frames",
+    "linearise_accelerations",
     "observation_of",
+    "reference_load",
+    "uses_measured_friction",
     "weight_by_noise",
 ]
 

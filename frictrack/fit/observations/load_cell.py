@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -135,18 +135,18 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     def hidden_frames(self, responses: Sequence[PieceResponse]) -> list[Mask]:
         """Return every other block of frames of every run, longer than the correlation of the residual."""
+        starts = block_starts(responses, len(self.layout.slots))
         return [
-            np.concatenate([np.full(rows.stop - rows.start, i % 2 == 1) for i, rows in enumerate(cut)])
-            for cut in residual_blocks(responses, len(self.layout.slots))
+            np.searchsorted(at, np.arange(len(r.r)), side="right") % 2 == 0
+            for r, at in zip(responses, starts, strict=True)
         ]
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Compute residual and sensitivities of every run."""
-        return [self._respond(i, p, start) for i, start in enumerate(starts)]
+        return [self._response(piece, p) for piece in self.pieces]
 
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        """Residual and sensitivities of run i."""
-        piece, layout = self.pieces[i], self.layout
+    def _response(self, piece: Piece, p: Array) -> PieceResponse:
+        layout = self.layout
         path = piece.path
         motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
         active = layout.active(piece.run)
@@ -411,11 +411,10 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
         axis[np.linspace(0, len(axis) - 1, min(points_per_axis, len(axis))).round().astype(int)]
         for axis in scanned.values()
     ]
-    out = []
-    for point in product(*axes):
-        out.append(nonlinear_values.copy())
-        out[-1][list(scanned)] = point
-    return out
+    points = np.array(list(product(*axes)))
+    out = np.tile(nonlinear_values, (len(points), 1))
+    out[:, list(scanned)] = points
+    return list(out)
 
 
 def correlated_frames(r: Array) -> int:
@@ -439,13 +438,12 @@ def correlated_frames(r: Array) -> int:
     return int(below[0]) if len(below) else n // 2
 
 
-def residual_blocks(responses: Sequence[PieceResponse], n_unknowns: int) -> list[list[slice]]:
+def block_starts(responses: Sequence[PieceResponse], n_unknowns: int) -> list[Rows]:
     """Cut the frames of every run into blocks: longer than the correlation of the residual, enough for the unknowns."""
     min_blocks = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * n_unknowns // len(responses)))
     out = []
     for r in responses:
-        n, correlation = len(r.r), correlated_frames(r.r)
-        length = min(max(int(np.ceil(BLOCK_CORRELATION_TIMES * correlation)), 1), max(n // min_blocks, 1))
-        edges = np.linspace(0, n, max(n // length, 1) + 1).round().astype(int)
-        out.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
+        n, length = len(r.r), max(int(np.ceil(BLOCK_CORRELATION_TIMES * correlated_frames(r.r))), 1)
+        count = max(n // min(length, max(n // min_blocks, 1)), 1)
+        out.append(np.linspace(0, n, count + 1).round().astype(int)[:-1])
     return out

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
-from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, correlated_frames, residual_blocks
+from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts, correlated_frames
 from frictrack.fit.observations.observation import Observation
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.routes import FittedRuns
@@ -310,12 +310,9 @@ def block_covariance(solution: Solution) -> Array:
     white_noise, _ = covariance_of(solution)
     if all(correlated_frames(r.r) == 0 for r in solution.responses):
         return white_noise
-    gradients = []
-    for r, cut in zip(solution.responses, residual_blocks(solution.responses, len(solution.p)), strict=True):
-        for rows in cut:
-            gradients.append(np.zeros(len(solution.p)))
-            gradients[-1][r.active] = r.jac[rows].T @ r.r[rows]
-    return clustered_covariance(solution, white_noise, np.array(gradients))
+    blocks = block_starts(solution.responses, len(solution.p))
+    gradients = [np.add.reduceat(r.jac * r.r[:, None], at) for r, at in zip(solution.responses, blocks, strict=True)]
+    return clustered_covariance(solution, white_noise, solution.stacked(gradients))
 
 
 class FrictionObservation(Observation):
