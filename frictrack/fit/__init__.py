@@ -22,7 +22,6 @@ from frictrack.fit.observations import (
     fit_starts,
     friction_pieces,
     friction_problem,
-    is_measured_friction,
     reference_load,
     uses_measured_friction,
 )
@@ -319,7 +318,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "measured": is_measured_friction(result.solution.problem),
+        "measured": not result.solution.problem.simulates,
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,

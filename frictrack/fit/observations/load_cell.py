@@ -183,11 +183,6 @@ def keep_compared_frames(solution: Solution) -> Solution:
     return hold(problem.rebuild(problem.layout, pieces), solution.p, solution.starts, solution.tau)
 
 
-def is_measured_friction(problem: LeastSquaresProblem) -> bool:
-    """Return whether friction itself was measured."""
-    return not problem.simulates
-
-
 def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
     """Return whether these runs are fitted to their measured friction: by default, if they have it.
 
