@@ -313,21 +313,6 @@ class Model:
                     start += column * values[e.name][p.name]
         return start
 
-    def interacting(self, names: Iterable[str]) -> Model | None:
-        """The part of the model whose force depends on the columns of some effects; None if they are no forces.
-
-        These are the effects, what modifies them, and what is modified together with them.
-        """
-        forces = [e for e in self.effects if e.acts_on == "force"]
-        part, last = set(names) & {e.name for e in forces}, set[str]()
-        while part != last:
-            last = set(part)
-            kinds = {e.kind for e in forces if e.name in part}
-            for modifier in (e for e in forces if e.modifies):
-                if modifier.name in part or kinds & modifier.modifies:
-                    part |= {modifier.name, *(e.name for e in forces if e.kind in modifier.modifies)}
-        return Model(tuple(e for e in forces if e.name in part)) if part else None
-
     def effect_contribution(self, name: str, path: Path, values: Values) -> Array:
         """Compute what one effect adds to the friction force, or to the measured position.
 

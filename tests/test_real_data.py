@@ -11,7 +11,7 @@ import pytest
 from frictrack import samples
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.fit.measured_friction import weight_by_noise
+from frictrack.fit.observations import weight_by_noise
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table

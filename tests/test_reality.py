@@ -16,11 +16,10 @@ from test_series import given, swing, tustin_force
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
-from frictrack.diagnose.residual_kinds import residual_kind
+from frictrack.diagnose.subsampling import subsample
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit, restore, state
-from frictrack.fit.measured_friction import friction_noise, weight_by_noise
-from frictrack.fit.measured_friction.noise import strokes
+from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise
 from frictrack.friction import join_swings, moving_sections
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
@@ -83,7 +82,7 @@ def test_the_noise_of_a_weighted_record_is_that_of_all_its_frames(long_swing):
 
 
 def test_a_long_record_says_which_lines_were_not_tested(long_swing):
-    _, remarks = residual_kind(long_swing.problem).prepare(long_swing)
+    _, remarks = subsample(long_swing)
     assert any("lines above 20 Hz are not tested" in remark for remark in remarks)
 
 

@@ -18,7 +18,8 @@ from frictrack import effects, export, models, plots, report, samples
 from frictrack.compare import compare
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
-from frictrack.fit.measured_friction import block_covariance, friction_pieces
+from frictrack.fit.observations import friction_pieces
+from frictrack.fit.observations.measured_friction import block_covariance
 from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run

@@ -21,7 +21,7 @@ from frictrack.fit.least_squares import (
     refit_with_scatter,
 )
 from frictrack.fit.linearised import candidate_grids, linearise
-from frictrack.fit.measured_friction import keep_compared_frames, weight_by_noise
+from frictrack.fit.observations import keep_compared_frames, weight_by_noise
 from frictrack.fit.stepwise.growth import _trial_min_fall
 from frictrack.simulate.dynamics.linear_response import _invert_3x3
 

@@ -6,7 +6,7 @@ from runs import study
 from scipy.optimize import lsq_linear
 
 from frictrack import fit
-from frictrack.fit.least_squares.trust_region import DampedStep, TrustRegion, damped_step, is_converged
+from frictrack.fit.least_squares.gauss_newton import DampedStep, TrustRegion, damped_step, is_converged
 
 ROWS = np.array([[3.0, 0.2], [0.0, 0.01], [1.0, 0.0]])
 RIGHT = np.array([1.0, 2.0, -0.5])

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.finished_search import FinishedSearch
 from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.verdict import Candidate, Importance
-from frictrack.fit.least_squares import Solution
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, heldout_rms
+from frictrack.fit.observations import observation_of
 
 MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
@@ -25,7 +26,7 @@ def importance_of_effects(
     """Return the share of the misfit that each named effect, and each plausible other one that passed, explains."""
     alone = {t.effect.title: t.share for t in search.tried}
     bare = search.first.solution
-    unit = residual_kind(bare.problem).unit
+    unit = observation_of(bare.problem).unit
     excess = max(bare.chi2 - bare.problem.n_frames, 1e-300)
     out: list[Importance] = []
     chi2, error = bare.chi2, None
@@ -49,10 +50,10 @@ def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
 
 def tabulate_candidates(search: FinishedSearch, heldout: HeldOutErrors) -> list[Candidate]:
     """Return all candidates with their evidence: those found first, then the others alone, best first."""
-    kind, level = residual_kind(search.first.solution.problem), search.first.tests.level
+    level = search.first.tests.level
     found, out = {t.effect.title for t in search.found}, []
     for t in [*search.found, *(t for t in search.tried if t.effect.title not in found)]:
-        listed = _candidate(t, heldout if t.p < level else None, kind)
+        listed = _candidate(t, heldout if t.p < level else None, search.first.solution.problem)
         out.append(replace(listed, passes=t.passes and not t.objection))
     return out
 
@@ -63,19 +64,18 @@ class HeldOutErrors:
     def __init__(self, bare: Solution) -> None:
         self._bare = bare
         self._bare_errors: dict[str, float] = {}
-        self._heldout_rms = residual_kind(bare.problem).heldout_rms
 
     def __call__(self, solution: Solution) -> tuple[float, float, str]:
         """Return the held-out errors of the bare model and of this one, and the hold-out method."""
-        after, how = self._heldout_rms(solution)
+        after, how = heldout_rms(solution)
         if how not in self._bare_errors:
-            self._bare_errors[how] = self._heldout_rms(self._bare, how)[0]
+            self._bare_errors[how] = heldout_rms(self._bare, how)[0]
         return self._bare_errors[how], after, how
 
 
-def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, kind: ResidualKind) -> Candidate:
+def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, problem: LeastSquaresProblem) -> Candidate:
     """Convert a refined candidate to its entry in the diagnosis."""
-    effect, solution = tried.effect, tried.solution
+    effect, solution, observation = tried.effect, tried.solution, observation_of(problem)
     before = after = how = None
     parameters: dict[str, Any] = {}
     if solution is not None:
@@ -83,7 +83,7 @@ def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, kind: Res
             before, after, how = heldout(solution)
         parameters = {
             name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-            for name, e in kind.estimates(solution).parameters.items()
+            for name, e in observation.estimates_of_candidate(solution).parameters.items()
             if name.rsplit(".", 1)[0] == effect.name
         }
     return Candidate(
@@ -97,6 +97,6 @@ def _candidate(tried: RefinedCandidate, heldout: HeldOutErrors | None, kind: Res
         heldout=how,
         indistinguishable_from=tried.indistinguishable_from,
         implausible=tried.objection,
-        words=kind.describe(effect, solution),
-        unit=kind.unit,
+        words=describe_effect(effect, solution if problem.simulates else None),
+        unit=observation.unit,
     )

@@ -13,7 +13,13 @@ from typing import Any
 
 from frictrack.compare import failing_spans
 from frictrack.costs import DEFAULT_COSTS, Costs
-from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, Evidence, KnownFindings, evidence_curves
+from frictrack.diagnose.auxiliary_signals import (
+    AuxiliarySignals,
+    Evidence,
+    KnownFindings,
+    assess_auxiliary_signals,
+    evidence_curves,
+)
 from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
@@ -26,7 +32,6 @@ from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
-from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
@@ -34,7 +39,7 @@ from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import keep_compared_frames
+from frictrack.fit.observations import keep_compared_frames, observation_of
 from frictrack.records import Array
 
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
@@ -104,10 +109,6 @@ class Conclusion:
         return replace(found, next_experiment=self._plan_next(found, notify))
 
     @cached_property
-    def _kind(self) -> ResidualKind:
-        return residual_kind(self.search.start.problem)
-
-    @cached_property
     def _heldout(self) -> HeldOutErrors:
         return HeldOutErrors(self.search.first.solution)
 
@@ -144,8 +145,8 @@ class Conclusion:
         first, found = self.search.first, self.search.found
         listed = tabulate_candidates(self.search, self._heldout)
         limits, curves = _limits(first)
-        kind = residual_kind(self.fit.solution.problem)
-        noise, misfit = kind.noise(self.fit)
+        observation = observation_of(self.fit.solution.problem)
+        noise, misfit = observation.noise(self.fit.solution, self.fit.reduced_chi2)
         grown = found[-1].law if found else None
         gaps = find_undetermined(self.fit, first, curves, grown)
         verdict = judge(
@@ -167,8 +168,8 @@ class Conclusion:
             verdict=verdict,
             missing=[] if verdict == "unexplained" else names,
             leads=names if verdict == "unexplained" else [],
-            noise_um=1e6 * noise if kind.unit == "um" else None,
-            noise_N=noise if kind.unit == "N" else None,
+            noise_um=1e6 * noise if observation.unit == "um" else None,
+            noise_N=noise if observation.unit == "N" else None,
             reduced_chi2=misfit,
             p_lack_of_fit=first.tests.p_lack_of_fit,
             fails_at=[],
@@ -203,7 +204,11 @@ class Conclusion:
     def _may_be_a_formula(self) -> bool:
         """Whether effects explain everything, so that a formula is the only other explanation."""
         explained = bool(self.search.found) and (not self.search.last.leaves_misfit or self.search.is_beaten)
-        return explained and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN and self._kind.imitates
+        return (
+            explained
+            and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN
+            and self.search.start.problem.simulates
+        )
 
     def _judge_formulas(self, found: Diagnosis, formulas: dict[str, Any]) -> Diagnosis:
         """Return the verdict after comparing the effects found with formulas that may describe the cause as well."""
@@ -245,10 +250,12 @@ class Conclusion:
     def _evidence(self, auxiliary: AuxiliarySignals | None) -> list[Evidence]:
         """Other measurements that match the residual."""
         search, found = self.search, self._before_formulas
+        if not search.start.problem.simulates:
+            return []  # there is no motion that signals could be compared with
         known = KnownFindings()
         if search.found:
             known = KnownFindings(found.candidates[0].delta_bic, search.last.solution, [*found.missing, *found.leads])
-        return self._kind.auxiliary_evidence(search.start, self.fit.runs, search.generators[0], auxiliary, known)
+        return assess_auxiliary_signals(search.start, self.fit.runs, search.generators[0], auxiliary, known)
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
         """Return the diagnosis with the failure pattern, the evidence and the force that no effect explains."""
@@ -307,4 +314,4 @@ def _plural(why: str, count: int) -> str:
 
 def _remarks(fit: Fit, excluded: dict[str, str]) -> list[str]:
     """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
-    return _describe_excluded(excluded) + residual_kind(fit.solution.problem).remarks(fit)
+    return _describe_excluded(excluded) + observation_of(fit.solution.problem).remarks(fit)

@@ -18,7 +18,6 @@ from frictrack.fit.linearised import (
     LinearisedModel,
     measured_series,
 )
-from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
@@ -133,7 +132,7 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             continue
         if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kinds & kind.modifies):
             continue
-        if kind.acts_on == "measurement" and is_measured_friction(solution.problem):
+        if kind.acts_on == "measurement" and not solution.problem.simulates:
             continue
         effect = effects.get(model.next_instance(kind.name), own)
         if why := effect.lacks(paths) or _missing_tie(effect, model) or _needs_reversal(effect, solution):

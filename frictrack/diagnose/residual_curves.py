@@ -23,7 +23,7 @@ from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.waves import SpectralLine, WaveScan
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
-from frictrack.fit.measured_friction import keep_compared_frames
+from frictrack.fit.observations import keep_compared_frames
 from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve

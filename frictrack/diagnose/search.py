@@ -15,7 +15,7 @@ import numpy as np
 
 from frictrack.costs import DEFAULT_COSTS, Costs
 from frictrack.diagnose.admissible import objection
-from frictrack.diagnose.auxiliary_signals import AuxiliarySignals
+from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
@@ -24,17 +24,17 @@ from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
 from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.residual_kinds import residual_kind
 from frictrack.diagnose.rivals import alternatives_of, find_rivals, names_in_place_of
 from frictrack.diagnose.search_budget import describe_cut, search_budget
 from frictrack.diagnose.smooth_forces import forces_of
-from frictrack.diagnose.subsampling import subsample_frames
+from frictrack.diagnose.subsampling import subsample, subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
+from frictrack.fit.observations import observation_of
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty, refine_to_end
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.threads import one_thread
@@ -158,7 +158,7 @@ def _conclude(
                 return conclusion
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
-    start, remarks = residual_kind(start.problem).prepare(start)
+    start, remarks = subsample(start)
     found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify), shapes)
     notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
     return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])), shapes)
@@ -175,14 +175,14 @@ def _search(
     (own, auxiliary), (rng, level, notify) = signals, means
     generators, budget = rng.spawn(2), search_budget(start.problem, MAX_SIZE)
     start = replace(start, problem=start.problem.with_budget(budget))
-    kind = residual_kind(start.problem)
-    sensor = kind.accelerometer(start, fit.runs, auxiliary)
+    observation, simulates = observation_of(start.problem), start.problem.simulates
+    sensor = assess_accelerometer(start, fit.runs, auxiliary or {}) if simulates else None
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, level)
     scanned = sorted(first.tests.scanned, key=lambda s: -s.excess[0])
     space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
-    formula = _FormulaInstead(start, shapes, kind.imitates)
+    formula = _FormulaInstead(start, shapes, simulates)
     beaten = False
     for size in range(1, MAX_SIZE + 1):
         beaten = last.something_is_missing and size > MIN_SIZE_IMITATING and formula.explains_more(best)
@@ -193,7 +193,7 @@ def _search(
         new = space.better(best, last)
         if new is not None:
             best = space.refine_fully(new)
-            law = kind.reweighted(best.law)
+            law = observation.weighted(best.law)
             space.rebase(best, law)
             last = examine_again(law, own, rng, first)
         elif size > 1 or not last.leaves_misfit:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
+from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, has_known_history
 
@@ -16,6 +17,19 @@ MAX_PIECES = 32  # of a long record that are searched, unless there are more run
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
 MAX_FRAMES = 12_000  # over all pieces, in records that are not long; the time of a search is proportional to them
 MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
+
+
+def subsample(solution: Solution) -> tuple[Solution, list[str]]:
+    """Return the model over the pieces and frames that are searched, and remarks on what that leaves out.
+
+    A measured friction is weighted by its noise, which leaves few frames of long records.
+    """
+    if not solution.problem.simulates:
+        weighted = observation_of(solution.problem).weighted(solution)
+        return weighted, [omitted_lines(solution, weighted)]
+    some, omitted = subsample_pieces(solution)
+    some, coarse = subsample_frames(some)
+    return some, [omitted, coarse]
 
 
 def subsample_pieces(solution: Solution) -> tuple[Solution, str]:

@@ -13,7 +13,7 @@ from frictrack.diagnose.compressed import is_far_from_data
 from frictrack.diagnose.formulas import EFFECT_NAME, FoundFormulas, Shape, search_formulas
 from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import keep_compared_frames
+from frictrack.fit.observations import keep_compared_frames
 
 FIRST_FORMULA = "formula:1"  # as in `frictrack add STUDY formula:1`
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypedDict, Unpack, overload
 
@@ -11,10 +12,19 @@ import numpy as np
 from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
-from frictrack.fit import measured_friction
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
+from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
+from frictrack.fit.observations import (
+    check_effects,
+    fit_accelerations,
+    fit_measured_friction,
+    fit_starts,
+    friction_pieces,
+    friction_problem,
+    reference_load,
+    uses_measured_friction,
+)
 from frictrack.fit.parameters import (
     MASS_EFFECT,
     ParameterLayout,
@@ -37,7 +47,7 @@ from frictrack.fit.pieces import (
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
-from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
+from frictrack.fit.routes import FitOutcome, Route, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
@@ -161,9 +171,9 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     _check_runs(runs)
-    if measured_friction.uses_measured_friction(runs, domain):
-        measured_friction.check_effects(law)
-        reference = Reference(1.0, measured_friction.reference_load(runs))
+    if uses_measured_friction(runs, domain):
+        check_effects(law)
+        reference = Reference(1.0, reference_load(runs))
         law = law if prior is None else apply_prior(law, prior, reference.load)
         fit_group = partial(_fit_friction, law, route=Route("force", search, rng, over), reference=reference)
     else:
@@ -197,13 +207,11 @@ def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float
 def _fit_friction(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
     """The fit of runs whose friction a load cell measured, in newtons at the load of the reference."""
     fitted, names, fps = _runs_to_fit(runs)
-    pieces = measured_friction.friction_pieces(fitted, reference.load)
+    pieces = friction_pieces(fitted, reference.load)
     if route.search == "varpro":
-        found = FitOutcome(measured_friction.fit_measured_friction(law, pieces, names, fps))
+        found = FitOutcome(fit_measured_friction(law, pieces, names, fps))
     else:
-        how = route.search, route.over, np.random.default_rng(route.rng)
-        solution, optima = measured_friction.search_measured_friction(law, pieces, (names, fps), how)
-        found = FitOutcome(solution, None, *optima)
+        found = fit_by_search(friction_problem(law, pieces, names, fps), fitted, route)
     return _finish(found, runs, reference, route, (0,) * len(fitted))
 
 
@@ -224,7 +232,7 @@ def _fit_motion(
     if route.search != "varpro":
         found = fit_by_search(unfitted_problem(law, pieces, names, fps), fitted, route, callback)
     elif route.domain == "force":
-        found = fit_in_force_domain(fit_displacement(law, pieces, names, fps), fitted)
+        found = fit_accelerations(fit_displacement(law, pieces, names, fps), fitted)
     else:
         found = FitOutcome(fit_displacement(law, pieces, names, fps))
     return _finish(_in_kilograms(found, fitted, route), runs, reference, route, lengths)
@@ -260,7 +268,7 @@ def _outcome_at(
     if route.is_default:
         starts, tau = starts_and_scatter
         return FitOutcome(refine(problem, p, starts, tau=tau, max_steps=1))
-    return outcome_at(problem, p, starts_and_scatter, runs, route, optima)
+    return outcome_of(fit_starts(problem, p, *starts_and_scatter), runs, route, optima)
 
 
 def _finish(
@@ -292,12 +300,12 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),
-        "piece_frames": list(result.lengths),
+        "segment_frames": list(result.lengths),
         "frames": [len(piece.t) for piece in result.solution.problem.pieces],
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "measured": measured_friction.is_measured_friction(result.solution.problem),
+        "measured": not result.solution.problem.simulates,
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,
@@ -339,22 +347,18 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
     if saved.get("measured", False):
         reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
-        pieces = measured_friction.friction_pieces(fitted, reference.load)
-        layout = ParameterLayout(law, names, measured_friction.friction_spans(pieces, fps), absent)
-        measured, held = (
-            measured_friction.MeasuredFrictionProblem(law, layout, pieces),
-            np.zeros(len(layout.slots), dtype=bool),
-        )
-        solution = refine(measured, p, measured.first_starts(), tau=tau, free=held, max_steps=0)
-        return _finish(FitOutcome(solution, None, *optima), runs, reference, route, lengths)
-    reference = reference_of(fitted, float(saved["reference_mass"]))
-    lengths = tuple(int(n) for n in saved.get("piece_frames", [0] * len(fitted)))
-    pieces = _cut(pieces_of(fitted, reference, through_reversals=law.turns), lengths)
-    layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
-    fine = max(e.fine for e in law.effects)
-    cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
-    where = list(np.asarray(saved["starts"])), tau
-    found = _outcome_at(LeastSquaresProblem(law, layout, cut), p, where, fitted, route, optima)
+        first = friction_problem(law, friction_pieces(fitted, reference.load), names, fps)
+        problem = first.rebuild(replace(first.layout, absent=absent), first.pieces)
+        starts = problem.first_starts()
+    else:
+        reference = reference_of(fitted, float(saved["reference_mass"]))
+        lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
+        pieces = _cut(pieces_of(fitted, reference, through_reversals=law.turns), lengths)
+        layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
+        fine = max(e.fine for e in law.effects)
+        cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
+        problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
+    found = _outcome_at(problem, p, (starts, tau), fitted, route, optima)
     return _finish(found, runs, reference, route, lengths)
 
 

@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
-from frictrack.fit.least_squares import LeastSquaresProblem
+from frictrack.fit.displacement import refit_until_stop
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution
+from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
-from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_noise, spans_of
+from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains, acceleration_noise, spans_of
+from frictrack.fit.routes import FitOutcome, Route
 from frictrack.fit.separable import (
     DataBlock,
     PopulationMisfit,
@@ -23,7 +26,7 @@ from frictrack.fit.separable import (
     displacement_block,
 )
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, Run
 from frictrack.search import minimise
 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
@@ -35,16 +38,50 @@ MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance t
 
 def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
     """Create the problem of a model that has no start values yet."""
-    layout = ParameterLayout(model, names, spans_of(pieces, len(names), fps))
-    fine = max(e.fine for e in model.effects)
-    return LeastSquaresProblem(model, layout, [p if p.per_frame >= fine else p.refined(fine) for p in pieces])
+    return LeastSquaresProblem(model, ParameterLayout(model, names, spans_of(pieces, len(names), fps)), pieces)
+
+
+def fit_by_search(
+    problem: LeastSquaresProblem, runs: Sequence[Run], route: Route, callback: Callback | None = None
+) -> FitOutcome:
+    """Fit a model by a global search, reported as found.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+    runs : sequence of Run
+        The fitted runs.
+    route : Route
+        Domain, method, random numbers, and what is searched.
+    callback : callable, optional
+        See `search_parameters`.
+
+    Returns
+    -------
+    FitOutcome
+        The best point and the distinct optima.
+
+    """
+    chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" and problem.simulates else None
+    misfit = population_misfit(problem, chains, route.over)
+    optima, costs = search_parameters(misfit, route.search, np.random.default_rng(route.rng), callback)
+    tau = searched_scatter(problem.layout, optima[0])
+    law = fit_starts(problem, optima[0], problem.first_starts(), tau)
+    law = refit_until_stop(law, np.zeros(len(law.p), dtype=bool))
+    return outcome_of(law, runs, route, (optima, costs))
+
+
+def outcome_of(solution: Solution, runs: Sequence[Run], route: Route, optima: tuple[Array, Array]) -> FitOutcome:
+    """Create the outcome of known unknowns whose starts have been fitted."""
+    filtered = route.domain == "force" and solution.problem.simulates
+    return FitOutcome(solution, linearise_accelerations(solution, runs) if filtered else None, *optima)
 
 
 def search_parameters(
     misfit: PopulationMisfit | ReducedPopulationMisfit,
     method: str,
     rng: np.random.Generator,
-    known: Array,
     callback: Callback | None = None,
 ) -> tuple[Array, Array]:
     """Search parameters by a global method.
@@ -60,8 +97,6 @@ def search_parameters(
         A key of `frictrack.search.METHODS`.
     rng : numpy.random.Generator
         Source of random numbers.
-    known : array of shape (P,)
-        Unknowns of runs that the misfit does not include.
     callback : callable, optional
         Called with generation, best point by address and its misfit. A true return value stops the search.
 
@@ -91,7 +126,7 @@ def search_parameters(
     full_misfit = PopulationMisfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
     candidates = misfit.law(result.optima)
     costs, levels = full_misfit.evaluate(candidates[:, full_misfit.searched])
-    points = np.tile(known, (len(levels), 1))
+    points = np.ones((len(levels), len(layout.slots)))
     points[:, full_misfit.searched] = candidates[:, full_misfit.searched]
     for run, i in enumerate(layout.levels):
         points[:, i] = levels[:, run]
@@ -140,6 +175,8 @@ def population_misfit(
 
     """
     kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
+    if not problem.simulates:
+        return kind(problem.layout, [friction_block(p) for p in problem.pieces], unit=problem.pieces[0].sigma[0] ** 2)
     if chains is None:
         return kind(problem.layout, [displacement_block(p) for p in problem.pieces])
     noise = acceleration_noise(chains)

@@ -30,7 +30,7 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
-from frictrack.fit.measured_friction import friction_pieces, is_measured_friction
+from frictrack.fit.observations import friction_pieces
 from frictrack.fit.parameters import ParameterLayout, without_mass
 from frictrack.fit.pieces import Piece, Reference, cut_into_pieces, piece_frames, pieces_of, whole_piece
 from frictrack.models import Model, Values
@@ -55,15 +55,14 @@ def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
     old, model = solution.problem, solution.problem.model
     events = frozenset((e.name, 0) for e in model.effects if _is_event(e))
     layout = ParameterLayout(model, (run.name,), (old.layout.span,), events)
-    if is_measured_friction(old):
-        problem = old.rebuild(layout, friction_pieces([run], reference.load))
-    else:
+    if old.simulates:
         (whole,) = pieces_of([run], reference, through_reversals=model.turns)
-        pieces, fine = cut_into_pieces(whole, piece_frames(model, whole, run)), max(e.fine for e in model.effects)
-        problem = LeastSquaresProblem(model, layout, [piece.refined(fine) for piece in pieces])
+        problem = old.rebuild(layout, cut_into_pieces(whole, piece_frames(model, whole, run)))
+    else:
+        problem = old.rebuild(layout, friction_pieces([run], reference.load))
     own = np.array([s.run is not None for s in layout.slots], dtype=bool)
     found = refine(problem, _start_unknowns(solution, problem), problem.first_starts(), free=own)
-    return found if is_measured_friction(old) else refit_until_stop(found, own)
+    return refit_until_stop(found, own) if old.simulates else found
 
 
 def _is_event(effect: Effect) -> bool:

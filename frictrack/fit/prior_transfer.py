@@ -9,8 +9,8 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, carries_over, scales_with_load
 from frictrack.errors import FrictrackError
-from frictrack.fit.objectives import FittedRuns
 from frictrack.fit.parameters import MASS
+from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, reported_slots, reported_values_and_jacobian
 from frictrack.models import Model
 from frictrack.priors import Prior

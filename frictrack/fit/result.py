@@ -12,13 +12,12 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.collisions import collisions
-from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import is_measured_friction
-from frictrack.fit.objectives import FittedRuns, Objective, objective_of
+from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
 from frictrack.fit.prediction import FreeRun, free_errors
 from frictrack.fit.prior_transfer import prior_of
+from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
@@ -111,11 +110,6 @@ class Fit(FittedRuns, StorableFit):
         return figure
 
     @property
-    def compared(self) -> Solution:
-        """The solution in the compared domain: displacement, acceleration or measured friction."""
-        return self.found.force or self.solution
-
-    @property
     def is_default_route(self) -> bool:
         """Whether variable projection fitted the displacement."""
         return self.route.is_default
@@ -136,14 +130,14 @@ class Fit(FittedRuns, StorableFit):
         return as_seed(self.route.rng)
 
     @cached_property
-    def objective(self) -> Objective:
-        """The objective that was minimised: residuals of displacement, acceleration or measured friction."""
-        return objective_of(self)
+    def observation(self) -> Observation:
+        """What was compared: displacement, acceleration or measured friction."""
+        return observation_of(self.compared.problem)
 
     @property
     def measured(self) -> bool:
         """Whether friction itself was measured and is compared."""
-        return is_measured_friction(self.solution.problem)
+        return not self.solution.problem.simulates
 
     @property
     def model(self) -> Model:
@@ -158,13 +152,13 @@ class Fit(FittedRuns, StorableFit):
     @cached_property
     def estimates(self) -> Estimates:
         """Estimates of the parameters, with the misfit of a rejected model and with computed intervals."""
-        found = self.objective.estimates(self).with_intervals(self.uncertainty.intervals)
+        found = self.observation.estimates(self).with_intervals(self.uncertainty.intervals)
         return found if self.misfit is None else with_misfit(found, self.solution, self.misfit.covariance)
 
     @cached_property
     def misfit(self) -> Misfit | None:
         """The force that the model misses, and its effect on the parameters; None where noise explains the residual."""
-        return self.objective.misfit(self)
+        return self.observation.misfit(self)
 
     @cached_property
     def prior_agreement(self) -> PriorAgreement | None:
@@ -196,17 +190,17 @@ class Fit(FittedRuns, StorableFit):
     @cached_property
     def heldout(self) -> tuple[float, str]:
         """Held-out root mean square error, m (N where friction itself was measured), and what was held out."""
-        return self.objective.heldout(self)
+        return self.observation.heldout(self)
 
     @property
     def reduced_chi2(self) -> float:
         """Chi-squared per degree of freedom, in the compared domain."""
-        return self.objective.reduced_chi2(self)
+        return self.observation.reduced_chi2(self)
 
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
         """Curves of measurement and model, run by run, validation runs last."""
-        make_curves = self.objective.curves
+        make_curves = self.observation.curves
         fitted = make_curves(self.solution, self.runs, "fit")
         return fitted + tuple(
             c
@@ -220,7 +214,7 @@ class Fit(FittedRuns, StorableFit):
 
         Empty where friction itself was measured.
         """
-        return self.objective.motion(self, lambda: self.estimates.covariance)
+        return self.observation.motion(self, lambda: self.estimates.covariance)
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
@@ -233,14 +227,14 @@ class Fit(FittedRuns, StorableFit):
 
         None for a record that cannot be simulated to its end. Empty where friction itself was measured.
         """
-        return self.objective.free_runs(self)
+        return self.observation.free_runs(self)
 
     @cached_property
     def errors(self) -> dict[str, Any]:
         """Errors over the fitted runs, as JSON."""
         rms, how = self.heldout
-        return self.objective.errors([self], self.curves) | {
-            **self.objective.heldout_summary(rms),
+        return self.observation.errors([self], self.curves) | {
+            **self.observation.heldout_summary(rms),
             "heldout": how,
             "reduced_chi2": self.reduced_chi2,
             **free_errors(list(self.free_runs.values()), "validation" if self.validation else "fit"),
@@ -269,7 +263,7 @@ class Fit(FittedRuns, StorableFit):
                     *(() if agreement is None else agreement.remarks()),
                 ],
                 "errors": self.errors,
-                "per_run": self.objective.per_run(self, self.curves, self.motion, self.free_runs),
+                "per_run": self.observation.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,
             }
             | ({"optima": self._optima()} if len(self.found.optima) else {})
@@ -286,7 +280,7 @@ class Fit(FittedRuns, StorableFit):
         """The coefficient of friction to a force that scales with the load, where the load is known."""
         effect, _, parameter = address.partition("[")[0].rpartition(".")
         made = next((e for e in self.model.effects if e.name == effect), None)
-        load = self.reference.load if self.objective.knows_load(self) else float("nan")
+        load = self.reference.load if self.observation.knows_load(self) else float("nan")
         if made is None or found.value is None or found.unit != "N" or not np.isfinite(load):
             return {}
         if not made.parameter(parameter).loaded:
@@ -372,9 +366,9 @@ class GroupFits(StorableFit):
         share = frames / frames.sum()
         ways = {f.heldout[1] for f in group_fits}
         heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in group_fits]) ** 2))
-        objective = group_fits[0].objective
-        return objective.errors(group_fits, self.curves) | {
-            **objective.heldout_summary(heldout),
+        observation = group_fits[0].observation
+        return observation.errors(group_fits, self.curves) | {
+            **observation.heldout_summary(heldout),
             "heldout": "run" if ways == {"run"} else "frames",
             "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in group_fits])),
             **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),

@@ -22,7 +22,6 @@ from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign
 from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck, Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import is_measured_friction
 
 MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run that excludes it
 MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations
@@ -122,7 +121,7 @@ def propose_experiments(
 
     """
     explanations = list(explanations)[:MAX_EXPLANATIONS]
-    if len(explanations) < 2 or any(is_measured_friction(e.solution.problem) for e in explanations):
+    if len(explanations) < 2 or any(not e.solution.problem.simulates for e in explanations):
         return []
     # runs that are followed in one piece show how a similar run goes
     coasting = not any(p.turns or p.cut for e in explanations for p in e.solution.problem.pieces)
@@ -156,7 +155,7 @@ def plan_for_unexplained(
         JSON entries; empty for measured friction and for runs with reversals.
 
     """
-    if is_measured_friction(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
+    if not solution.problem.simulates or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
     return propose_experiments(explain_by_axes(solution), notify, AXIS_RUN_KEYS, costs)
 

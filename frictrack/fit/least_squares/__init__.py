@@ -1,36 +1,37 @@
 """Fit a model by least squares of the simulated motion (output error), and quantify the result.
 
-The modules: the problem and its sensitivities, Gauss-Newton, covariance, projection of residuals, held-out error.
+The modules: the problem and its sensitivities, the linearised solution, Gauss-Newton, covariance, held-out error.
 """
 
 from frictrack.fit.least_squares.covariance import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
     batch_count,
+    clustered_covariance,
     covariance_of,
     inverse_normal_matrix,
     white_noise_covariance,
 )
 from frictrack.fit.least_squares.gauss_newton import (
     MIN_CHI2_FALL,
-    Solution,
     fit_with_scatter,
+    hold,
     predicted_objective,
     refine,
     refine_further,
     refit_with_scatter,
 )
-from frictrack.fit.least_squares.heldout import HIDDEN_SIGMA_FACTOR, heldout_rms, is_predictable
+from frictrack.fit.least_squares.heldout import heldout_rms
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
-from frictrack.fit.least_squares.projection import (
+from frictrack.fit.least_squares.solution import (
     ModelProjection,
+    Solution,
     displacement_response,
     model_projection,
     position_and_velocity,
 )
 
 __all__ = [
-    "HIDDEN_SIGMA_FACTOR",
     "MIN_CHI2_FALL",
     "MIN_SINGULAR_VALUE",
     "NORMAL_QUANTILE_975",
@@ -39,12 +40,13 @@ __all__ = [
     "PieceResponse",
     "Solution",
     "batch_count",
+    "clustered_covariance",
     "covariance_of",
     "displacement_response",
     "fit_with_scatter",
     "heldout_rms",
+    "hold",
     "inverse_normal_matrix",
-    "is_predictable",
     "model_projection",
     "position_and_velocity",
     "predicted_objective",

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.fft import dct
 
 from frictrack.distributions import student_ppf
-from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
 from frictrack.motion.noise import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array
@@ -68,17 +68,17 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
-    full, unseen = white_noise_covariance(solution)
+    white, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
-        return _batch_covariance(solution, full), unseen
-    full = full + _systematic_covariance(solution, full)
+        return _batch_covariance(solution, white), unseen
+    full = white + _systematic_covariance(solution, white)
     full = full * (student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = inverse_normal_matrix(
         np.vstack([solution.few_rows, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
     )
-    variance = np.maximum(np.diag(white_noise_covariance(solution)[0]), 1e-300)
+    variance = np.maximum(np.diag(white), 1e-300)
     share = np.maximum(
         np.log(np.maximum(np.diag(larger_scatter), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3
     )
@@ -88,12 +88,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
 def _systematic_covariance(solution: Solution, bread: Array) -> Array:
     """Covariance (P, P) that slow tracking errors and the remaining camera shake add."""
-    gradients = [np.zeros((0, len(solution.p)))]
-    for r in solution.responses:
-        gradient = _systematic_gradients(r)
-        gradients.append(np.zeros((len(gradient), len(solution.p))))
-        gradients[-1][:, r.active] = gradient
-    added = np.vstack(gradients) @ bread
+    added = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ bread
     return added.T @ added
 
 
@@ -125,27 +120,47 @@ def batch_count(solution: Solution) -> int:
     return int(min(max(round(np.sqrt(n)), MIN_BATCHES_PER_UNKNOWN * len(solution.p)), n))
 
 
-def _batch_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) from the scatter of the gradients of batches of segments (cluster-robust sandwich).
+def clustered_covariance(solution: Solution, bread: Array, gradients: Array) -> Array:
+    """Compute the covariance from the scatter of the gradients of clusters of frames (cluster-robust sandwich).
 
-    Unmodelled forces are correlated within a segment and often with its neighbours. With as many batches as segments
-    per batch, batches are nearly independent. Widened to Student's t for the number of batches.
+    Unmodelled forces are correlated between neighbouring frames, so the clusters must be longer than this correlation.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    bread : array of shape (P, P)
+        Inverse normal matrix.
+    gradients : array of shape (k, P)
+        Gradient of the objective from every cluster.
+
+    Returns
+    -------
+    array of shape (P, P)
+        Covariance of the unknowns, widened to Student's t for the number of clusters.
 
     References
     ----------
+    Huber, P. J. (1967). Proc. Fifth Berkeley Symposium 1, 221-233.
     Liang, K.-Y. & Zeger, S. L. (1986). Longitudinal data analysis. Biometrika 73, 13-22.
     White, H. (1980). Econometrica 48, 817-838.
-    Flegal, J. M. & Jones, G. L. (2010). Batch means. Annals of Statistics 38, 1034-1070.
 
     """
-    gradients = np.zeros((len(solution.responses), len(solution.p)))
-    for gradient, r in zip(gradients, solution.responses, strict=True):
-        gradient[r.active] = r.jac.T @ r.r
-    count = batch_count(solution)
-    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, count)])
+    count = len(gradients)
     widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
     penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
-    return np.asarray(bread @ (widening * batches.T @ batches + penalty.T @ penalty) @ bread)
+    return np.asarray(bread @ (widening * gradients.T @ gradients + penalty.T @ penalty) @ bread)
+
+
+def _batch_covariance(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) from batches of segments.
+
+    With as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means, Annals
+    of Statistics 38, 1034-1070).
+    """
+    gradients = solution.stacked([(r.jac.T @ r.r)[None] for r in solution.responses])
+    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, batch_count(solution))])
+    return clustered_covariance(solution, bread, batches)
 
 
 def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:

@@ -1,243 +1,43 @@
 """Fit by output-error Gauss-Newton: simulate, linearise, step, until the parameters stop changing.
 
-Steps are bounded and kept within a trust region. The scatter of the friction levels is estimated in between.
+Steps are bounded, damped, and not longer than a radius. The radius shrinks where a step gains much less than predicted,
+to the minimum of the parabola through the last step. It grows again where the prediction holds. The scatter of the
+friction levels is estimated in between.
+
+References
+----------
+Levenberg, K. (1944). Quarterly of Applied Mathematics 2, 164-168.
+Marquardt, D. W. (1963). SIAM J. Appl. Math. 11, 431-441.
+More, J. J. (1978). The Levenberg-Marquardt algorithm. Lecture Notes in Mathematics 630, 105-116.
+Conn, A. R., Gould, N. I. M. & Toint, P. L. (2000). Trust-Region Methods. SIAM.
+
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.evaluation_budget import COST_OF_MEMORY
-from frictrack.fit.least_squares.few_rows import RotatedJacobian, rotated_jacobian, stacked_jacobian, triangular
-from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
-from frictrack.fit.least_squares.trust_region import MIN_DAMPING, DampedStep, TrustRegion, damped_step, is_converged
-from frictrack.fit.parameters import (
-    MIN_RUNS_FOR_SCATTER,
-    JacobianBasis,
-    canonical_form,
-    jacobian_basis,
-    normalise_levels,
-    penalty_jacobian,
-    penalty_residual,
-    prior_jacobian,
-    prior_residual,
-)
+from frictrack.fit.least_squares.problem import LeastSquaresProblem
+from frictrack.fit.least_squares.solution import Solution
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, canonical_form, normalise_levels
 from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
-MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
-MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same for motions with reversals, which are not smooth between nodes
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Where Gauss-Newton converged, and the model linearised there.
-
-    Attributes
-    ----------
-    problem : LeastSquaresProblem
-        What was fitted.
-    p : array of shape (P,)
-        The unknowns.
-    starts : list of array of shape (2,)
-        Start position (m) and speed (m/s) of every piece.
-    tau : float
-        Relative standard deviation of the friction levels.
-    responses : list of PieceResponse
-        Residuals and sensitivities of all pieces.
-    objective : float
-        Chi-squared plus penalties.
-
-    """
-
-    problem: LeastSquaresProblem
-    p: Array
-    starts: list[Array]
-    tau: float
-    responses: list[PieceResponse]
-    objective: float
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared whitened residuals."""
-        return float(sum(r.r @ r.r for r in self.responses))
-
-    @property
-    def jac(self) -> Array:
-        """Whitened Jacobian of all frames, starts projected out, (N, P)."""
-        return stacked_jacobian(self.responses, len(self.p))
-
-    @property
-    def residual(self) -> Array:
-        """Whitened residual of all frames, starts projected out, (N,)."""
-        return np.concatenate([r.r for r in self.responses])
-
-    @property
-    def basis(self) -> JacobianBasis:
-        """Orthonormal basis of the linearised model."""
-        rotated = self.rotated_jacobian
-        few = self._basis_of(rotated.rows)
-        return replace(few, u=rotated.expanded(few.u))
-
-    @property
-    def fitted_numbers(self) -> float:
-        """How many numbers the data determine: the trace of the smoothing matrix, starts not counted.
-
-        A friction level counts as the share of it that the scatter of the levels leaves to the data (Hastie,
-        Tibshirani & Friedman 2009, The Elements of Statistical Learning, section 7.6).
-        """
-        return float(np.trace(self._basis_of(self.few_rows).shrink(self.tau or 0.03)))
-
-    @property
-    def rotated_jacobian(self) -> RotatedJacobian:
-        """The whitened Jacobian as a rotation of few rows."""
-        return rotated_jacobian(self.responses, len(self.p))
-
-    @property
-    def few_rows(self) -> Array:
-        """Few rows (M, P) with the normal matrix, singular values and right singular vectors of `jac`."""
-        return self.few_rows_and_residual[0]
-
-    @cached_property
-    def few_rows_and_residual(self) -> tuple[Array, Array]:
-        """The linearised model in few rows: Jacobian (M, P) and residual (M,)."""
-        return triangular(self.responses, len(self.p))
-
-    @property
-    def penalised_rows_and_residual(self) -> tuple[Array, Array]:
-        """The linearised objective in few rows: Jacobian (M, P) and residual (M,), penalties included."""
-        rows, right = self.few_rows_and_residual
-        layout = self.problem.layout
-        rows = np.vstack([rows, penalty_jacobian(layout, self.tau, self.p)])
-        return rows, np.concatenate([right, -penalty_residual(layout, self.p, self.tau)])
-
-    def _basis_of(self, rows: Array) -> JacobianBasis:
-        layout = self.problem.layout
-        return jacobian_basis(rows, layout.levels, prior_jacobian(layout, self.p))
-
-    @cached_property
-    def held(self) -> Mask:
-        """Parameters (P,) at a bound beyond which the objective would fall: there they are not free.
-
-        Friction levels count as free: their bounds only keep them finite.
-        """
-        rows, right = self.penalised_rows_and_residual
-        descent, margin = rows.T @ right, MAX_DISTANCE_HELD * (1 + np.abs(self.p))
-        low, high = self.problem.layout.bounds
-        held = ((self.p <= low + margin) & (descent < 0)) | ((self.p >= high - margin) & (descent > 0))
-        held[self.problem.layout.levels] = False
-        return held
-
-    def random_effect_data(self) -> Array:
-        """Return the residual with the fitted deviations of levels and priors added back, (N,).
-
-        These are the data from which the scatter of the levels is estimated.
-        """
-        departure = self._departure()
-        return np.concatenate([r.r + r.jac @ departure[r.active] for r in self.responses])
-
-    def level_scatter(self) -> float:
-        """Estimate tau, the relative standard deviation of the friction levels."""
-        rows, residual = self.few_rows_and_residual
-        basis, data = self._basis_of(rows), residual + rows @ self._departure()
-        return basis.spread(basis.u.T @ data, float(data @ data))
-
-    def scatter_penalty(self, tau: float) -> float:
-        """Compute what integrating out levels of scatter tau adds to minus twice the log-likelihood."""
-        if not self.levels_are_random:
-            return 0.0
-        levels = self.few_rows[:, self.problem.layout.levels]
-        return float(np.linalg.slogdet(np.eye(levels.shape[1]) + tau**2 * (levels.T @ levels))[1])
-
-    def with_scatter(self, tau: float) -> Solution:
-        """Return the same unknowns and responses with another scatter of the levels."""
-        penalty = penalty_residual(self.problem.layout, self.p, tau)
-        objective = sum(float(r.r_full @ r.r_full) for r in self.responses) + float(penalty @ penalty)
-        scattered = replace(self, tau=tau, objective=objective)
-        vars(scattered)["few_rows_and_residual"] = self.few_rows_and_residual  # of the same responses
-        return scattered
-
-    @property
-    def tau_of_other_runs(self) -> float:
-        """Scatter to expect of the friction levels of other runs: those of few runs may be nearly equal by chance."""
-        return max(self.tau, MIN_TAU_OF_OTHER_RUNS)
-
-    @property
-    def levels_are_random(self) -> bool:
-        """Whether the friction levels are a random effect."""
-        return len(self.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER
-
-    def _departure(self) -> Array:
-        """Fitted deviations (P,) of levels and priors."""
-        layout = self.problem.layout
-        departure = np.zeros(len(self.p))
-        if layout.priors:
-            departure = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
-        departure[layout.levels] += self.p[layout.levels] - 1
-        return departure
-
-
-@dataclass(frozen=True)
-class _Refinement:
-    """The constant settings of one refinement: problem and bounds of the unknowns."""
-
-    problem: LeastSquaresProblem
-    low: Array
-    high: Array
-    all_free: bool  # whether every unknown may change
-    estimates_scatter: bool = False  # whether tau is estimated again at every step near the optimum
-
-    def step(self, state: Solution, region: TrustRegion) -> DampedStep:
-        """The next step from a state."""
-        return _step(state, region, (self.low, self.high))
-
-    def next_step(self, state: Solution, region: TrustRegion) -> tuple[Solution, DampedStep]:
-        """A new state with its scatter of the levels, and the step from there."""
-        step = self.step(state, region)
-        if not self.estimates_scatter or step.predicted_fall > MAX_FALL_SHARE_SCATTER * state.objective:
-            return state, step
-        state = state.with_scatter(state.level_scatter())
-        return state, self.step(state, region)
-
-    def at(self, p: Array, starts: list[Array], tau: float) -> Solution:
-        """The solution at p, clipped to the bounds and brought to canonical form."""
-        p = canonical_form(self.problem.layout, np.clip(p, self.low, self.high))
-        return _solution_at(self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, tau)
-
-    def after_step(self, state: Solution, step: Array) -> Solution:
-        """The solution after a step, its starts adjusted."""
-        pairs = zip(state.starts, state.responses, strict=True)
-        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
-
-    def after_trial(self, state: Solution, step: Array) -> Solution:
-        """The solution after a trial step.
-
-        If the step went too far, the coefficients are solved again for its non-linear parameters (variable
-        projection).
-        """
-        trial = self.after_step(state, step)
-        linear = self.problem.layout.coefficients
-        for _ in range(MAX_PROJECTIONS):
-            if trial.objective < state.objective:
-                break
-            bounds = np.where(linear, self.low, trial.p), np.where(linear, self.high, trial.p)
-            projection = _step(trial, TrustRegion(MIN_DAMPING), bounds)
-            if trial.objective - projection.predicted_fall >= state.objective:
-                break
-            projected = self.after_step(trial, projection.values)
-            if projected.objective >= trial.objective:
-                break
-            trial = projected
-        return trial
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
+DAMPINGS_PER_DECADE = 4
+POOR_GAIN, GOOD_GAIN = 0.25, 0.75  # share of the predicted fall (Conn, Gould & Toint 2000, algorithm 6.1.1)
+RADIUS_GROWTH = 4.0  # after a step of good gain
+MIN_SHRINKAGE, MAX_SHRINKAGE = 0.5, 0.1  # of the radius after a step of poor gain
+MAX_OVERSHOOT = 3.0  # times the predicted fall: a larger rise is not described by a parabola
 
 
 def refine(  # noqa: PLR0913 - one door to the solver, all settings named
@@ -280,8 +80,13 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
         If the motion at p cannot be integrated.
 
     """
-    refinement = _make_refinement(problem, p, free)
-    return _run_refinement(refinement, refinement.at(p, list(starts), tau), max_steps, min_fall)
+    refinement = _Refinement.of(problem, p, free)
+    return refinement.run(refinement.at(p, list(starts), tau), max_steps, min_fall)
+
+
+def hold(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+    """Return the solution at given unknowns and starts: nothing is refined."""
+    return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool), max_steps=0)
 
 
 def refine_further(
@@ -308,8 +113,7 @@ def refine_further(
         The refined unknowns.
 
     """
-    refinement = _make_refinement(solution.problem, solution.p, free)
-    return _run_refinement(refinement, solution.with_scatter(tau), max_steps, min_fall)
+    return _Refinement.of(solution.problem, solution.p, free).run(solution.with_scatter(tau), max_steps, min_fall)
 
 
 def predicted_objective(
@@ -338,67 +142,9 @@ def predicted_objective(
         The solution at p.
 
     """
-    refinement = _make_refinement(problem, p, free)
+    refinement = _Refinement.of(problem, p, free)
     state = refinement.at(p, list(starts), tau)
     return state.objective - refinement.step(state, TrustRegion()).predicted_fall, state
-
-
-def _make_refinement(problem: LeastSquaresProblem, p: Array, free: Mask | None) -> _Refinement:
-    """A refinement in which only the `free` unknowns may change; default all."""
-    low, high = problem.layout.bounds
-    if free is not None:
-        low, high = np.where(free, low, p), np.where(free, high, p)
-    return _Refinement(problem, low, high, free is None)
-
-
-def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, min_fall: float) -> Solution:
-    """Damped steps from a state until one is predicted to gain less than `min_fall`."""
-    region = TrustRegion()
-    if any(getattr(piece, "turns", False) for piece in refinement.problem.pieces):
-        min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
-    state, step = refinement.next_step(state, region)
-    for _ in range(max_steps):
-        threshold = min_fall * max(1.0, state.objective / max(refinement.problem.n_frames, 1))
-        if step.predicted_fall < threshold or refinement.problem.budget.stops():
-            break
-        try:
-            trial = refinement.after_trial(state, step.values)
-        except FrictrackError:  # the motion diverges: take a shorter step
-            region = region.after_divergence(step)
-            step = refinement.step(state, region)
-            continue
-        fall = state.objective - trial.objective
-        state, region, converged = (
-            trial if fall > 0 else state,
-            region.after(step, fall),
-            is_converged(step, fall, threshold),
-        )
-        if converged:
-            break
-        state, step = refinement.next_step(state, region) if fall > 0 else (state, refinement.step(state, region))
-    return state
-
-
-def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], tau: float) -> Solution:
-    problem.budget.spend(COST_OF_MEMORY if problem.model.memory else 1.0)
-    responses = problem.evaluate(p, starts)
-    penalty = penalty_residual(problem.layout, p, tau)
-    objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(penalty @ penalty)
-    return Solution(problem, p, starts, tau, responses, objective)
-
-
-def _step(state: Solution, region: TrustRegion, bounds: tuple[Array, Array]) -> DampedStep:
-    """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
-    rows, right = state.penalised_rows_and_residual
-    rows[:, bounds[1] <= bounds[0]] = 0.0
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
-        raise FrictrackError("the motion under this law could not be integrated; check mass, drive and units")
-    margin = 1e-12 * (1 + np.abs(state.p))
-    steps = np.minimum(bounds[0] - state.p, -margin), np.maximum(bounds[1] - state.p, margin)
-    found = damped_step(rows, right, steps, region)
-    # the gain from the starts alone is included (r_full against r)
-    start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
-    return replace(found, predicted_fall=found.predicted_fall + start_gain)
 
 
 def fit_with_scatter(
@@ -436,20 +182,226 @@ def fit_with_scatter(
         Unknowns at the restricted-maximum-likelihood estimate of tau.
 
     """
-    refinement = _estimating_scatter(problem, p)
-    return _run_refinement(refinement, refinement.at(p, list(starts), tau), max_steps, min_fall)
+    refinement = _Refinement.of(problem, p, scatter=True)
+    return refinement.run(refinement.at(p, list(starts), tau), max_steps, min_fall)
 
 
 def refit_with_scatter(
     solution: Solution, tau: float, *, max_steps: int = MAX_STEPS_WITH_SCATTER, min_fall: float = MIN_CHI2_FALL
 ) -> Solution:
     """Refine an existing solution and the scatter of its levels; see `fit_with_scatter`."""
-    refinement = _estimating_scatter(solution.problem, solution.p)
-    return _run_refinement(refinement, solution.with_scatter(tau), max_steps, min_fall)
+    refinement = _Refinement.of(solution.problem, solution.p, scatter=True)
+    return refinement.run(solution.with_scatter(tau), max_steps, min_fall)
 
 
-def _estimating_scatter(problem: LeastSquaresProblem, p: Array) -> _Refinement:
-    """A refinement of all unknowns that estimates the scatter of the levels, where these are a random effect."""
-    layout = problem.layout
-    is_random = len(layout.levels) >= MIN_RUNS_FOR_SCATTER and not layout.levels_free
-    return replace(_make_refinement(problem, p, None), estimates_scatter=is_random)
+@dataclass(frozen=True)
+class _Refinement:
+    """Steps of a problem whose unknowns move within bounds."""
+
+    problem: LeastSquaresProblem
+    bounds: tuple[Array, Array]
+    all_free: bool  # whether every unknown may change
+    estimates_scatter: bool  # whether tau is estimated again at every step near the optimum
+
+    @classmethod
+    def of(
+        cls, problem: LeastSquaresProblem, p: Array, free: Mask | None = None, *, scatter: bool = False
+    ) -> _Refinement:
+        """Only the `free` unknowns may change, by default all; with `scatter`, tau where the levels are random."""
+        low, high = problem.layout.bounds
+        if free is not None:
+            low, high = np.where(free, low, p), np.where(free, high, p)
+        random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER and not problem.layout.levels_free
+        return cls(problem, (low, high), free is None, scatter and random)
+
+    def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
+        """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
+        region = TrustRegion()
+        if any(getattr(piece, "turns", False) for piece in self.problem.pieces):
+            min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
+        state, step = self.next_step(state, region)
+        for _ in range(max_steps):
+            threshold = min_fall * max(1.0, state.objective / max(self.problem.n_frames, 1))
+            if step.predicted_fall < threshold or self.problem.budget.stops():
+                break
+            try:
+                trial = self.after_trial(state, step.values)
+            except FrictrackError:  # the motion diverges: take a shorter step
+                region = replace(region, radius=MAX_SHRINKAGE * step.length)
+                step = self.step(state, region)
+                continue
+            fall, region = state.objective - trial.objective, region.after(step, state.objective - trial.objective)
+            state, unmoved = (trial, False) if fall > 0 else (state, True)
+            if is_converged(step, fall, threshold):
+                break
+            state, step = (state, self.step(state, region)) if unmoved else self.next_step(state, region)
+        return state
+
+    def next_step(self, state: Solution, region: TrustRegion) -> tuple[Solution, DampedStep]:
+        """A new state with its scatter of the levels, and the step from there."""
+        step = self.step(state, region)
+        if not self.estimates_scatter or step.predicted_fall > MAX_FALL_SHARE_SCATTER * state.objective:
+            return state, step
+        state = state.with_scatter(state.level_scatter())
+        return state, self.step(state, region)
+
+    def step(self, state: Solution, region: TrustRegion, bounds: tuple[Array, Array] | None = None) -> DampedStep:
+        """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
+        low, high = bounds or self.bounds
+        rows, right = state.penalised_rows_and_residual
+        rows[:, high <= low] = 0.0
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
+            raise FrictrackError("the motion under this law could not be integrated; check mass, drive and units")
+        margin = 1e-12 * (1 + np.abs(state.p))
+        found = damped_step(
+            rows, right, (np.minimum(low - state.p, -margin), np.maximum(high - state.p, margin)), region
+        )
+        # the gain from the starts alone is included (r_full against r)
+        start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
+        return replace(found, predicted_fall=found.predicted_fall + start_gain)
+
+    def at(self, p: Array, starts: list[Array], tau: float) -> Solution:
+        """The solution at p, clipped to the bounds and brought to canonical form."""
+        p = canonical_form(self.problem.layout, np.clip(p, *self.bounds))
+        return Solution.at(self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, tau)
+
+    def after_step(self, state: Solution, step: Array) -> Solution:
+        """The solution after a step, its starts adjusted."""
+        pairs = zip(state.starts, state.responses, strict=True)
+        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
+
+    def after_trial(self, state: Solution, step: Array) -> Solution:
+        """The solution after a trial step.
+
+        If the step went too far, the coefficients are solved again for its non-linear parameters (variable
+        projection).
+        """
+        trial, linear, (low, high) = self.after_step(state, step), self.problem.layout.coefficients, self.bounds
+        for _ in range(MAX_PROJECTIONS):
+            if trial.objective < state.objective:
+                break
+            bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
+            projection = self.step(trial, TrustRegion(MIN_DAMPING), bounds)
+            if trial.objective - projection.predicted_fall >= state.objective:
+                break
+            projected = self.after_step(trial, projection.values)
+            if projected.objective >= trial.objective:
+                break
+            trial = projected
+        return trial
+
+
+@dataclass(frozen=True)
+class DampedStep:
+    """A step of the unknowns (P,), its length in units of the columns, and the predicted fall of the objective."""
+
+    values: Array
+    length: float
+    predicted_fall: float
+
+
+@dataclass(frozen=True)
+class TrustRegion:
+    """Damping and largest length of the next step.
+
+    Attributes
+    ----------
+    damping : float
+        Smallest damping, relative to the squared norms of the columns.
+    radius : float
+        Largest length in units of the columns.
+
+    """
+
+    damping: float = FIRST_DAMPING
+    radius: float = np.inf
+
+    def after(self, step: DampedStep, fall: float) -> TrustRegion:
+        """Return the region after a step that lowered the objective by `fall`."""
+        predicted = step.predicted_fall
+        if fall >= GOOD_GAIN * predicted:
+            return TrustRegion(max(0.01 * self.damping, MIN_DAMPING), max(self.radius, RADIUS_GROWTH * step.length))
+        if fall >= POOR_GAIN * predicted:
+            return self
+        shrinkage = predicted / (2 * predicted - fall) if fall <= 0 else MIN_SHRINKAGE
+        return TrustRegion(self.damping, float(np.clip(shrinkage, MAX_SHRINKAGE, MIN_SHRINKAGE)) * step.length)
+
+    def sufficient_damping(self, eigenvalues: Array, on_basis: Array) -> float:
+        """Return the smallest damping with which the step is not longer than the radius.
+
+        Parameters
+        ----------
+        eigenvalues : array of shape (P,)
+            Of the normal matrix of normalised columns.
+        on_basis : array of shape (P,)
+            The gradient along its eigenvectors.
+
+        """
+        if not np.isfinite(self.radius):
+            return self.damping
+        decades = np.log10(MAX_DAMPING / self.damping)
+        dampings = self.damping * 10.0 ** np.linspace(0, decades, int(decades * DAMPINGS_PER_DECADE) + 1)
+        lengths = np.linalg.norm(on_basis / (eigenvalues + dampings[:, None]), axis=1)
+        return float(dampings[np.argmax(lengths <= self.radius)]) if lengths[-1] <= self.radius else MAX_DAMPING
+
+
+def is_converged(step: DampedStep, fall: float, threshold: float) -> bool:
+    """Return whether a step of poor gain leaves less than a threshold to gain along it, by a parabola.
+
+    The parabola has the predicted slope at the start of the step and the actual fall at its end.
+    """
+    predicted = step.predicted_fall
+    if not -MAX_OVERSHOOT * predicted < fall < POOR_GAIN * predicted:
+        return False
+    return predicted**2 / (2 * predicted - fall) - max(fall, 0.0) < threshold
+
+
+def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> DampedStep:
+    """Solve a linear least-squares problem within bounds and a trust region.
+
+    Parameters
+    ----------
+    rows : array of shape (M, P)
+        The linear problem; columns of zeros belong to unknowns that do not change.
+    right : array of shape (M,)
+        Its right-hand side.
+    bounds : tuple of two arrays of shape (P,)
+        Smallest and largest step.
+    region : TrustRegion
+        Damping and largest length.
+
+    Returns
+    -------
+    DampedStep
+
+    """
+    norm = np.linalg.norm(rows, axis=0)
+    norm[norm == 0] = 1.0
+    z = _bounded_step(rows / norm, right, (bounds[0] * norm, bounds[1] * norm), region)
+    step = z / norm
+    fall = float(right @ right - np.sum((right - rows @ step) ** 2))
+    return DampedStep(step, float(np.linalg.norm(z)), fall)
+
+
+def _bounded_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> Array:
+    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on.
+
+    The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
+    """
+    (low, high), z, free = bounds, np.zeros(rows.shape[1]), np.ones(rows.shape[1], dtype=bool)
+    damping = region.damping
+    while np.any(free):
+        u, size, vt = np.linalg.svd(rows[:, free], full_matrices=False)
+        on_basis = size * (u.T @ (right - rows[:, ~free] @ z[~free]))
+        left = replace(region, radius=float(np.sqrt(max(region.radius**2 - float(z[~free] @ z[~free]), 0.0))))
+        damping = left.sufficient_damping(size**2, on_basis)
+        z[free] = (on_basis / (size**2 + damping)) @ vt
+        outside = (z < low) | (z > high)
+        if not np.any(outside):
+            break
+        z, free = np.clip(z, low, high), free & ~outside
+    gradient = rows.T @ (right - rows @ z) - damping * z
+    if np.any(~free & np.where(z <= low, gradient > 0, gradient < 0)):  # one of them should move again
+        damped = np.vstack([rows, np.sqrt(damping) * np.eye(len(z))])
+        z = lsq_linear(damped, np.concatenate([right, np.zeros(len(z))]), bounds=bounds, method="bvls").x
+    return z

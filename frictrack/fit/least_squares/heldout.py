@@ -1,8 +1,8 @@
 """Compute the held-out error: the error of the model at frames that were not used to fit it.
 
 By run: the shared parameters come from the other runs. The run's own parameters (start, level, phases, event times)
-come from its even frames, and its odd frames are scored. Where the other runs cannot determine a shared parameter
-well enough, the even frames of all runs are fitted and the odd ones scored. The result states which was used.
+come from its kept frames, and its hidden frames are scored. Where the other runs cannot determine a shared parameter
+well enough, the kept frames of all runs are fitted and the hidden ones scored. The result states which was used.
 
 Everything is linear algebra about the fitted model: leaving out frames changes the parameters little, so one
 Gauss-Newton step suffices.
@@ -15,91 +15,118 @@ Cook, R. D. & Weisberg, S. (1982). Residuals and Influence in Regression, ch. 5.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from frictrack.fit.least_squares.gauss_newton import Solution
-from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.least_squares.solution import Solution, stacked_rows
 from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.fit.pieces import Piece
 from frictrack.records import Array, Mask
 
-HIDDEN_SIGMA_FACTOR = 1e9  # factor on sigma that removes a frame from the fit
 MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
-MIN_EVEN_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
+MIN_KEPT_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
 MIN_SINGULAR_VALUE = 1e-7  # relative; parameters keep their values along smaller ones
+
+
+def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | None = None) -> tuple[float, str]:
+    """Compute the root mean square of the held-out residual.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit, whose residual is scored.
+    by : {"run", "frames"}, optional
+        What is held out. By default runs, wherever the other runs can predict every run.
+    compared : Solution, optional
+        The same unknowns where other residuals were minimised, or where a search stopped before the optimum. Only the
+        change of the unknowns with the frames counts then.
+
+    Returns
+    -------
+    rms : float
+        Held-out error, m or N.
+    by : str
+        What was held out: "run" or "frames".
+
+    """
+    fitted = compared or solution
+    runs = _linear_runs(solution, solution.problem.hidden_frames(solution.responses))
+    whole = np.zeros(len(solution.p)) if compared is None else _step(compared)
+    if by == "frames" or len(runs) < 2 or (by is None and not _are_predictable(solution, runs)):
+        hidden = fitted.problem.hidden_frames(fitted.responses)
+        step, none = (
+            _step(fitted, fitted.problem.kept_rows(fitted.responses, hidden)) - whole,
+            np.zeros(len(whole), bool),
+        )
+        return _rms([run.hidden_errors(step, none) for run in _linear_runs(solution, hidden).values()]), "frames"
+    errors = []
+    for i, run in runs.items():
+        own = _own_unknowns(solution, i)
+        rows = [None if r.piece.run == i else np.column_stack([r.jac, r.r]) for r in fitted.responses]
+        errors.append(run.hidden_errors(np.where(own, 0.0, _step(fitted, rows, ~own) - whole), own))
+    return _rms(errors), "run"
 
 
 @dataclass(frozen=True)
 class _LinearRun:
     """One run about the fitted model, its s pieces stacked.
 
-    Whitened residual (n,), sensitivities (n, P) and starts (n, 2 s).
+    Whitened residual (n,), sensitivities (n, P) and starts (n, 2 s); which frames are hidden (n,).
     """
 
+    pieces: list[Piece]
     residual: Array
     jac: Array
     starts: Array
-    pieces: list[Piece]
-    odd: Mask
+    hidden: Mask
 
-    def odd_frame_errors(self, residual: Array) -> Array:
-        """Convert a whitened residual (n,) to errors in m at the odd frames."""
+    def hidden_errors(self, step: Array, own: Mask) -> Array:
+        """Errors, m or N, at the hidden frames after a step; starts and `own` unknowns come from the kept frames."""
+        residual = self.residual - self.jac @ step
+        columns = np.concatenate([self.jac[:, own], self.starts], axis=1)
+        residual = residual - columns @ _from_kept_frames(columns, residual, ~self.hidden)
         ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
-        errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(residual, ends), strict=True)]
-        return np.asarray(np.concatenate(errors)[self.odd])
+        errors = [p.coloured(r) for p, r in zip(self.pieces, np.split(residual, ends), strict=True)]
+        return np.asarray(np.concatenate(errors)[self.hidden])
 
 
-def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
-    """Compute the root mean square of the held-out residual.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    by : {"run", "frames"}, optional
-        What is held out. By default runs, wherever the other runs can predict every run.
-
-    Returns
-    -------
-    rms : float
-        Held-out error, m.
-    by : str
-        What was held out: "run" or "frames".
-
-    """
-    runs = _linear_runs(solution)
-    if by == "frames" or len(runs) < 2 or (by is None and not is_predictable(solution)):
-        return _rms(_residuals_odd_frames(solution, runs)), "frames"
-    return _rms([_residuals_left_out(solution, runs, r) for r in runs]), "run"
+def _linear_runs(solution: Solution, hidden: Sequence[Mask]) -> dict[int, _LinearRun]:
+    """Every run about the fitted model."""
+    runs: dict[int, list[int]] = {}
+    for i, r in enumerate(solution.responses):
+        runs.setdefault(r.piece.run, []).append(i)
+    return {run: _linear_run(solution, which, hidden) for run, which in runs.items()}
 
 
-def _linear_runs(solution: Solution) -> dict[int, _LinearRun]:
-    """Every run about the fitted model, its pieces stacked."""
-    pieces: dict[int, list[PieceResponse]] = {}
-    for r in solution.responses:
-        pieces.setdefault(r.piece.run, []).append(r)
-    return {run: _join_pieces(own, len(solution.p)) for run, own in pieces.items()}
-
-
-def _join_pieces(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
-    count = sum(len(r.r) for r in pieces)
-    jac, starts = np.zeros((count, unknowns)), np.zeros((count, sum(r.q.shape[1] for r in pieces)))
-    at = column = 0
-    for r in pieces:
-        rows = slice(at, at + len(r.r))
-        jac[rows, r.active] = r.jac
-        starts[rows, column : column + r.q.shape[1]] = r.q
-        at, column = rows.stop, column + r.q.shape[1]
+def _linear_run(solution: Solution, which: Sequence[int], hidden: Sequence[Mask]) -> _LinearRun:
+    own = [solution.responses[i] for i in which]
     return _LinearRun(
-        residual=np.concatenate([r.r for r in pieces]),
-        jac=jac,
-        starts=starts,
-        pieces=[r.piece for r in pieces],
-        odd=np.concatenate([np.arange(len(r.r)) % 2 == 1 for r in pieces]),
+        pieces=[r.piece for r in own],
+        residual=np.concatenate([r.r for r in own]),
+        jac=stacked_rows([r.jac for r in own], [r.active for r in own], len(solution.p)),
+        starts=block_diag(*(r.q for r in own)),
+        hidden=np.concatenate([hidden[i] for i in which]),
     )
+
+
+def _are_predictable(solution: Solution, runs: Mapping[int, _LinearRun]) -> bool:
+    """Whether the other runs determine the shared parameters well enough to predict every run."""
+    rows = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
+    norm = np.linalg.norm(np.vstack([*(r.jac for r in runs.values()), rows]), axis=0)
+    norm[norm == 0] = 1.0
+    for i, run in runs.items():
+        own = _own_unknowns(solution, i)
+        known = np.vstack([*(r.jac for k, r in runs.items() if k != i), rows])[:, ~own] / norm[~own]
+        covariance = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
+        basis, _ = np.linalg.qr(run.jac[:, own])
+        shared = run.jac[:, ~own] / norm[~own]
+        shared = shared - basis @ (basis.T @ shared)
+        if np.mean(np.einsum("ni,ij,nj->n", shared, covariance, shared)) > MAX_PREDICTION_VARIANCE:  # j' C j by frame
+            return False
+    return True
 
 
 def _own_unknowns(solution: Solution, run: int) -> Mask:
@@ -107,84 +134,43 @@ def _own_unknowns(solution: Solution, run: int) -> Mask:
     return np.array([s.run == run for s in solution.problem.layout.slots])
 
 
-def _residuals_left_out(solution: Solution, runs: dict[int, _LinearRun], run: int) -> Array:
-    """Residuals, m, at the odd frames of one run, predicted by the others."""
-    own, layout, tau = _own_unknowns(solution, run), solution.problem.layout, solution.tau or 0.03
-    rows = [r.jac for k, r in runs.items() if k != run] + [penalty_jacobian(layout, tau, solution.p)]
-    right = [r.residual for k, r in runs.items() if k != run] + [-penalty_residual(layout, solution.p, tau)]
-    step = np.zeros(len(solution.p))
-    step[~own] = _least_squares(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
-    left_out = runs[run]
-    residual = left_out.residual - left_out.jac @ step
-    own_columns = np.concatenate([left_out.jac[:, own], left_out.starts], axis=1)
-    residual = residual - own_columns @ _from_even_frames(own_columns, residual, left_out.odd)
-    return left_out.odd_frame_errors(residual)
+def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: Mask | None = None) -> Array:
+    """Gauss-Newton step (P,) of the free unknowns for some rows [J, r] of every piece, by default all of them.
 
-
-def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> list[Array]:
-    """Residuals, m, at the odd frames of every run, the whole model fitted to the even ones."""
-    layout, tau = solution.problem.layout, solution.tau or 0.03
-    even_rows = []
-    for r in runs.values():  # project out the start of every piece first
-        q, _ = np.linalg.qr(r.starts[~r.odd])
-        even = np.column_stack([r.jac, r.residual])[~r.odd]
-        even_rows.append(even - q @ (q.T @ even))
-    rows = np.concatenate([*(s[:, :-1] for s in even_rows), penalty_jacobian(layout, tau, solution.p)])
-    right = np.concatenate([*(s[:, -1] for s in even_rows), -penalty_residual(layout, solution.p, tau)])
-    step = _least_squares(rows, right, solution.jac)
-    out = []
-    for r in runs.values():
-        residual = r.residual - r.jac @ step
-        residual = residual - r.starts @ _least_squares(r.starts[~r.odd], residual[~r.odd], r.starts)
-        out.append(r.odd_frame_errors(residual))
-    return out
-
-
-def _least_squares(rows: Array, right: Array, whole: Array) -> Array:
-    """Least-squares coefficients (k,) of columns.
-
-    Directions that these rows hardly determine, compared with the columns of `whole` (n, k), stay 0.
+    Directions that these rows hardly determine, compared with all frames, stay 0.
     """
-    norm = np.linalg.norm(whole, axis=0)
+    layout, tau = solution.problem.layout, solution.tau or 0.03
+    free = np.ones(len(solution.p), dtype=bool) if free is None else free
+    rows = [np.column_stack([r.jac, r.r]) for r in solution.responses] if rows is None else rows
+    used = [(r.active, own) for r, own in zip(solution.responses, rows, strict=True) if own is not None]
+    jac = stacked_rows([own[:, :-1] for _, own in used], [active for active, _ in used], len(solution.p))
+    left = np.concatenate([jac, penalty_jacobian(layout, tau, solution.p)])[:, free]
+    right = np.concatenate([*(own[:, -1] for _, own in used), -penalty_residual(layout, solution.p, tau)])
+    norm = np.linalg.norm(solution.jac[:, free], axis=0)
     norm[norm == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm)
+    step = np.zeros(len(solution.p))
+    step[free] = np.linalg.lstsq(left / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm
+    return step
 
 
-def _from_even_frames(columns: Array, residual: Array, odd: Mask) -> Array:
-    """Coefficients (k,) of a run's own columns (n, k) from its even frames.
+def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
+    """Coefficients (k,) of a run's own columns (n, k) from its kept frames.
 
-    Directions along which the even frames hold nearly none of the information stay 0: the time of an event that lies
+    Directions along which the kept frames hold nearly none of the information stay 0: the time of an event that lies
     between two frames may show in one frame alone, and linear extrapolation from the others means nothing.
     """
+    if not columns.shape[1]:
+        return np.zeros(0)
     norm = np.linalg.norm(columns, axis=0)
     norm[norm == 0] = 1.0
     _, size, vt = np.linalg.svd(columns / norm, full_matrices=False)
-    kept = size > MIN_SINGULAR_VALUE * size[0]
-    to_columns = vt[kept].T / size[kept]  # directions of unit information in all frames
-    u, share, wt = np.linalg.svd((columns[~odd] / norm) @ to_columns, full_matrices=False)
-    seen = share**2 > MIN_EVEN_SHARE
-    found = wt[seen].T @ ((u[:, seen].T @ residual[~odd]) / share[seen])
-    return np.asarray(to_columns @ found / norm)
+    found = size > MIN_SINGULAR_VALUE * size[0]
+    to_columns = vt[found].T / size[found]  # directions of unit information in all frames
+    u, share, wt = np.linalg.svd((columns[kept] / norm) @ to_columns, full_matrices=False)
+    seen = share**2 > MIN_KEPT_SHARE
+    coordinates = wt[seen].T @ ((u[:, seen].T @ residual[kept]) / share[seen])
+    return np.asarray(to_columns @ coordinates / norm)
 
 
 def _rms(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-
-
-def is_predictable(solution: Solution) -> bool:
-    """Return whether the other runs determine the shared parameters well enough to predict every run."""
-    layout = solution.problem.layout
-    rows = penalty_jacobian(layout, solution.tau or 0.03)
-    jac = {run: r.jac for run, r in _linear_runs(solution).items()}
-    norm = np.linalg.norm(np.vstack([*jac.values(), rows]), axis=0)
-    norm[norm == 0] = 1.0
-    for run in jac:
-        own = _own_unknowns(solution, run)
-        known = np.vstack([*(j for k, j in jac.items() if k != run), rows])[:, ~own] / norm[~own]
-        spread = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
-        basis, _ = np.linalg.qr(jac[run][:, own])
-        even_rows = jac[run][:, ~own] / norm[~own]
-        even_rows = even_rows - basis @ (basis.T @ even_rows)
-        if np.mean(np.einsum("ni,ij,nj->n", even_rows, spread, even_rows)) > MAX_PREDICTION_VARIANCE:
-            return False
-    return True

@@ -33,8 +33,6 @@ class UnknownGroup:
         Whether other parameters follow it.
     slots : dict
         Run (None for all) to the position of the unknown.
-    part : Model or None
-        The part of the model whose force it changes; None if it changes none.
 
     """
 
@@ -43,66 +41,21 @@ class UnknownGroup:
     linear: bool
     leads: bool
     slots: Mapping[int | None, int]
-    part: Model | None
 
     def slot_in(self, run: int) -> int | None:
         """Return the position of the unknown of one run; None if that run has none."""
         return self.slots.get(None, self.slots.get(run))
 
 
-@dataclass(frozen=True)
-class LawStructure:
-    """Which parts of a model depend on what.
-
-    Attributes
-    ----------
-    groups : tuple of UnknownGroup
-        The K groups of unknowns.
-    by_x, by_v : Model or None
-        The parts whose force depends on position, and on velocity.
-    moving, fixed : Model or None
-        The parts whose force depends on either, and on neither.
-
-    """
-
-    groups: tuple[UnknownGroup, ...]
-    by_x: Model | None
-    by_v: Model | None
-    moving: Model | None
-    fixed: Model | None
-
-    @classmethod
-    def of(cls, layout: ParameterLayout, *, together: bool) -> LawStructure:
-        """The structure of the model of a layout; `together` keeps it in one part that depends on everything."""
-        model = layout.model
-        if together:
-            return cls(_group_unknowns(layout, together=True), model, model, model, None)
-        by_x, by_v = (
-            model.interacting(e.name for e in model.effects if e.varies_with is None or q in e.varies_with)
-            for q in ("x", "v")
-        )
-        moving = {e.name for part in (by_x, by_v) if part for e in part.effects}
-        rest = model.interacting(e.name for e in model.effects if e.name not in moving)
-        return cls(_group_unknowns(layout, together=False), by_x, by_v, model.interacting(moving), rest)
-
-
-def _group_unknowns(layout: ParameterLayout, *, together: bool) -> tuple[UnknownGroup, ...]:
-    """The unknowns of a layout by parameter, in the order of their first position."""
+def group_unknowns(layout: ParameterLayout) -> tuple[UnknownGroup, ...]:
+    """Group the unknowns of a layout by parameter, in the order of their first position."""
     slots: dict[tuple[str, str], dict[int | None, int]] = {}
     for i, s in enumerate(layout.slots):
         slots.setdefault((s.effect, s.parameter), {})[s.run] = i
-    model, groups = layout.model, []
+    groups = []
     for (effect, parameter), own in slots.items():
         leads, linear = any(i in layout.leaders for i in own.values()), layout.slots[next(iter(own.values()))].linear
-        if leads or together:
-            part: Model | None = model
-        elif effect == LEVEL:
-            part = model.interacting(
-                e.name for e in model.effects if e.varies_with is None or any(q.loaded for q in e.parameters)
-            )
-        else:
-            part = model.interacting([effect])
-        groups.append(UnknownGroup(effect, parameter, linear and not leads, leads, own, part))
+        groups.append(UnknownGroup(effect, parameter, linear and not leads, leads, own))
     return tuple(groups)
 
 
@@ -114,8 +67,8 @@ class JoinedLaw:
     ----------
     layout : ParameterLayout
         Map of the parameter vector.
-    structure : LawStructure
-        Which parts of the model depend on what.
+    groups : tuple of UnknownGroup
+        The K groups of unknowns.
     joined : JoinedPieces
         The pieces; a single one if the model has memory.
     p : array of shape (P,)
@@ -128,7 +81,7 @@ class JoinedLaw:
     """
 
     layout: ParameterLayout
-    structure: LawStructure
+    groups: tuple[UnknownGroup, ...]
     joined: JoinedPieces
     p: Array
     remembers: bool
@@ -170,7 +123,7 @@ class JoinedLaw:
         """Return the acceleration for a motion at the nodes; a model with memory takes the start in front of them."""
         values, levels = self._inputs
         if not self.remembers:
-            return self._fixed - self._force(self.structure.moving, x, v) / self.joined.mass
+            return np.asarray(self.joined.known - self._force(x, v) / self.joined.mass)
         piece, force = self.joined.pieces[0], self.model.force(self._path(x, v, t, values, levels), values)
         return np.asarray(piece.known[piece.rows_after(self._first, len(t))] - force / piece.mass)
 
@@ -192,28 +145,17 @@ class JoinedLaw:
     def slopes(self, x: Array, v: Array, ex: Array, ev: Array) -> tuple[Array, Array, Array]:
         """Return the acceleration (3 p,) of a model without memory, and its derivatives by x and v.
 
-        The derivatives are differences with steps ex and ev at every node; only the part of the model that depends on
-        the one that is stepped is evaluated again.
+        The derivatives are differences with steps ex and ev at every node.
         """
-        values, parts = self._inputs[0], self.structure
-        columns = {} if parts.moving is None else parts.moving.force_columns(self._joined_path(x, v), values)
-        forces = [_sum_of(part, columns, values, len(x)) for part in (parts.moving, parts.by_x, parts.by_v)]
-        by_x = (forces[1] - self._force(parts.by_x, x + ex, v)) / (ex * self.joined.mass)
-        by_v = (forces[2] - self._force(parts.by_v, x, v + ev)) / (ev * self.joined.mass)
-        return self._fixed - forces[0] / self.joined.mass, by_x, by_v
+        force, mass = self._force(x, v), self.joined.mass
+        by_x = (force - self._force(x + ex, v)) / (ex * mass)
+        by_v = (force - self._force(x, v + ev)) / (ev * mass)
+        return np.asarray(self.joined.known - force / mass), by_x, by_v
 
-    @cached_property
-    def _fixed(self) -> Array:
-        """The part of the acceleration (3 p,) that is the same for every motion."""
-        still = np.zeros(len(self.joined.known))
-        return np.asarray(self.joined.known - self._force(self.structure.fixed, still, still) / self.joined.mass)
-
-    def _force(self, part: Model | None, x: Array, v: Array) -> Array:
-        """Force (3 p,) of a part of the model without memory."""
-        return np.zeros(len(x)) if part is None else part.force(self._joined_path(x, v), self._inputs[0])
-
-    def _joined_path(self, x: Array, v: Array) -> Path:
-        return self.joined.path_at_nodes(x, v, self._inputs[1])
+    def _force(self, x: Array, v: Array) -> Array:
+        """Force (3 p,) of a model without memory."""
+        values, levels = self._inputs
+        return self.model.force(self.joined.path_at_nodes(x, v, levels), values)
 
     def _path(self, x: Array, v: Array, t: Array, values: Values, levels: Sequence[float]) -> Path:
         """The path of a motion; a model with memory begins it with its states at the start."""
@@ -248,8 +190,8 @@ class JoinedLaw:
             x, v, t = (np.append(first, rest) for first, rest in zip(start, (x, v, t), strict=True))
         values, levels = self._inputs
         columns = self.model.force_columns(self._path(x, v, t, values, levels), values)
-        out = np.zeros((len(self.structure.groups), len(x)))
-        for j, group in enumerate(self.structure.groups):
+        out = np.zeros((len(self.groups), len(x)))
+        for j, group in enumerate(self.groups):
             if not group.linear:
                 out[j] = self._difference(group, (x, v, t), columns)
             elif group.effect in columns:
@@ -266,13 +208,11 @@ class JoinedLaw:
         self, group: UnknownGroup, motion: tuple[Array, Array, Array], columns: Mapping[str, Array]
     ) -> Array:
         """Change of the force per unit of a non-linear unknown, by a difference along a motion with these columns."""
-        values, part = self._inputs[0], group.part
-        if part is None:
-            return np.zeros(len(motion[0]))
+        values = self._inputs[0]
         steps = np.array([self._step(group, piece.run) for piece in self.joined.pieces])
         shifted = self._shifted(group, steps)
-        base = _sum_of(part, columns, values, len(motion[0]))
-        moved = part.force(self._path(*motion, *shifted), shifted[0])
+        base = self.model.force_of(columns, values, np.zeros(len(motion[0])))
+        moved = self.model.force(self._path(*motion, *shifted), shifted[0])
         return (moved - base) / self.joined.spread(np.where(steps > 0, steps, 1.0).tolist())
 
     def _shifted(self, group: UnknownGroup, steps: Array) -> tuple[Values, list[float]]:
@@ -293,11 +233,6 @@ class JoinedLaw:
         """Step of the difference in the unknown of one run; 0 if it has none."""
         i = group.slot_in(run)
         return 0.0 if i is None else difference_step(self.p[i], self.layout.slots[i].bounds)
-
-
-def _sum_of(part: Model | None, columns: Mapping[str, Array], values: Values, n: int) -> Array:
-    """Force (n,) of a part of a model whose columns are known."""
-    return np.zeros(n) if part is None else part.force_of(columns, values, np.zeros(n))
 
 
 def difference_step(value: float, bounds: tuple[float, float]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.evaluation_budget import EvaluationBudget
-from frictrack.fit.least_squares.joined_law import JoinedLaw, LawStructure, difference_step
+from frictrack.fit.least_squares.joined_law import JoinedLaw, difference_step, group_unknowns
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, split_motions
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
@@ -73,34 +73,9 @@ class PieceResponse:
         return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class _PreviousMotion:
-    """The previous motion of some pieces: unknowns p, starts (R, 2), and motion with its response and sensitivities."""
-
-    p: Array
-    starts: Array
-    motion: CollocationSolution
-    linear: MotionResponse
-    sensitivities: Array  # of the acceleration at the nodes to the unknowns, (K, 3 p)
-
-    def extrapolated(self, joined: JoinedPieces, changes: Array, starts: Array) -> Array | None:
-        """Accelerations (3 p,) after changes (R, K) of the unknowns to first order; None if there is no change.
-
-        Pieces whose acceleration would change by more than its size keep their own.
-        """
-        if not (np.any(changes) or np.any(starts != self.starts)):
-            return None
-        each = zip(joined.nodes, changes, strict=True)
-        g = np.concatenate([change @ self.sensitivities[:, rows] for rows, change in each])
-        change = self.linear.respond_to_one(g, (starts - self.starts).T)[0]
-        panels, a = self.motion.panels, self.motion.a
-        small = np.where(panels.largest(np.abs(change)) < panels.largest(np.abs(a)), 1.0, 0.0)
-        return a + panels.per_node(small) * np.nan_to_num(change)
-
-
 @dataclass(eq=False)
 class _Simulation:
-    """Pieces of a problem that are simulated together, and their previous motion.
+    """Pieces of a problem that are simulated together, and a motion near theirs.
 
     Attributes
     ----------
@@ -108,41 +83,20 @@ class _Simulation:
         The pieces.
     columns : list of list of int
         Groups of unknowns that affect each piece.
-    near : list of PieceResponse
-        Known motions near which the first one is, perhaps on other panels; none by default.
+    guess : array of shape (3 p,)
+        Accelerations of the near motion.
+    near : MotionResponse or None
+        Its response, where it has the same panels.
+    is_first : bool
+        Whether these pieces have not been simulated yet.
 
     """
 
     joined: JoinedPieces
     columns: list[list[int]]
-    near: list[PieceResponse]
-    previous: _PreviousMotion | None = None
-
-    @property
-    def response(self) -> MotionResponse | None:
-        """Response of a near motion on the same panels; None if none is known."""
-        if self.previous is not None:
-            return self.previous.linear
-        alone = self.near[0] if len(self.near) == 1 else None
-        return alone.linear if alone and len(alone.motion.a) == len(self.joined.panels.t) else None
-
-    @cached_property
-    def first(self) -> Array:
-        """First guess of the accelerations (3 p,): those of near motions, else those of the measured ones."""
-        if not self.near:
-            return np.concatenate([piece.a_hat for piece in self.joined.pieces])
-        pairs = zip(self.joined.pieces, (one.motion for one in self.near), strict=True)
-        return np.concatenate([np.interp(piece.panels.t, motion.panels.t, motion.a) for piece, motion in pairs])
-
-    def guess(self, law: JoinedLaw, starts: Array) -> tuple[Array, Array | None]:
-        """First guess of the accelerations (3 p,): the previous ones, and if there are any, the extrapolated ones."""
-        if self.previous is None:
-            return self.first, None
-        changes = np.zeros((len(self.columns), len(law.structure.groups)))
-        for row, columns, piece in zip(changes, self.columns, self.joined.pieces, strict=True):
-            active = law.layout.active(piece.run)
-            row[columns] = (law.p - self.previous.p)[active]
-        return self.previous.motion.a, self.previous.extrapolated(self.joined, changes, starts)
+    guess: Array
+    near: MotionResponse | None
+    is_first: bool = True
 
 
 class LeastSquaresProblem:
@@ -155,7 +109,7 @@ class LeastSquaresProblem:
     layout : ParameterLayout
         Map of the parameter vector.
     pieces : sequence of Piece
-        The pieces of all runs.
+        The pieces of all runs; they get the panels per frame that the effects need.
     budget : EvaluationBudget, optional
         Budget of the fits of this problem and of those built from it; default unlimited.
 
@@ -166,18 +120,20 @@ class LeastSquaresProblem:
 
     """
 
-    simulates = True
+    observed = "displacement"  # what is compared
+    simulates = True  # whether the model makes a motion
 
     def __init__(
         self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece], budget: EvaluationBudget | None = None
     ) -> None:
-        self.model, self.layout, self.pieces = model, layout, list(pieces)
+        fine = max((effect.fine for effect in model.effects), default=1)
+        self.model, self.layout = model, layout
+        self.pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in pieces]
         self.budget = budget or EvaluationBudget()
         paths = [piece.path for piece in self.pieces]
         if missing := [message for effect in model.effects if (message := effect.lacks(paths))]:
             raise FrictrackError("; ".join(missing))
-        together = model.memory or any(piece.turns for piece in self.pieces)
-        self._structure = LawStructure.of(layout, together=together)
+        self._groups = group_unknowns(layout)
         self._simulations: dict[tuple[int, ...], _Simulation] = {}
         self._near: list[PieceResponse] = []
 
@@ -205,6 +161,18 @@ class LeastSquaresProblem:
     def first_starts(self) -> list[Array]:
         """Return start position (m) and speed (m/s) of every piece, from the smoothed motion."""
         return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
+
+    def hidden_frames(self, responses: Sequence[PieceResponse]) -> list[Mask]:
+        """Return which frames of every piece a held-out error leaves out: the odd ones."""
+        return [np.arange(len(r.r)) % 2 == 1 for r in responses]
+
+    def kept_rows(self, responses: Sequence[PieceResponse], hidden: Sequence[Mask]) -> list[Array]:
+        """Return sensitivities and residual (m, A + 1) of every piece at its other frames, start projected out."""
+        out = []
+        for r, rows in zip(responses, hidden, strict=True):
+            (q, _), kept = np.linalg.qr(r.q[~rows]), np.column_stack([r.jac, r.r])[~rows]
+            out.append(kept - q @ (q.T @ kept))
+        return out
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it.
@@ -235,13 +203,7 @@ class LeastSquaresProblem:
         counts = [0 if self.model.memory else len(piece.panels.t) for piece in self.pieces]
         return group_by_size(counts, MAX_JOINED_NODES, alone=self.model.memory)
 
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        """Simulate and linearise piece i alone."""
-        return self._respond_together((i,), p, {i: start})[0]
-
-    def _respond_together(
-        self, rows: tuple[int, ...], p: Array, starts: Sequence[Array] | Mapping[int, Array]
-    ) -> list[PieceResponse]:
+    def _respond_together(self, rows: tuple[int, ...], p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate and linearise some pieces together."""
         simulation = self._simulation(rows)
         joined = self._with_clock(simulation.joined, p)
@@ -250,35 +212,36 @@ class LeastSquaresProblem:
         motion, linear = self._simulate(simulation, law, begin)
         g = law.sensitivities(motion)
         edges = linear.edge_states(*_with_starts(g))
-        simulation.previous = _PreviousMotion(p, begin, motion, linear, g)
-        return [
-            self._linearised_response(
-                piece,
-                law,
-                (own, own_linear),
-                (own.x_edge[piece.at], edges[edge_rows, 0][piece.at][:, [*columns, -2, -1]]),
-            )
-            for piece, columns, edge_rows, (own, own_linear) in zip(
-                joined.pieces, simulation.columns, joined.edges, split_motions(joined, motion, linear), strict=True
-            )
-        ]
+        simulation.guess, simulation.near, simulation.is_first = motion.a, linear, False
+        responses, split = [], split_motions(joined, motion, linear)
+        for piece, columns, rows_of_edges, own in zip(
+            joined.pieces, simulation.columns, joined.edges, split, strict=True
+        ):
+            sensitivities = edges[rows_of_edges, 0][piece.at][:, [*columns, -2, -1]]
+            responses.append(self._linearised_response(piece, law, own, (own[0].x_edge[piece.at], sensitivities)))
+        return responses
 
     def _simulation(self, rows: tuple[int, ...]) -> _Simulation:
         """The simulation of some pieces together, with their previous motion."""
         if rows not in self._simulations:
-            pieces = tuple(self.pieces[i] for i in rows)
-            columns = [self._columns_of(q.run) for q in pieces]
-            near = [self._near[i] for i in rows] if self._near else []
-            self._simulations[rows] = _Simulation(JoinedPieces(pieces), columns, near)
+            pieces, near = tuple(self.pieces[i] for i in rows), [self._near[i] for i in rows] if self._near else []
+            guesses = [np.interp(q.panels.t, r.motion.panels.t, r.motion.a) for q, r in zip(pieces, near, strict=False)]
+            alone = near[0] if len(near) == 1 and len(near[0].motion.a) == len(pieces[0].panels.t) else None
+            self._simulations[rows] = _Simulation(
+                JoinedPieces(pieces),
+                [self._columns_of(q.run) for q in pieces],
+                np.concatenate(guesses or [q.a_hat for q in pieces]),
+                None if alone is None else alone.linear,
+            )
         return self._simulations[rows]
 
     def _columns_of(self, run: int) -> list[int]:
         """Groups of unknowns that affect one run."""
-        return [j for j, group in enumerate(self._structure.groups) if group.slot_in(run) is not None]
+        return [j for j, group in enumerate(self._groups) if group.slot_in(run) is not None]
 
     def _law(self, joined: JoinedPieces, p: Array) -> JoinedLaw:
         """The model along some pieces."""
-        return JoinedLaw(self.layout, self._structure, joined, p, self.model.memory and self.simulates)
+        return JoinedLaw(self.layout, self._groups, joined, p, self.model.memory and self.simulates)
 
     def _with_clock(self, joined: JoinedPieces, p: Array) -> JoinedPieces:
         """Pieces with the clock rate that the model gives to their runs."""
@@ -364,22 +327,18 @@ class LeastSquaresProblem:
     def _simulate(
         self, simulation: _Simulation, law: JoinedLaw, starts: Array
     ) -> tuple[CollocationSolution, MotionResponse]:
-        """Solve the motion of pieces, from the extrapolated previous one where that is close enough."""
-        guess, extrapolated = simulation.guess(law, starts)
-        near = simulation.response if law.remembers else None
-        if simulation.previous is None and near is not None:
+        """Solve the motion of pieces, beginning at a near one."""
+        near = simulation.near if law.remembers else None
+        if simulation.is_first and near is not None:
             with suppress(FrictrackError):  # the law may have changed too much
-                return self._solve(law, starts, guess, near)
+                return self._solve(law, starts, simulation.guess, near)
             near = None
-        if extrapolated is not None:
-            with suppress(FrictrackError):  # if the extrapolation fails, start from the previous motion
-                return self._solve(law, starts, extrapolated, near)
         try:
-            return self._solve(law, starts, guess, near)
+            return self._solve(law, starts, simulation.guess, near)
         except FrictrackError:  # after a previous motion the caller rather takes a shorter step
-            if simulation.previous is not None or not any(piece.slack for piece in law.joined.pieces):
+            if not simulation.is_first or not any(piece.slack for piece in law.joined.pieces):
                 raise
-        return self._solve_sharpening(law, starts, guess)
+        return self._solve_sharpening(law, starts, simulation.guess)
 
     def _solve_sharpening(
         self, law: JoinedLaw, starts: Array, guess: Array
@@ -413,11 +372,6 @@ class LeastSquaresProblem:
             near=near,
             continued=continued,
         )
-
-    def column(self, effect: str, parameter: str) -> int:
-        """Return which column of an effect a linear parameter multiplies."""
-        of = next(e for e in self.model.effects if e.name == effect)
-        return [q.name for q in of.linear].index(parameter)
 
     def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.fit.force_domain import ForceProblem, sandwich_covariance
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.uncertainty.estimates import Estimates, estimate_parameters, estimates_from_covariance
 from frictrack.records import Array
@@ -20,7 +19,7 @@ def linear_estimates(solution: Solution, covariance: Array | None = None) -> Est
     solution : Solution
         The fit, in the displacement or the force domain.
     covariance : array of shape (P, P), optional
-        Replaces the covariance of the domain.
+        Replaces that of white noise, where the domain asks for another.
 
     Returns
     -------
@@ -29,8 +28,7 @@ def linear_estimates(solution: Solution, covariance: Array | None = None) -> Est
 
     """
     plain = estimate_parameters(solution, profile=False)
-    if covariance is None:
-        covariance = sandwich_covariance(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
+    covariance = plain.covariance if covariance is None else covariance
     absent = {name: e.reason for name, e in plain.parameters.items() if e.value is None and e.reason}
     return estimates_from_covariance(solution, covariance, absent | _undetermined_stribeck(solution, covariance))
 

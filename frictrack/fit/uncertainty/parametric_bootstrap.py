@@ -23,7 +23,6 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.force_domain import ForceProblem
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
@@ -257,8 +256,7 @@ def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solut
     layout = drawn.layout
     if scratch:
         return fit_displacement(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
-    problem = ForceProblem(drawn, law.problem.chains) if isinstance(law.problem, ForceProblem) else drawn
-    return fit_with_scatter(problem, law.p, law.starts, law.tau or 0.03)
+    return fit_with_scatter(drawn, law.p, law.starts, law.tau or 0.03)
 
 
 def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:

@@ -1,42 +1,55 @@
-"""The least-squares problem of a measured friction force: the model is compared with it along the measured motion.
+"""The least-squares problem of a friction force that a load cell or a tribometer measured.
 
-Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, because effects
-with memory (presliding, lag) need the history; only the moving frames are compared. Friction takes the place of the
-displacement, with unit mass and without a start. So everything that uses a `LeastSquaresProblem` works.
+The model is compared with it along the measured motion: nothing is differentiated and no mass is needed. A run is one
+piece from its first frame to its last, because effects with memory (presliding, lag) need the history; only the moving
+frames are compared. Friction takes the place of the displacement, with unit mass and without a start. So everything
+that uses a `LeastSquaresProblem` works.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, refine
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    fit_with_scatter,
+    hold,
+)
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
-from frictrack.fit.separable import path_at_compared
+from frictrack.fit.separable import (
+    DataBlock,
+    ProjectedProblem,
+    SeparableModel,
+    SeparableSolution,
+    path_at_compared,
+    rows_at_compared,
+    variable_projection,
+)
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
 from frictrack.motion import noise_level
-from frictrack.records import Array, Run, stretches
+from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
-PATH_ARRAYS = (
-    "t",
-    "s",
-    "drive",
-    "lift",
-    "angle",
-    "travelled",
-    "begins",
-)  # arrays of a path besides x and v
+PATH_ARRAYS = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
+MAX_GRID_STARTS = 3  # points of a grid that are refined
+MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
+BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
+MIN_BLOCKS = 8  # least number of blocks per run
+MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
 
 
 class FrameNodes(Panels):
@@ -90,11 +103,27 @@ class MeasuredFrictionPiece(Piece):
         }
         return replace(self.path, x=x, v=v, load=self.path.load * level, **at_compared)
 
+    def compared_frames(self) -> MeasuredFrictionPiece:
+        """Return the piece whose path holds its compared frames alone, where they are few."""
+        path = path_at_compared(self, self.path.x, self.path.v, 1.0)
+        if path is None:
+            return self
+        return replace(
+            self,
+            panels=FrameNodes(path.t),
+            at=np.arange(len(path.t)),
+            x_hat=path.x,
+            v_hat=path.v,
+            a_hat=self.a_hat[self.at],
+            known=self.known[self.at],
+            path=path,
+        )
+
 
 class MeasuredFrictionProblem(LeastSquaresProblem):
     """A model over runs whose friction was measured; the pieces are `MeasuredFrictionPiece`, one per run."""
 
-    simulates = False
+    observed, simulates = "friction", False
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces."""
@@ -104,21 +133,26 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         """Return empty starts: no piece has an unknown start."""
         return [np.zeros(0) for _ in self.pieces]
 
+    def hidden_frames(self, responses: Sequence[PieceResponse]) -> list[Mask]:
+        """Return every other block of frames of every run, longer than the correlation of the residual."""
+        starts = block_starts(responses, len(self.layout.slots))
+        return [
+            np.searchsorted(at, np.arange(len(r.r)), side="right") % 2 == 0
+            for r, at in zip(responses, starts, strict=True)
+        ]
+
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Compute residual and sensitivities of every run."""
-        return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
+        return [self._response(piece, p) for piece in self.pieces]
 
-    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        """Residual and sensitivities of run i."""
-        piece, layout = self.pieces[i], self.layout
+    def _response(self, piece: Piece, p: Array) -> PieceResponse:
+        layout = self.layout
         path = piece.path
         motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
         active = layout.active(piece.run)
         values, level = layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
-        jac = -self.acceleration_sensitivities(piece, p, motion)[piece.at] / piece.sigma[:, None]
-        none = np.zeros((0, 0))
         return PieceResponse(
             piece=piece,
             motion=motion,
@@ -127,9 +161,9 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
             model_y=force,
             shift_slope=np.zeros_like(force),
             r=residual,
-            jac=jac,
+            jac=-self.acceleration_sensitivities(piece, p, motion)[piece.at] / piece.sigma[:, None],
             q=np.zeros((len(force), 0)),
-            upper=none,
+            upper=np.zeros((0, 0)),
             on_start=np.zeros((0, len(active))),
             r_full=residual,
         )
@@ -141,35 +175,12 @@ def keep_compared_frames(solution: Solution) -> Solution:
     Frames that are not compared carry no information then, but take time.
     """
     problem = solution.problem
-    if not is_measured_friction(problem) or problem.model.memory:
+    if problem.simulates or problem.model.memory:
         return solution
-    pieces = [_compared_frames_of(p) for p in problem.pieces]
+    pieces = [p.compared_frames() if isinstance(p, MeasuredFrictionPiece) else p for p in problem.pieces]
     if all(new is old for new, old in zip(pieces, problem.pieces, strict=True)):
         return solution
-    short, held = problem.rebuild(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
-    return refine(short, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
-
-
-def _compared_frames_of(piece: Piece) -> Piece:
-    """A piece whose path holds its compared frames alone, where they are few."""
-    path = path_at_compared(piece, piece.path.x, piece.path.v, 1.0)
-    if path is None:
-        return piece
-    return replace(
-        piece,
-        panels=FrameNodes(path.t),
-        at=np.arange(len(path.t)),
-        x_hat=path.x,
-        v_hat=path.v,
-        a_hat=piece.a_hat[piece.at],
-        known=piece.known[piece.at],
-        path=path,
-    )
-
-
-def is_measured_friction(problem: LeastSquaresProblem) -> bool:
-    """Return whether friction itself was measured."""
-    return isinstance(problem, MeasuredFrictionProblem)
+    return hold(problem.rebuild(problem.layout, pieces), solution.p, solution.starts, solution.tau)
 
 
 def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
@@ -314,3 +325,120 @@ def _direction(v: Array, held: float) -> Array:
     s = np.concatenate([[held], np.sign(v[1:])])
     last = np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))
     return np.asarray(s[last])
+
+
+def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    pieces : sequence of Piece
+        One `MeasuredFrictionPiece` per run.
+    names : tuple of str
+        Names of the runs.
+    fps : float
+        Frame rate, 1/s.
+
+    Returns
+    -------
+    Solution
+        The fit.
+
+    Raises
+    ------
+    FrictrackError
+        If the runs lack what an effect needs.
+
+    """
+    problem = friction_problem(model, pieces, names, fps)
+    separable = SeparableModel(problem.layout, [friction_block(p) for p in pieces])
+    state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
+    return fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
+
+
+def friction_problem(
+    model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float
+) -> MeasuredFrictionProblem:
+    """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
+    return MeasuredFrictionProblem(model, ParameterLayout(model, names, friction_spans(pieces, fps)), pieces)
+
+
+def friction_block(piece: Piece) -> DataBlock:
+    """Create the compared frames of a run as data of the separable model."""
+    weight = 1.0 / piece.sigma
+    return DataBlock(
+        run=piece.run,
+        path=piece.path,
+        data=piece.y * weight,
+        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
+        friction=-piece.a_hat / piece.path.load,
+        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
+    )
+
+
+def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
+    """Search the parameters of modifiers without a coefficient, which no scan covers, over a coarse grid."""
+    for g, group in enumerate(problem.separable.groups):
+        if not any(e.modifies and not e.linear for e in group.model.effects):
+            continue
+        found = [
+            problem.at(nonlinear_values, state, {g}) for nonlinear_values in _grid(problem, state.nonlinear_values, g)
+        ]
+        best = sorted(found, key=lambda s: s.misfit)[:MAX_GRID_STARTS]
+        state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
+    return state
+
+
+def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Array]:
+    """Parameter vectors (P,) at the points of a coarse grid over the scanned parameters of a group."""
+    layout = problem.layout
+    scanned = {}
+    for i in problem.separable.groups[g].nonlinear_slots:
+        slot = layout.slots[i]
+        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        if parameter.scan is not None:
+            scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
+    points_per_axis = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)
+    axes = [
+        axis[np.linspace(0, len(axis) - 1, min(points_per_axis, len(axis))).round().astype(int)]
+        for axis in scanned.values()
+    ]
+    points = np.array(list(product(*axes)))
+    out = np.tile(nonlinear_values, (len(points), 1))
+    out[:, list(scanned)] = points
+    return list(out)
+
+
+def correlated_frames(r: Array) -> int:
+    """Compute the lag at which the autocorrelation of a residual (n,) falls below 1/e, frames; 0 for white noise.
+
+    Examples
+    --------
+    >>> correlated_frames(np.sin(np.linspace(0, 6, 100))) > 10
+    True
+
+    """
+    n = len(r)
+    if n < 8:
+        return 0
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[: n // 2]
+    rho = rho / max(float(rho[0]), 1e-300)
+    if rho[1] < 3.0 / np.sqrt(n):
+        return 0
+    below = np.flatnonzero(rho < np.exp(-1.0))
+    return int(below[0]) if len(below) else n // 2
+
+
+def block_starts(responses: Sequence[PieceResponse], n_unknowns: int) -> list[Rows]:
+    """Cut the frames of every run into blocks: longer than the correlation of the residual, enough for the unknowns."""
+    min_blocks = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * n_unknowns // len(responses)))
+    out = []
+    for r in responses:
+        n, length = len(r.r), max(int(np.ceil(BLOCK_CORRELATION_TIMES * correlated_frames(r.r))), 1)
+        count = max(n // min(length, max(n // min_blocks, 1)), 1)
+        out.append(np.linspace(0, n, count + 1).round().astype(int)[:-1])
+    return out

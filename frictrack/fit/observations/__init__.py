@@ -1,0 +1,56 @@
+"""What a run contributes to a fit, by the compared quantity: displacement, acceleration, or measured friction.
+
+A kind of observation is a `LeastSquaresProblem`, which compares and linearises, and an `Observation`, which knows
+noise, errors and remarks of that quantity. Everything else is blind to the kind.
+"""
+
+from frictrack.fit.least_squares import LeastSquaresProblem
+from frictrack.fit.observations.acceleration import (
+    AccelerationObservation,
+    fit_accelerations,
+    fit_starts,
+    linearise_accelerations,
+)
+from frictrack.fit.observations.displacement import DisplacementObservation
+from frictrack.fit.observations.load_cell import (
+    MeasuredFrictionPiece,
+    check_effects,
+    fit_measured_friction,
+    friction_block,
+    friction_pieces,
+    friction_problem,
+    keep_compared_frames,
+    reference_load,
+    uses_measured_friction,
+)
+from frictrack.fit.observations.measured_friction import FrictionObservation, weight_by_noise
+from frictrack.fit.observations.observation import Observation
+
+__all__ = [
+    "MeasuredFrictionPiece",
+    "Observation",
+    "check_effects",
+    "fit_accelerations",
+    "fit_measured_friction",
+    "fit_starts",
+    "friction_block",
+    "friction_pieces",
+    "friction_problem",
+    "keep_compared_frames",
+    "linearise_accelerations",
+    "observation_of",
+    "reference_load",
+    "uses_measured_friction",
+    "weight_by_noise",
+]
+
+KINDS: dict[str, Observation] = {
+    "displacement": DisplacementObservation(),
+    "acceleration": AccelerationObservation(),
+    "friction": FrictionObservation(),
+}
+
+
+def observation_of(problem: LeastSquaresProblem) -> Observation:
+    """Return what was observed of the runs of a problem."""
+    return KINDS[problem.observed]

@@ -1,0 +1,157 @@
+"""The observation of the recorded motion: residuals of displacement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_scatter, modelled_motion
+from frictrack.fit.observations.observation import Observation
+from frictrack.fit.parameters import without_mass
+from frictrack.fit.prediction import FreeRun, free_errors, free_run
+from frictrack.fit.routes import FittedRuns
+from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates
+from frictrack.records import Array, Curve, ModelledMotion, Run
+
+
+class DisplacementObservation(Observation):
+    """Residuals of the displacement."""
+
+    unit, metres_or_newtons = "um", 1e6
+
+    def estimates(self, fitted: FittedRuns) -> Estimates:
+        """Return the parameters; intervals of badly determined ones come from profiles, at an optimum."""
+        solution = fitted.solution
+        return estimate_parameters(solution) if fitted.route.is_default else linear_estimates(solution)
+
+    def estimates_of_candidate(self, solution: Solution) -> Estimates:
+        """Return the parameters with standard deviations, without profiles."""
+        return estimate_parameters(solution, profile=False)
+
+    def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
+        """Return the rms noise of a frame, m, and the reduced chi-squared of the fit."""
+        return _rms(np.concatenate([r.piece.noise for r in solution.responses])), reduced_chi2
+
+    def remarks(self, fitted: FittedRuns) -> list[str]:
+        """Return what such runs cannot separate."""
+        out = []
+        if len(fitted.runs) == 1:
+            out.append("single run: slope, a cable and Coulomb friction cannot be distinguished")
+        if any(run.has_incline for run in fitted.runs):
+            out.append(
+                "on an incline, Coulomb friction and gravity act alike while the mass slides one way: with a nominal "
+                "scale, mass or angle, only changes of the force along the run are meaningful"
+            )
+        return [
+            *out,
+            "a constant error of scale, frame rate or mass is absorbed exactly: "
+            "forces go with mass and scale, and with fps^2",
+        ]
+
+    def misfit(self, fitted: FittedRuns) -> Misfit | None:
+        """Return the force that the model misses; it is estimated about the optimum of the displacement alone."""
+        return super().misfit(fitted) if fitted.route.is_default else None
+
+    def curve(self, solution: Solution, response: PieceResponse, run: Run, role: str) -> Curve:
+        """Return measured and simulated displacement of one piece."""
+        piece, motion, problem = response.piece, response.motion, solution.problem
+        values, level = problem.layout.values(solution.p, piece.run)
+        x, v = motion.x_edge[piece.at], motion.v_edge[piece.at]
+        path = piece.at_frames(x, v, level)
+        parts = {
+            name: np.asarray(block @ problem.model.coefficients(name, values))
+            for name, block in without_mass(problem.model).force_columns(path, values).items()
+        }
+        total: Array = np.sum(list(parts.values()), axis=0)
+        return Curve(
+            t=run.displacement.t[piece.frames],
+            x=piece.y,
+            sigma_x=piece.noise,
+            x_model=response.model_y,
+            v_model=v,
+            a_model=piece.known_at_frames - total / piece.mass,
+            F_model=total,
+            run=run.name,
+            role=role,
+            parts=parts,
+            repaired=None if run.motion.repaired is None else run.motion.repaired[piece.frames],
+        )
+
+    def motion(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> tuple[ModelledMotion, ...]:
+        """Return x, v, a and F of the model with their bands, one table per run, validation runs last."""
+        predicted = list(zip(fitted.predictions, fitted.validation, strict=True))
+        return modelled_motion(fitted.solution, self._band_covariance(fitted, covariance), fitted.runs, predicted)
+
+    def _band_covariance(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> Array:
+        return covariance_at_fitted_scatter(fitted.solution)
+
+    def free_runs(self, fitted: FittedRuns) -> dict[str, FreeRun | None]:
+        """Return the simulations over the whole validation runs or, without these, over the fitted ones."""
+        if fitted.validation:
+            pairs = zip(fitted.predictions, fitted.validation, strict=True)
+            return {run.name: free_run(s, run, fitted.reference) for s, run in pairs}
+        return {run.name: free_run(fitted.solution, run, fitted.reference, i) for i, run in enumerate(fitted.runs)}
+
+    def errors(self, fits: Sequence[FittedRuns], curves: Sequence[Curve]) -> dict[str, Any]:
+        """Return displacement, acceleration and force errors over all fitted runs."""
+        return errors_of([c for c in curves if c.role == "fit"], [run for fitted in fits for run in fitted.weighed])
+
+    def per_run(
+        self,
+        fitted: FittedRuns,
+        curves: Sequence[Curve],
+        motion: Sequence[ModelledMotion],
+        free_runs: Mapping[str, FreeRun | None],
+    ) -> list[dict[str, Any]]:
+        """Return level, noise, segments, errors and bands of every run; those of the free run where there is one."""
+        rows, role = super().per_run(fitted, curves, motion, free_runs), "validation" if fitted.validation else "fit"
+        for row, one, run in zip(rows, motion, fitted.runs + fitted.validation, strict=True):
+            if row["role"] == role:
+                row["errors"] |= free_errors([free_runs[row["run"]]])
+            row["motion"] = band_summary(one, run)
+        return rows
+
+    def row(self, solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:
+        """Return level, noise, segments and errors of one run."""
+        _, level = solution.problem.layout.values(solution.p, index)
+        pieces = [p for p in solution.problem.pieces if p.run == index]
+        return {
+            "run": run.name,
+            "role": role,
+            "level": level,
+            "noise_um": 1e6 * _rms(np.concatenate([p.noise for p in pieces])),
+            "segments": len(pieces),
+            "segment_s": float(max(p.t[-1] - p.t[0] for p in pieces)),
+            "errors": errors_of([c for c in curves if c.run == run.name and c.role == role], [run]),
+        }
+
+    def knows_load(self, fitted: FittedRuns) -> bool:
+        """Return whether a mass was given, which presses on the course."""
+        return fitted.runs[0].mass is not None
+
+
+def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the errors of some curves against the runs that they came from, as JSON."""
+    by_name = {r.name: r for r in runs}
+    a_error, f_error, f_measured = [], [], []
+    for c in curves:
+        run = by_name[c.run]
+        rows = np.searchsorted(run.motion.t, c.t - 1e-9)
+        a_error.append(run.motion.a[rows] - c.a_model)
+        f_error.append((run.mass or 1.0) * a_error[-1])
+        f_measured.append(c.F_model - f_error[-1] if run.drive is None else run.drive[rows])
+    accelerations = np.concatenate(a_error)
+    scale = max(float(np.linalg.norm(np.concatenate(f_measured))), 1e-30)
+    return {
+        "rms_displacement_um": 1e6 * _rms(np.concatenate([c.residual for c in curves])),
+        "rms_acceleration": _rms(accelerations),
+        "sse_acceleration": float(np.sum(accelerations**2)),
+        "relative_force_error": float(np.linalg.norm(np.concatenate(f_error)) / scale),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,404 @@
+"""The observation of a measured friction force, and its noise, estimated independently of the model that is tested.
+
+The white part comes from the series itself (fifth differences). A slow part counts as noise only where it is known
+not to be friction: from the differences between repeated strokes over the same positions, or from the specification
+of the instrument. With one record and no repeat, slow misfit counts as misfit.
+
+Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
+time. Every block that is short beside it is one frame, and so is every short block of long series.
+
+The misfit of a model is mostly far above the white noise and correlated between frames. So the covariance of a fit
+comes from the scatter of blocks of frames that are longer than this correlation.
+
+References
+----------
+Sokal, A. (1997). Monte Carlo methods in statistical mechanics. Functional Integration, NATO ASI 361, 131-192.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
+from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts, correlated_frames
+from frictrack.fit.observations.observation import Observation
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.pieces import Rows
+from frictrack.fit.routes import FittedRuns
+from frictrack.fit.smooth_functions import correlation_time_frames
+from frictrack.fit.uncertainty import Estimates, linear_estimates
+from frictrack.records import Array, Curve, Run
+
+FRAMES_PER_CORRELATION = 4  # frames kept per correlation time
+MAX_FRAMES = 3000  # of longer series every block is one frame
+MIN_STROKES = 3  # strokes over the same positions
+MIN_SHARE = 0.5  # shortest comparable stroke over the longest one
+MIN_REVERSAL_SHARE = 0.25  # smallest reversal over the range of the coordinate
+MAX_SPEED_DIFFERENCE = 0.1  # relative difference of the median speeds of strokes that are compared
+STROKE_END_SHARE = 0.005  # share left out at either end, next to the reversals
+STROKE_POINTS = 128  # positions at which strokes are compared
+MIN_RANK_CORRELATION = 0.99  # rank correlation with time from which a series counts as monotonic
+MIN_DRIFT_RATIO = 1.5  # ratio to the white noise from which slow misfit is reported
+# not defined without mass and film
+DISPLACEMENT_ERRORS = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")
+MIN_SLOW_NOISE_RATIO = 1.3  # ratio to the white noise; means of few strokes scatter as well
+
+
+@dataclass(frozen=True)
+class FrictionNoise:
+    """The noise of a measured friction force.
+
+    Attributes
+    ----------
+    rms : float
+        All noise, N.
+    correlation_frames : float
+        Integrated correlation time, frames.
+    white : float
+        Part that is independent from frame to frame, N.
+    stroke_count : int
+        Number of repeated strokes from which the slow part is known; 0 if it is not.
+
+    """
+
+    rms: float
+    correlation_frames: float
+    white: float
+    stroke_count: int = 0
+
+
+def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
+    """Weight every frame by the noise of the measurement.
+
+    Every block of correlated frames, or of a long series, is one frame. The noise is always that of all frames: a model
+    that was refined on few of them is first refined on all.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    solution : Solution
+        The same unknowns over the weighted frames.
+    noise : FrictionNoise
+        The noise.
+
+    """
+    solution = _over_all_frames(solution)
+    noise = friction_noise(solution)
+    stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
+    block = -(-solution.problem.n_frames // MAX_FRAMES)
+    step = max(stride, block)
+    sigma = noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step))
+    pieces = [_averaged(r, step) for r in solution.responses]
+    ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
+    problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
+    return hold(problem, solution.p, solution.starts, solution.tau), noise
+
+
+def _at_rate(layout: ParameterLayout, factor: float) -> ParameterLayout:
+    """The same layout at another frame rate: lines above it are excluded."""
+    return replace(layout, spans=tuple(replace(s, fps=s.fps * factor) for s in layout.spans))
+
+
+def _over_all_frames(solution: Solution) -> Solution:
+    """The same model refined on all frames, where only some of them were kept."""
+    kept = [p for p in solution.problem.pieces if isinstance(p, MeasuredFrictionPiece) and p.whole is not None]
+    if not kept:
+        return solution
+    layout = _at_rate(solution.problem.layout, kept[0].every)
+    problem = solution.problem.rebuild(layout, [p.whole for p in kept if p.whole is not None])
+    return refine(problem, solution.p, solution.starts, tau=solution.tau)
+
+
+def friction_noise(solution: Solution) -> FrictionNoise:
+    """Estimate the noise of all runs together.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    FrictionNoise
+        The white part, or the part that does not repeat between strokes where that is larger.
+
+    """
+    white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
+    differences = [d for r in solution.responses for d in _stroke_differences(r)]
+    if not differences:
+        return FrictionNoise(white, 1.0, white)
+    all_differences = np.concatenate([d for d, _ in differences])
+    strokes = sum(n for _, n in differences)
+    rms = float(np.sqrt(np.mean(all_differences**2)))
+    if rms < MIN_SLOW_NOISE_RATIO * white:
+        return FrictionNoise(white, 1.0, white, strokes)
+    return FrictionNoise(rms, max(correlation_time_frames(d) for d, _ in differences), white, strokes)
+
+
+def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
+    """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
+    piece, residual = response.piece, response.r * response.piece.sigma
+    x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
+    for coordinate in (x, v):
+        groups = list(_comparable_strokes(strokes(coordinate), coordinate, v))
+        if groups:
+            for group in groups:
+                yield _unrepeated_residual(group, coordinate, residual), len(group)
+            return
+
+
+def strokes(coordinate: Array) -> list[Rows]:
+    """Split a coordinate into strokes of one direction; reversals below a quarter of its range are ignored.
+
+    Parameters
+    ----------
+    coordinate : array of shape (n,)
+        Position or speed.
+
+    Returns
+    -------
+    list of array of int
+        Rows of every stroke.
+
+    Examples
+    --------
+    >>> [len(s) for s in strokes(np.array([0.0, 1.0, 2.0, 1.9, 2.0, 1.0, 0.0]))]
+    [2, 5]
+
+    """
+    min_reversal = MIN_REVERSAL_SHARE * float(np.ptp(coordinate))
+    reversals, direction, extreme = [0], 0, 0
+    for i in range(1, len(coordinate)):
+        step = coordinate[i] - coordinate[extreme]
+        if direction == 0 and abs(step) >= min_reversal > 0:
+            direction = 1 if step > 0 else -1
+            extreme = i
+        elif direction * step > 0:
+            extreme = i
+        elif direction and -direction * step >= min_reversal:
+            reversals.append(extreme)
+            direction, extreme = -direction, i
+    return [np.arange(a, b) for a, b in zip(reversals, [*reversals[1:], len(coordinate)], strict=True) if b - a > 1]
+
+
+def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[list[Rows]]:
+    """Yield groups of at least `MIN_STROKES` strokes of one direction with similar length and speed."""
+    length = max((float(np.ptp(coordinate[s])) for s in found), default=0.0)
+    long = [s for s in found if np.ptp(coordinate[s]) >= MIN_SHARE * length > 0]
+    for direction in (1.0, -1.0):
+        same_direction = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == direction]
+        if not same_direction:
+            continue
+        typical_speed = float(np.median([np.median(speed[s]) for s in same_direction]))
+        similar = [
+            s
+            for s in same_direction
+            if abs(np.median(speed[s]) - typical_speed) <= MAX_SPEED_DIFFERENCE * typical_speed
+        ]
+        if len(similar) >= MIN_STROKES:
+            yield similar
+
+
+def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Array) -> Array:
+    """A residual minus its mean over all strokes at the same position, without bias, in order of time."""
+    low = max(float(coordinate[s].min()) for s in group)
+    high = min(float(coordinate[s].max()) for s in group)
+    low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
+    at = np.linspace(low, high, STROKE_POINTS)
+    each = [_interpolated_residual(coordinate[s], residual[s], at) for s in group]
+    mean = np.mean(each, axis=0)
+    unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
+    inside = [s[(coordinate[s] >= low) & (coordinate[s] <= high)] for s in group]
+    return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
+
+
+def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Array:
+    """A residual along a nearly monotonic coordinate, at positions (k,)."""
+    order = np.argsort(coordinate)
+    return np.interp(at, coordinate[order], residual[order])
+
+
+def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
+    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
+
+    The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
+    friction is averaged but its residual.
+    """
+    piece = response.piece
+    assert isinstance(piece, MeasuredFrictionPiece)
+    if step == 1:
+        return piece
+    n = len(piece.t) // step * step
+    frames = piece.frames[:n].reshape(-1, step)
+    direction = piece.path.s[piece.at[:n]].reshape(-1, step)
+    kept = (np.ptp(frames, axis=1) == step - 1) & (np.ptp(direction, axis=1) == 0)
+    middle = (np.arange(len(frames)) * step + step // 2)[kept]
+    residual = (piece.y - response.model_y)[:n].reshape(-1, step)[kept].mean(axis=1)
+    return replace(piece.at_frames_kept(middle, step), y=response.model_y[middle] + residual)
+
+
+def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
+    """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    runs : sequence of Run
+        The runs.
+
+    Returns
+    -------
+    list of str
+        Sentences for the report.
+
+    """
+    noise = weight_by_noise(solution)[1]
+    out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
+    if all(_goes_one_way(r) for r in solution.responses):
+        out.append(
+            "place, time and speed rise together in these records: what goes with one of them may go with another; a "
+            "record at another speed, or one that slows down again, tells them apart"
+        )
+    left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
+    if noise.stroke_count and noise.correlation_frames > 1:
+        interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
+        out.append(
+            f"noise {noise.rms:.2g} N rms, correlated over {noise.correlation_frames * interval:.2g} s: the part that "
+            f"does not repeat between {noise.stroke_count} strokes over the same positions "
+            f"(white noise {noise.white:.2g} N)"
+        )
+    elif not noise.stroke_count and left > MIN_DRIFT_RATIO * noise.white:
+        slow = float(np.sqrt(left**2 - noise.white**2))
+        out.append(
+            f"noise {noise.white:.2g} N rms from frame to frame; no stroke is repeated, so slow misfit counts as "
+            f"misfit: a drifting sensor would have to explain {slow:.2g} N rms, {100 * (slow / left) ** 2:.1f} % of "
+            'it; repeat the run, or state the instrument: noise = "0.004 N", drift = "0.01 N"'
+        )
+    return out
+
+
+def _goes_one_way(response: PieceResponse) -> bool:
+    """Whether position and speed of a record rise or fall with time throughout, apart from noise."""
+    piece = response.piece
+    series = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
+    return all(abs(_rank_correlation(piece.t, q)) > MIN_RANK_CORRELATION for q in series if np.ptp(q) > 0)
+
+
+def _rank_correlation(a: Array, b: Array) -> float:
+    """Spearman's rank correlation of two series (n,)."""
+    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
+
+
+def _ranks(values: Array) -> Array:
+    """Ranks (n,) of values; equal values share their mean rank."""
+    _, position, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[position])
+
+
+def block_covariance(solution: Solution) -> Array:
+    """Compute the covariance (P, P) of the unknowns from the scatter of blocks; that of white noise if it is white."""
+    white_noise, _ = covariance_of(solution)
+    if all(correlated_frames(r.r) == 0 for r in solution.responses):
+        return white_noise
+    blocks = block_starts(solution.responses, len(solution.p))
+    gradients = [np.add.reduceat(r.jac * r.r[:, None], at) for r, at in zip(solution.responses, blocks, strict=True)]
+    return clustered_covariance(solution, white_noise, solution.stacked(gradients))
+
+
+class FrictionObservation(Observation):
+    """Residuals of a measured friction force."""
+
+    unit, metres_or_newtons = "N", 1.0
+
+    def estimates(self, fitted: FittedRuns) -> Estimates:
+        """Return the parameters; their standard deviations come from blocks of the residual, which is correlated."""
+        return self.estimates_of_candidate(fitted.solution)
+
+    def estimates_of_candidate(self, solution: Solution) -> Estimates:
+        """Return the parameters of a model on trial in the same way."""
+        return linear_estimates(solution, block_covariance(solution))
+
+    def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
+        """Return the noise of a sample, N, and the reduced chi-squared against it."""
+        noise = weight_by_noise(solution)[1].rms
+        residual = np.concatenate([r.piece.coloured(r.r) for r in solution.responses])
+        return noise, float(np.sum(residual**2) / noise**2 / max(len(residual) - len(solution.p), 1))
+
+    def weighted(self, solution: Solution) -> Solution:
+        """Return the solution with its residuals weighted by the noise that differs between strokes."""
+        return weight_by_noise(solution)[0]
+
+    def remarks(self, fitted: FittedRuns) -> list[str]:
+        """Return what the noise is, and what a drifting sensor would explain."""
+        return friction_remarks(fitted.solution, fitted.runs)
+
+    def curve(self, solution: Solution, response: PieceResponse, run: Run, role: str) -> Curve:
+        """Return measured and modelled friction at the compared frames of a run; its motion is the measured one."""
+        piece, model, rows = response.piece, solution.problem.model, response.piece.frames
+        values, level = solution.problem.layout.values(solution.p, piece.run)
+        path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
+        parts = {
+            name: np.asarray(block @ model.coefficients(name, values))[piece.at]
+            for name, block in model.force_columns(path, values).items()
+        }
+        return Curve(
+            t=run.motion.t[rows],
+            x=run.motion.x[rows],
+            sigma_x=run.motion.sigma_x[rows],
+            x_model=run.motion.x[rows],
+            v_model=run.motion.v[rows],
+            a_model=run.motion.a[rows],
+            F_model=response.model_y,
+            run=run.name,
+            role=role,
+            parts=parts,
+        )
+
+    def errors(self, fits: Sequence[FittedRuns], curves: Sequence[Curve]) -> dict[str, Any]:
+        """Return the errors in N; those of a displacement are null."""
+        return _errors_of([r for fitted in fits for r in fitted.solution.responses])
+
+    def row(self, solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:
+        """Return level, noise, correlation time of the residual, and errors of one run."""
+        response = next(r for r in solution.responses if r.piece.run == index)
+        errors = _errors_of([response])
+        return {
+            "run": run.name,
+            "role": role,
+            "level": solution.problem.layout.values(solution.p, index)[1],
+            "noise_um": None,
+            "noise_N": errors["noise_N"],
+            "correlated_s": correlated_frames(response.r) * float(np.median(np.diff(run.motion.t))),
+            "segments": 1,
+            "segment_s": float(response.piece.t[-1] - response.piece.t[0]),
+            "errors": errors,
+        }
+
+    def knows_load(self, fitted: FittedRuns) -> bool:
+        """Return True: a measured friction force comes with its load."""
+        return True
+
+
+def _errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
+    """Errors of a fit over some runs, in N. Errors that need a modelled displacement are None."""
+    left = np.concatenate([r.piece.y - r.model_y for r in responses])
+    force = np.concatenate([r.piece.y for r in responses])
+    return dict.fromkeys(DISPLACEMENT_ERRORS) | {
+        "rms_N": _rms(left),
+        "noise_N": _rms(np.concatenate([r.piece.sigma for r in responses])),
+        "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
