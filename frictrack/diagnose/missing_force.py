@@ -24,7 +24,7 @@ from frictrack.diagnose.smooth_forces import ResidualForces, separate_curves
 from frictrack.diagnose.waves import SpectralLine, WaveScan
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
-from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of a wave

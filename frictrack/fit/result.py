@@ -12,10 +12,10 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.collisions import collisions
+from frictrack.fit.free_run import FreeRun, free_errors
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
-from frictrack.fit.prediction import FreeRun, free_errors
 from frictrack.fit.prior_transfer import prior_of
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.fit.free_run import FreeRun, free_errors, free_run
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_scatter, modelled_motion
 from frictrack.fit.observations.observation import Observation
 from frictrack.fit.parameters import without_mass
-from frictrack.fit.prediction import FreeRun, free_errors, free_run
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates
 from frictrack.records import Array, Curve, ModelledMotion, Run

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from frictrack.fit.free_run import FreeRun
 from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms
 from frictrack.fit.parameters import with_fitted_mass
-from frictrack.fit.prediction import FreeRun
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, misfit_of
 from frictrack.records import Array, Curve, ModelledMotion, Run
