@@ -1,6 +1,6 @@
 """Find the most likely Gaussian process in the residual of a model: a smooth force that the model lacks.
 
-The force is f = L z with coefficients z ~ N(0, s I), where L L' is the Matern 5/2 covariance. Its traces in the
+The force is f = L z with coefficients z ~ N(0, s I), where L L' is a Matern covariance. Its traces in the
 residual r are T f, with the model projected out of T and r. The restricted likelihood of the size s needs only the
 eigenvalues w of L' T'T L and the components g of L' T'r along their eigenvectors:
 
@@ -25,8 +25,8 @@ SIZES = np.geomspace(1e-3, 1e3, 61)  # variances of a process over that of one u
 JITTER = 1e-8  # of unit variance, that keeps covariances of near points invertible
 
 
-def matern_covariance(points: Array, length: float) -> Array:
-    """Compute the covariance of a Matern 5/2 process of unit variance.
+def matern_covariance(points: Array, length: float, smoothness: float = 2.5) -> Array:
+    """Compute the covariance of a Matern process of unit variance.
 
     Parameters
     ----------
@@ -34,11 +34,13 @@ def matern_covariance(points: Array, length: float) -> Array:
         Where it is evaluated.
     length : float
         Correlation length, in the unit of the points.
+    smoothness : float
+        5/2 for a process with two derivatives, 3/2 for one whose slope may jump.
 
     Returns
     -------
     array of shape (K, K)
-        Covariance (1 + d + d^2/3) exp(-d), d = sqrt(5) distance/length.
+        (1 + d + d^2/3) exp(-d) with d = sqrt(5) distance/length, or (1 + d) exp(-d) with d = sqrt(3) distance/length.
 
     Examples
     --------
@@ -46,13 +48,13 @@ def matern_covariance(points: Array, length: float) -> Array:
     [[1.0, 0.524], [0.524, 1.0]]
 
     """
-    d = np.sqrt(5.0) * np.abs(points[:, None] - points) / length
-    return np.asarray((1 + d + d**2 / 3) * np.exp(-d))
+    d = np.sqrt(2 * smoothness) * np.abs(points[:, None] - points) / length
+    return np.asarray((1 + d + (d**2 / 3 if smoothness > 2 else 0.0)) * np.exp(-d))
 
 
-def matern_root(points: Array, length: float) -> Array:
-    """Root L (K, K) of the covariance of a Matern 5/2 process at points (K,)."""
-    return np.asarray(np.linalg.cholesky(matern_covariance(points, length) + JITTER * np.eye(len(points))))
+def matern_root(points: Array, length: float, smoothness: float = 2.5) -> Array:
+    """Root L (K, K) of the covariance of a Matern process at points (K,)."""
+    return np.asarray(np.linalg.cholesky(matern_covariance(points, length, smoothness) + JITTER * np.eye(len(points))))
 
 
 @dataclass(frozen=True)

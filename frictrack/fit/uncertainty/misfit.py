@@ -45,6 +45,7 @@ from frictrack.records import Array
 KNOTS = {"x": 60, "v": 40}  # knots of a force that all runs share
 MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # knots of independent forces: over all pieces; per piece
 CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # correlation lengths of the force, share of the axis
+SMOOTHNESS = 1.5  # of the force: its slope may jump, as at an edge; a smoother one would promise too much
 MAX_TRACE = 100.0  # standard deviations of noise; a larger force would not leave the motion as it was linearised
 MIN_EVIDENCE_SHARE = 0.5  # share of the best evidence; less plausible axes are ignored
 MIN_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
@@ -192,7 +193,7 @@ def _force_bases(solution: Solution) -> Iterator[tuple[str, _Forces, list[Array]
 
 
 def _roots(count: int) -> list[Array]:
-    return [matern_root(np.linspace(0.0, 1.0, count), length) for length in CORRELATION_LENGTHS]
+    return [matern_root(np.linspace(0.0, 1.0, count), length, SMOOTHNESS) for length in CORRELATION_LENGTHS]
 
 
 def _motion_at_nodes(solution: Solution, response: PieceResponse) -> tuple[Array, Array, Array, Array]:
