@@ -22,7 +22,7 @@ from frictrack.fit.linearised import (
     measured_series,
     scan_candidate,
 )
-from frictrack.fit.linearised.gains import _inverse_root
+from frictrack.fit.linearised.scan import _inverse_root
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.fit.stepwise import baseline_misfit, deepen_trials, misfit_left_by_other, simulate_trial, try_effect

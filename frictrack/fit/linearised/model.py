@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Effect, Path
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.linearised.stacked_pieces import ForceMap, stack_blocks
@@ -28,6 +27,7 @@ from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
+Float32Array = NDArray[np.float32]
 
 
 @dataclass(eq=False)
@@ -399,16 +399,47 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
     return replace(path, t=t, x=x, v=v, s=s, **read)
 
 
-def columns_one_by_one(piece: LinearisedPiece, effect: Effect, points: Mapping[str, Array], count: int) -> Array:
-    """Compute columns (count, k, m) one individual at a time; zero where a user's formula is not finite."""
-    out = []
-    for i in range(count):  # only some individuals are invalid
-        try:
-            out.append(piece.columns(effect, {k: _value_of(v, i) for k, v in points.items()}, 1)[0])
-        except FrictrackError:
-            out.append(np.zeros((len(effect.linear), len(piece.path.t))))
-    return np.stack(out)
+@dataclass(eq=False)
+class ScannedSeries:
+    """Whitened data series to scan; the first one is measured.
+
+    Attributes
+    ----------
+    measured : array of shape (N,)
+        The measured series.
+    residuals : array of shape (N, D), float32
+        What the refitted model leaves of every series, at its own scatter of the levels.
+    coordinates : array of shape (L, D)
+        Coordinates of the series in the pieces' bases.
+    taus : array of shape (T,)
+        The considered scatters of the levels.
+    residual_projectors : list of array of shape (L, L)
+        For every scatter, the projector on what the model leaves.
+    groups : list of slice
+        The series whose own estimate each scatter is.
+    profile : array of shape (T, D)
+        Restricted likelihood of the model alone at the T scatters.
+    kept : dict
+        What scans of several grids share: products of plain waves in time, and what couples the runs.
+
+    """
+
+    measured: Array
+    residuals: Float32Array
+    coordinates: Array
+    taus: Array
+    residual_projectors: list[Array]
+    groups: list[slice]
+    profile: Array
+    kept: dict[Any, Any] = field(default_factory=dict, repr=False)
 
 
-def _value_of(value: Any, i: int) -> float:
-    return float(value[i if len(value) > 1 else 0]) if isinstance(value, np.ndarray) else float(value)
+def measured_series(law: LinearisedModel) -> ScannedSeries:
+    """Return the measured data alone, at the fitted scatter of the levels."""
+    data = law.solution.random_effect_data()
+    tau, coordinates = law.solution.tau, law.coordinates(data[:, None])
+    left = data[:, None] - law.basis.u @ law.fitted_coordinates(coordinates, tau)
+    projectors = [law.residual_projector(tau)]
+    return ScannedSeries(
+        data, left.astype(np.float32), coordinates, np.array([tau]), projectors, [slice(0, 1)], np.zeros((1, 1))
+    )
