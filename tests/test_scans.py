@@ -65,7 +65,7 @@ def test_gains_of_draws_are_those_of_all_runs_in_one_least_squares_problem(ensem
     for i, block in zip(grid.members, grid.block, strict=True):
         piece, mine = law.pieces[i], slice(block * grid.k, (block + 1) * grid.k)
         raw = grid.raw_columns(piece, grid.values)[0]
-        rows[law.rows[i], mine] = piece.without_start(piece.whitened_rows(raw, grid.effect.acts_on == "measurement")).T
+        rows[law.rows[i], mine] = piece.data_of(raw, grid.effect.acts_on == "measurement").T
     u, gains = law.basis.u, []
     draws = _series_written_out(ensemble)
     for tau, profile in zip(series.taus, series.profile, strict=True):

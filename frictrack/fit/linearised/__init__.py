@@ -12,11 +12,11 @@ from frictrack.fit.linearised.measured_motion import is_linearised_about_measure
 from frictrack.fit.linearised.model import (
     Float32Array,
     LinearisedModel,
-    LinearisedPiece,
     ScannedSeries,
     linearise,
     measured_series,
 )
+from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.fit.linearised.scan import MIN_UNEXPLAINED_SHARE, CandidateScan, scan_candidate, scan_candidates
 
 __all__ = [

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Span, Tie
 from frictrack.errors import FrictrackError
-from frictrack.fit.linearised.model import Float32Array, LinearisedModel, LinearisedPiece, ScannedSeries
+from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
+from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.records import Array
 
 QUADRATURES = (0.0, np.pi / 2)

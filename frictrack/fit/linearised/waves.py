@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.fit.linearised.columns import CandidateGrid, ColumnProducts, column_products
-from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, ScannedSeries
+from frictrack.fit.linearised.model import LinearisedModel, ScannedSeries
+from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.records import Array
 
 OVERSAMPLING = 1.5  # plain waves per cell 1/U
