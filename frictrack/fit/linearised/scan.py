@@ -230,9 +230,8 @@ class _Absorption:
             yield slice(0, 1), self._bounded(root @ measured)
         draws = slice(max(at.start, 1), at.stop)
         products = own.draws[:, :, draws.start - 1 : draws.stop - 1]
-        rest = projected[:, draws.start - at.start :].astype(np.float32)
-        products = products + (unit.reshape(-1, len(rows)).astype(np.float32) @ rest).reshape(products.shape)
-        single = root.astype(np.float32)
+        rest = unit.reshape(-1, len(rows)) @ projected[:, draws.start - at.start :]  # terms may cancel: in double
+        products, single = products + rest.astype(np.float32).reshape(products.shape), root.astype(np.float32)
         products = single * products if root.shape[2] == 1 else single @ products
         yield slice(draws.start - at.start, None), self._bounded(products)
 
