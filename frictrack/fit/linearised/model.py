@@ -178,6 +178,12 @@ class ScannedSeries:
     profile: Array
     kept: dict[Any, Any] = field(default_factory=dict, repr=False)
 
+    def projected(self, t: int) -> Array:
+        """Return what the model leaves of the coordinates of all series at one scatter of the levels, (L, D)."""
+        if ("projected", t) not in self.kept:
+            self.kept["projected", t] = self.residual_projectors[t] @ self.coordinates
+        return np.asarray(self.kept["projected", t])
+
 
 def measured_series(law: LinearisedModel) -> ScannedSeries:
     """Return the measured data alone, at the fitted scatter of the levels."""

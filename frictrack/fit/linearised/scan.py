@@ -177,63 +177,62 @@ class _Absorption:
     """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them.
 
     A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every other
-    is evaluated for each series at its own scatter.
+    is evaluated for each series at its own scatter. The views say at which of the T scatters which series are seen.
     """
 
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
-        self._series, self._limits = series, _sign_limits(grid.low, grid.high)
+        self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
         self.rows = [coordinate_rows(law, block) for block in grid.blocks]
-        count = len(series.coordinates[0])
-        every = len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER
-        columns = {t: slice(0, count) if every else own for t, own in enumerate(series.groups)}
-        self._columns = {t: own for t, own in columns.items() if own.stop > own.start}
-        self._projected = {
-            t: series.residual_projectors[t] @ series.coordinates[:, own] for t, own in self._columns.items()
-        }
-        parts = [_block_parts(law, series, self.rows, t) for t in self._columns]
+        self._all = slice(0, series.profile.shape[1])
+        self._is_small = len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER
+        groups = dict.fromkeys(range(len(series.taus)), self._all) if self._is_small else dict(enumerate(series.groups))
+        used = sorted((own.start, own.stop, t) for t, own in groups.items() if own.stop > own.start)  # measured first
+        self._views = [(t, slice(start, stop)) for start, stop, t in used]
+        self._projected = [series.projected(t)[:, columns] for t, columns in self._views]
+        parts = [_block_parts(law, series, self.rows, t) for t, _ in self._views]
         self._left = [np.stack(own) for own in zip(*(left for left, _ in parts), strict=True)]
         self._shared = _padded([shared for _, shared in parts])
 
     def gains(self, parts: Sequence[ColumnProducts]) -> Array:
         """Gains (g, D) of the columns of all blocks at some grid points."""
         shape = len(parts[0].data), self._shared.shape[2]
-        squares = {t: np.zeros((shape[0], own.stop - own.start)) for t, own in self._columns.items()}
-        across = {t: np.zeros((*shape, own.stop - own.start)) for t, own in self._columns.items()}
-        within = np.zeros((len(self._columns), shape[0], shape[1], shape[1]))
+        squares = [np.zeros((shape[0], own.shape[1])) for own in self._projected]
+        across = [np.zeros((*shape, own.shape[1])) for own in self._projected]
+        within, coupled = np.zeros((len(self._views), *shape, shape[1])), np.zeros(shape[0], dtype=bool)
         for own, rows, left in zip(parts, self.rows, self._left, strict=True):
             roots = whitener(own.schur(left), own.squares)
             shared = roots @ (own.coordinates @ self._shared[:, None, rows])  # T'w of the identity is shared' w
-            is_coupled = bool(np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE))
-            for i, t in enumerate(self._columns):
-                for columns, products in self._whitened(t, roots[i], own, rows):
-                    squares[t][:, columns] += np.einsum("gkd,gkd->gd", products, products)
-                    if is_coupled:
-                        across[t][:, :, columns] += shared[i].transpose(0, 2, 1) @ products
-            if is_coupled:
+            here = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
+            for i, (_, columns) in enumerate(self._views):
+                for part, products in self._whitened(roots[i], own, columns, self._projected[i][rows]):
+                    squares[i][:, part] += np.einsum("gkd,gkd->gd", products, products)
+                    if here.any():
+                        across[i][:, :, part] += shared[i].transpose(0, 2, 1) @ products
+            if here.any():
+                coupled |= here
                 within += shared.transpose(0, 1, 3, 2) @ shared
-        least = np.full((shape[0], self._series.profile.shape[1]), np.inf)
-        for i, (t, columns) in enumerate(self._columns.items()):
-            if within[i].any():
-                root = _inverse_root(np.eye(shape[1]) * (1 + MIN_UNEXPLAINED_SHARE) - within[i])
-                squares[t] += np.sum((root @ across[t]) ** 2, axis=1)
-            least[:, columns] = np.minimum(least[:, columns], self._series.profile[t, columns] - squares[t])
-        return np.asarray(self._series.profile.min(axis=0) - least)
+        least = np.full((shape[0], self._profile.shape[1]), np.inf)
+        for i, (t, columns) in enumerate(self._views):
+            if coupled.any():
+                root = _inverse_root(np.eye(shape[1]) * (1 + MIN_UNEXPLAINED_SHARE) - within[i, coupled])
+                squares[i][coupled] += np.sum((root @ across[i][coupled]) ** 2, axis=1)
+            least[:, columns] = np.minimum(least[:, columns], self._profile[t, columns] - squares[i])
+        return np.asarray(self._profile.min(axis=0) - least)
 
     def _whitened(
-        self, t: int, root: Array, own: ColumnProducts, rows: NDArray[np.int_]
+        self, root: Array, own: ColumnProducts, columns: slice, projected: Array
     ) -> Iterator[tuple[slice, Array | Float32Array]]:
-        """Whitened products (g, k, d) with the measured series, with all digits, and with the draws at a scatter."""
-        at, projected = self._columns[t], self._projected[t][rows]
+        """Whitened products (g, k, d) with the measured series, with all digits, and with the draws of a view."""
         unit, root = own.coordinates / own.size[:, :, None], root * own.size[:, None, :]
-        if at.start == 0:
+        count = int(columns.start == 0)
+        if count:
             measured = (own.data / own.size)[:, :, None] + unit @ projected[:, :1]
             yield slice(0, 1), self._bounded(root @ measured)
-        draws = slice(max(at.start, 1), at.stop)
-        products = own.draws[:, :, draws.start - 1 : draws.stop - 1]
-        rest = unit.reshape(-1, len(rows)) @ projected[:, draws.start - at.start :]  # terms may cancel: in double
+        rest = unit.reshape(-1, unit.shape[2]) @ projected[:, count:]  # terms may cancel: in double precision
+        products = own.draws[:, :, columns.start + count - 1 : columns.stop - 1]
         products, single = products + rest.astype(np.float32).reshape(products.shape), root.astype(np.float32)
         products = single * products if root.shape[2] == 1 else single @ products
-        yield slice(draws.start - at.start, None), self._bounded(products)
+        yield slice(count, None), self._bounded(products)
 
     def _bounded(self, products: Array | Float32Array) -> Array | Float32Array:
         return products if self._limits == (-np.inf, np.inf) else products.clip(*self._limits)
