@@ -48,7 +48,7 @@ class ScanGrid:
     @cached_property
     def steps(self) -> NDArray[np.int_]:
         """Grid indices of the points, (G, d)."""
-        return np.stack(np.unravel_index(np.arange(len(self.values)), self.shape), axis=1)
+        return np.array(list(product(*map(range, self.shape))))
 
     def nearest(self, values: Array) -> int:
         """Return the grid point nearest to values (d,)."""
