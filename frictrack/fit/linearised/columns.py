@@ -17,6 +17,8 @@ from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.records import Array
 
 QUADRATURES = (0.0, np.pi / 2)
+MIN_STEPS = 8  # columns from which it is worth a look whether they are equal but in few frames
+MIN_LEFT_SHARE = 1e-3  # of the size of columns, outside the basis, from which float32 products of whole columns do
 MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
 
 
@@ -220,7 +222,7 @@ class ColumnProducts:
         return np.asarray(self.gram + left @ own.transpose(0, 2, 1))
 
     @classmethod
-    def along(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
+    def of_pieces(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
         """Add the products along several pieces, whose columns have the same coefficients."""
         if len(parts) == 1:
             return parts[0]
@@ -242,18 +244,40 @@ class ColumnProducts:
         return replace(self, draws=self.draws[:, :, :0])
 
 
-def column_products(left: Array, coordinates: Array, k: int, series: ScannedSeries, frames: slice) -> ColumnProducts:
-    """Products of columns along one piece from their remainders (g k, n) and coordinates (g k, L_b) in its basis."""
+def column_products(
+    piece: LinearisedPiece, whitened: Array, k: int, series: ScannedSeries, frames: slice
+) -> ColumnProducts:
+    """Compute the products of whitened columns (g k, n) along one piece."""
+    left, coordinates = piece.split(whitened)
     columns = left.reshape(-1, k, left.shape[1])
     gram = columns @ columns.transpose(0, 2, 1)
     squares = np.einsum("gkk->gk", gram)
     size = np.sqrt(np.where(squares > MIN_COLUMN_SQUARE, squares, 1.0))  # smaller ones gain nothing
-    unit = (left / size.reshape(-1, 1)).astype(np.float32)
-    draws: Float32Array = unit @ series.residuals[frames, 1:]
-    return ColumnProducts(
-        gram, columns @ series.measured[frames], coordinates.reshape(*size.shape, -1), size,
-        draws.reshape(*size.shape, -1),
-    )  # fmt: skip
+    data, draws = columns @ series.measured[frames], series.residuals[frames, 1:]
+    products = _step_products(piece, whitened, size.ravel(), draws)
+    if products is None:
+        products = (left / size.reshape(-1, 1)).astype(np.float32) @ draws
+    shape = *size.shape, -1
+    return ColumnProducts(gram, data, coordinates.reshape(shape), size, products.reshape(shape))
+
+
+def _step_products(piece: LinearisedPiece, whitened: Array, size: Array, draws: Float32Array) -> Float32Array | None:
+    """Products (C, D) of remainders, over their size, of columns that are equal but in few frames, such as steps.
+
+    The equal part is multiplied once. None for other columns, or where little of them is outside the basis.
+    """
+    if 2 * np.count_nonzero(whitened[0] != whitened[-1]) > whitened.shape[1] or len(whitened) < MIN_STEPS:
+        return None
+    differing = np.flatnonzero(np.any(whitened != whitened[0], axis=0))
+    window = slice(int(differing[0]), int(differing[-1]) + 1) if len(differing) else slice(0, 0)
+    too_long = 2 * (window.stop - window.start) > whitened.shape[1]
+    if too_long or size.min() < MIN_LEFT_SHARE * np.linalg.norm(whitened[[0, -1]], axis=1).max():
+        return None
+    rows = np.concatenate([whitened[:1], -piece.basis.T]).astype(np.float32) @ draws
+    weights = np.column_stack([np.ones(len(whitened)), whitened @ piece.basis]) / size[:, None]
+    changes = (whitened[:, window] - whitened[0, window]) / size[:, None]
+    products: Float32Array = weights.astype(np.float32) @ rows + changes.astype(np.float32) @ draws[window]
+    return products
 
 
 @dataclass(frozen=True, eq=False)

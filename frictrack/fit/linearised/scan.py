@@ -130,7 +130,7 @@ def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSer
         Gains and products of all grid points.
 
     """
-    absorption, products = _Absorption(law, grid, series), _products_along_blocks(law, grid, series)
+    absorption, products = _Absorption(law, grid, series), _products_of_blocks(law, grid, series)
     gains, max_gains, kept = [], np.full(series.profile.shape[1], -np.inf), []
     for points in _parts(law, grid):
         parts = [of_block(points) for of_block in products]
@@ -153,22 +153,22 @@ def _parts(law: LinearisedModel, grid: CandidateGrid) -> Iterator[slice]:
             yield slice(at, min(at + at_once, first + line))
 
 
-def _products_along_blocks(
+def _products_of_blocks(
     law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries
 ) -> list[Callable[[slice], ColumnProducts]]:
     """What computes the products of the columns of every block at some grid points."""
 
-    def along(i: int) -> Callable[[slice], ColumnProducts]:
+    def of_piece(i: int) -> Callable[[slice], ColumnProducts]:
         piece = law.pieces[i]
         if are_sums_of_waves(grid, piece):
             return WaveProducts(law, grid, i, series)
         return lambda points: column_products(
-            *piece.split(grid.whitened_columns(piece, grid.values[points])), grid.k, series, law.rows[i]
+            piece, grid.whitened_columns(piece, grid.values[points]), grid.k, series, law.rows[i]
         )
 
     def together(block: list[int]) -> Callable[[slice], ColumnProducts]:
-        pieces = [along(i) for i in block]
-        return lambda points: ColumnProducts.along([of_piece(points) for of_piece in pieces])
+        pieces = [of_piece(i) for i in block]
+        return lambda points: ColumnProducts.of_pieces([products_at(points) for products_at in pieces])
 
     return [together(block) for block in grid.blocks]
 
@@ -189,6 +189,7 @@ class _Absorption:
         used = sorted((own.start, own.stop, t) for t, own in groups.items() if own.stop > own.start)  # measured first
         self._views = [(t, slice(start, stop)) for start, stop, t in used]
         self._projected = [series.projected(t)[:, columns] for t, columns in self._views]
+        self._at_own = np.hstack(self._projected)
         parts = [_block_parts(law, series, self.rows, t) for t, _ in self._views]
         self._left = [np.stack(own) for own in zip(*(left for left, _ in parts), strict=True)]
         self._shared = _padded([shared for _, shared in parts])
@@ -196,13 +197,21 @@ class _Absorption:
     def gains(self, parts: Sequence[ColumnProducts]) -> Array:
         """Gains (g, D) of the columns of all blocks at some grid points."""
         shape = len(parts[0].data), self._shared.shape[2]
-        squares = [np.zeros((shape[0], own.shape[1])) for own in self._projected]
+        at_own = np.zeros((shape[0], self._profile.shape[1]))
+        squares = [np.zeros(at_own.shape) if self._is_small else at_own[:, own] for _, own in self._views]
         across = [np.zeros((*shape, own.shape[1])) for own in self._projected]
         within, coupled = np.zeros((len(self._views), *shape, shape[1])), np.zeros(shape[0], dtype=bool)
         for own, rows, left in zip(parts, self.rows, self._left, strict=True):
             roots = whitener(own.schur(left), own.squares)
             shared = roots @ (own.coordinates @ self._shared[:, None, rows])  # T'w of the identity is shared' w
             here = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
+            spread = 2 * np.abs(roots - roots[0]).max(axis=(0, 2, 3)) - MAX_NEGLECTED_SHARE * np.abs(roots[0]).max(
+                axis=(1, 2)
+            )
+            if not self._is_small and not here.any() and np.all(spread <= 0):
+                for part, products in self._whitened(roots[0], own, self._all, self._at_own[rows]):
+                    at_own[:, part] += np.einsum("gkd,gkd->gd", products, products)
+                continue
             for i, (_, columns) in enumerate(self._views):
                 for part, products in self._whitened(roots[i], own, columns, self._projected[i][rows]):
                     squares[i][:, part] += np.einsum("gkd,gkd->gd", products, products)

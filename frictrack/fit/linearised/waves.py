@@ -33,7 +33,7 @@ MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
 MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
 MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
 MAX_PLAIN = 400  # whose Gram matrix is held
-MAX_PLAIN_SAMPLES = 2_500_000  # of plain waves held at once
+MAX_PLAIN_SAMPLES = 1_500_000  # of plain waves held at once
 MAX_PRODUCTS_KEPT = 10_000_000  # of plain waves with the draws, over all pieces
 SAMPLES_AT_ONCE = 60_000  # that fit into the cache
 
@@ -175,21 +175,19 @@ class WaveProducts:
 
     def _products(self, numbers: slice) -> ColumnProducts:
         """Products of all sines and cosines, one after the other, with the envelope."""
-        u, n, count = self._frame.u, len(self._series.measured[self._law.rows[self._i]]), numbers.stop - numbers.start
-        left = np.empty((2 * count, n))
-        coordinates = np.empty((2 * count, self._piece.basis.shape[1] - self._piece.starts))
-        step = np.exp(2j * np.pi * self._frame.spacing * u)
-        at_once = max(1, SAMPLES_AT_ONCE // (2 * len(u)))
-        for first in range(0, count, at_once):
-            own = slice(first, min(first + at_once, count))
-            wave = self._envelope * np.exp(2j * np.pi * self._frame.spacing * (numbers.start + first) * u)
-            columns = np.empty((own.stop - own.start, 2, len(u)))
+        u, spacing, frames = self._frame.u, self._frame.spacing, self._law.rows[self._i]
+        whitened = np.empty((2 * (numbers.stop - numbers.start), frames.stop - frames.start))
+        step, at_once = np.exp(2j * np.pi * spacing * u), max(1, SAMPLES_AT_ONCE // (2 * len(u)))
+        for first in range(numbers.start, numbers.stop, at_once):
+            columns = np.empty((min(at_once, numbers.stop - first), 2, len(u)))
+            wave = self._envelope * np.exp(2j * np.pi * spacing * first * u)
             for column in columns:
                 column[0], column[1] = wave.imag, wave.real
                 wave = wave * step
             rows = self._piece.whitened_rows(columns.reshape(-1, len(u)), self._grid.effect.acts_on == "measurement")
-            left[2 * own.start : 2 * own.stop], coordinates[2 * own.start : 2 * own.stop] = self._piece.split(rows)
-        return column_products(left, coordinates, 2 * count, self._series, self._law.rows[self._i])
+            at = 2 * (first - numbers.start)
+            whitened[at : at + len(rows)] = rows
+        return column_products(self._piece, whitened, len(whitened), self._series, frames)
 
 
 def _coordinate(grid: CandidateGrid, piece: LinearisedPiece, g: int) -> Array:

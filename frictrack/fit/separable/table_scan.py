@@ -60,9 +60,9 @@ class ScanGrid:
         cube = heights.reshape(self.shape)
         is_peak = cube >= least
         for axis in range(cube.ndim):
-            along, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
-            along[1:] &= rise >= 0
-            along[:-1] &= rise <= 0
+            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
+            peak[1:] &= rise >= 0
+            peak[:-1] &= rise <= 0
         found = np.flatnonzero(is_peak)
         return found[np.argsort(-heights[found], kind="stable")]
 
