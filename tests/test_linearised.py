@@ -22,7 +22,7 @@ from frictrack.fit.linearised import (
     measured_series,
     scan_candidate,
 )
-from frictrack.fit.linearised.gains import _inverse_root
+from frictrack.fit.linearised.scan import _inverse_root
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.pieces import pieces_of
 from frictrack.fit.stepwise import baseline_misfit, deepen_trials, misfit_left_by_other, simulate_trial, try_effect
@@ -100,9 +100,7 @@ class TestScan:
             strip = law.pieces[i]
             raw = family.raw_columns(strip, family.values[g : g + 1])[0]
             mine = slice(block * family.k, (block + 1) * family.k)
-            rows[law.rows[i], mine] = strip.without_start(
-                strip.whitened_rows(raw, family.effect.acts_on == "measurement")
-            ).T
+            rows[law.rows[i], mine] = strip.data_of(raw, family.effect.acts_on == "measurement").T
         data, u = law.solution.random_effect_data(), law.basis.u
         shrink = law.basis.shrink(law.solution.tau)
         metric = np.eye(len(u)) - u @ shrink @ u.T  # what the law, its levels held, leaves of data

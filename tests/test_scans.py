@@ -19,11 +19,10 @@ from frictrack.fit.linearised import (
     candidate_grids,
     linearise,
     measured_series,
-    products,
     scan_candidate,
     scan_candidates,
 )
-from frictrack.fit.linearised.wave_nodes import WaveNodes
+from frictrack.fit.linearised.waves import WaveFrame
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.06), Spec(3.5, 1, 0.07))
@@ -47,7 +46,7 @@ def test_interpolated_waves_gain_what_waves_computed_at_every_frequency_gain(ens
     effect, every = effects.get(name), replace(effects.get(name), scan_wave=None)
     fast, slow = (_scan(ensemble, e) for e in (effect, every))
     np.testing.assert_allclose(fast.gains, slow.gains, rtol=2e-3, atol=2e-2)
-    assert ensemble.series.waves or name == "texture"  # plain waves in time are shared by effects
+    assert (0, effect.acts_on) in ensemble.series.kept or name == "texture"  # plain waves in time are shared by effects
     np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-3)
     left = ensemble.unbounded_projector
     np.testing.assert_allclose(fast.schur(left), slow.schur(left), rtol=0, atol=2e-3 * np.abs(slow.schur(left)).max())
@@ -66,7 +65,7 @@ def test_gains_of_draws_are_those_of_all_runs_in_one_least_squares_problem(ensem
     for i, block in zip(grid.members, grid.block, strict=True):
         piece, mine = law.pieces[i], slice(block * grid.k, (block + 1) * grid.k)
         raw = grid.raw_columns(piece, grid.values)[0]
-        rows[law.rows[i], mine] = piece.without_start(piece.whitened_rows(raw, grid.effect.acts_on == "measurement")).T
+        rows[law.rows[i], mine] = piece.data_of(raw, grid.effect.acts_on == "measurement").T
     u, gains = law.basis.u, []
     draws = _series_written_out(ensemble)
     for tau, profile in zip(series.taus, series.profile, strict=True):
@@ -100,7 +99,8 @@ def test_grids_scanned_together_gain_what_each_gains_alone(ensemble):
         assert found.grid is grid
         np.testing.assert_allclose(found.gains, alone.gains, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(found.max_gains, alone.max_gains, rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(found.gram, alone.gram, rtol=1e-6, atol=1e-9 * np.abs(alone.gram).max())
+        for own, other in zip(found.products, alone.products, strict=True):
+            np.testing.assert_allclose(own.gram, other.gram, rtol=1e-6, atol=1e-9 * np.abs(other.gram).max())
         left, data, g = ensemble.unbounded_projector, ensemble.series.coordinates[:, 0], int(np.argmax(alone.gains))
         np.testing.assert_allclose(found.coefficients(g, left, data), alone.coefficients(g, left, data), rtol=1e-4)
 
@@ -130,12 +130,12 @@ def _scan(ensemble, effect):
 def test_sums_of_plain_waves_are_the_waves(decay):
     u = np.sort(np.random.default_rng(2).uniform(0.3, 0.8, 400))
     envelope, q = np.exp(-decay * (u - 0.3) / 0.5), np.linspace(5.0, 90.0, 130)
-    nodes = WaveNodes(u, np.arange(5.0 - 40, 90.0 + 40, 1 / (1.5 * np.ptp(u))))
-    sums = nodes.sums(envelope, q)
+    frame = WaveFrame(u)
+    sums = frame.sums(envelope)
     assert sums is not None
-    plain, found = nodes.columns(1.0), np.empty((len(q), 2, len(u)))
-    for part, near, weights in sums.chunks():
-        found[part] = (weights @ plain[2 * near.start : 2 * near.stop]).reshape(-1, 2, len(u))
+    used, weights = frame.weights(sums, q)
+    plain = np.exp(2j * np.pi * frame.spacing * np.outer(np.arange(used.start, used.stop), u))
+    found = weights @ np.stack([plain.imag, plain.real], axis=1).reshape(-1, len(u))
     phase = 2 * np.pi * np.outer(q, u)
     np.testing.assert_allclose(found[:, 0], envelope * np.sin(phase), atol=1e-4)
     np.testing.assert_allclose(found[:, 1], envelope * np.cos(phase), atol=1e-4)
@@ -143,16 +143,7 @@ def test_sums_of_plain_waves_are_the_waves(decay):
 
 def test_an_envelope_with_a_step_is_no_sum_of_plain_waves():
     u = np.linspace(0.0, 1.0, 300)
-    nodes = WaveNodes(u, np.arange(0.0, 60.0, 1 / 1.5))
-    assert nodes.sums(np.sign(u - 0.4), np.linspace(20.0, 30.0, 40)) is None
-
-
-def test_lost_frames_gain_what_their_columns_written_out_gain(ensemble, monkeypatch):
-    grid = candidate_grids(ensemble.law, effects.get("dropped_frame"))[0]
-    fast = scan_candidate(ensemble.law, grid, ensemble.series)
-    monkeypatch.setattr(products, "_window_of_differences", lambda columns, reference, left: None)
-    slow = scan_candidate(ensemble.law, grid, ensemble.series)
-    np.testing.assert_allclose(fast.max_gains, slow.max_gains, rtol=1e-4)
+    assert WaveFrame(u).sums(np.sign(u - 0.4)) is None
 
 
 @pytest.mark.parametrize("name", ["presliding", "friction_lag"])

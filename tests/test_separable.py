@@ -352,7 +352,7 @@ def test_neighbours_of_what_one_run_alone_has_are_those_of_its_own_rows():
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((3, 5)).astype(np.float32)  # three forms of one column
     table = ScanTable(
-        ScanGrid((), np.zeros((3, 0)), np.zeros((3, 0), int)),
+        ScanGrid(("x",), (np.arange(3.0),)),
         [rows, np.zeros((0, 4), np.float32)],
         [np.array([0]), np.array([], int)],
         np.sum(rows**2, axis=1)[:, None, None],

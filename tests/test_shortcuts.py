@@ -22,7 +22,6 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.linearised import candidate_grids, linearise
 from frictrack.fit.observations import keep_compared_frames, weight_by_noise
-from frictrack.fit.stepwise.growth import _trial_min_fall
 from frictrack.simulate.dynamics.linear_response import _invert_3x3
 
 MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]
@@ -126,8 +125,3 @@ def test_waves_from_the_edges_of_panels_are_traced_as_from_the_nodes(slide):
     error /= np.linalg.norm(whole, axis=1)
     radians = 2 * np.pi * f / 2000.0  # between two frames; a cubic errs by the fourth power
     assert np.all(error < 1e-5 + 0.04 * radians**4)
-
-
-def test_a_trial_goes_to_its_end_where_little_is_left_and_stops_early_where_much_is():
-    assert _trial_min_fall(1000.0, 1000) == 0.1
-    assert _trial_min_fall(1e8, 1000) == pytest.approx(1.0, rel=1e-3)

@@ -195,7 +195,7 @@ def curve_length(parts: Sequence[tuple[Array, float]], norms: Array) -> float:
 
 def force_traces(piece: LinearisedPiece, forces: Array) -> Array:
     """Traces (k, n) in one piece, start projected out, of forces (k, m) along its path, N."""
-    return piece.without_start(piece.whitened_rows(forces, False))
+    return piece.data_of(forces, is_measurement=False)
 
 
 def bump_grid(law: ModelProjection, pieces: Sequence[LinearisedPiece], bumps: list[Bump]) -> BumpGrid:

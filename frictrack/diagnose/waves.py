@@ -116,8 +116,8 @@ class WaveScan:
         grid, series = grids[0], measured_series(self.model)
         scan, projector = scan_candidate(self.model, grid, series), series.residual_projectors[0]
         left = projector @ series.coordinates[:, 0]
-        pairs = zip(scan.coordinates, scan.coordinate_rows, strict=True)
-        products = scan.data_products + np.stack([own @ left[rows] for own, rows in pairs], axis=1)  # (G, B, 2)
+        pairs = zip(scan.products, scan.rows, strict=True)
+        products = np.stack([own.data + own.coordinates @ left[rows] for own, rows in pairs], axis=1)  # (G, B, 2)
         sizes = np.linalg.pinv(scan.schur(projector), rcond=1e-6, hermitian=True) @ products[..., None]
         amplitudes = sizes[..., 0].transpose(1, 0, 2)
         gains = np.sum(amplitudes * products.transpose(1, 0, 2), axis=2)

@@ -1,12 +1,23 @@
 """Linearise a fitted model about the measured motion, and scan a candidate effect on it."""
 
-from frictrack.fit.linearised.gains import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE
-from frictrack.fit.linearised.grid import CandidateGrid, candidate_grids, has_per_run_coefficients
+from frictrack.fit.linearised.columns import (
+    MIN_COLUMN_SQUARE,
+    CandidateGrid,
+    candidate_grids,
+    has_per_run_coefficients,
+    products_of_grids,
+    scan_points,
+)
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
-from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
-from frictrack.fit.linearised.scan import CandidateScan, scan_candidate, scan_candidates
-from frictrack.fit.linearised.series import Float32Array, ScannedSeries, measured_series
-from frictrack.fit.linearised.small_grids import products_of_grids
+from frictrack.fit.linearised.model import (
+    Float32Array,
+    LinearisedModel,
+    ScannedSeries,
+    linearise,
+    measured_series,
+)
+from frictrack.fit.linearised.pieces import LinearisedPiece
+from frictrack.fit.linearised.scan import MIN_UNEXPLAINED_SHARE, CandidateScan, scan_candidate, scan_candidates
 
 __all__ = [
     "MIN_COLUMN_SQUARE",
@@ -26,4 +37,5 @@ __all__ = [
     "products_of_grids",
     "scan_candidate",
     "scan_candidates",
+    "scan_points",
 ]

@@ -5,47 +5,54 @@ the fitted model. Phases enter as two quadratures with free coefficients; a modi
 depth one. The gain is the fall of chi-squared after the whole linearised model has been fitted again, friction levels
 held by their scatter.
 
+The model leaves W = I - U S U' of a column, U its orthonormal basis and S the shrinkage by the scatter of the friction
+levels. The levels belong to single runs, and all other parameters of the model are few: so W is one small matrix per
+run less a product T T' of few columns. With whitened products w of the runs, the gain of a candidate with coefficients
+per run is |w|^2 + (T'w)' (1 - T'T)^-1 (T'w) (Woodbury's identity).
+
 References
 ----------
 Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, section 2.1.4.
 
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.fit.linearised.gains import GridGains, sign_limits, whitener
-from frictrack.fit.linearised.grid import CandidateGrid
-from frictrack.fit.linearised.model import LinearisedModel
-from frictrack.fit.linearised.products import block_sums
-from frictrack.fit.linearised.series import ScannedSeries, coordinate_rows
-from frictrack.fit.linearised.small_grids import SmallGrids, in_batches, is_small, products_of_grids
-from frictrack.fit.linearised.wave_nodes import constant_waves
+from frictrack.fit.linearised.columns import MIN_COLUMN_SQUARE, CandidateGrid, ColumnProducts, column_products
+from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
+from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves
 from frictrack.records import Array
 from frictrack.threads import map_in_threads
+
+MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
+MAX_NEGLECTED_SHARE = 1e-4  # of a gain, as in sums of plain waves, by a column that runs share
+MAX_ABSORBED_LEFT = 10 * MAX_NEGLECTED_SHARE  # of a shared direction that is absorbed but for what was neglected
+MIN_SHARED_SHARE = 1e-11  # of a unit column; what several runs share and is smaller is rounding
+MAX_COLUMNS_EVERY_SCATTER = 200  # of a grid that is evaluated at every scatter of the levels
+SAMPLES_AT_ONCE = 60_000  # of columns, so that they fit into the cache
+MIN_POINTS_AT_ONCE = 16  # from which products with many series are not limited by the memory
+WAVES_AT_ONCE = 48
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateScan:
-    """The scan of a candidate grid: its rows beside the model, and their products with the data.
+    """The scan of a candidate grid: the products of its columns with model and data, and its gains.
 
     Attributes
     ----------
     grid : CandidateGrid
         The G points.
-    gram : array of shape (G, B, k, k)
-        Gram matrices of the columns of every block of runs, outside the bases of the pieces.
-    coordinates : list of array of shape (G, k, L_b)
-        For every block, coordinates of the columns in the pieces' bases.
-    coordinate_rows : list of array of shape (L_b,)
-        Which of all L coordinates these are.
-    data_products : array of shape (G, B, k)
-        Products of these remainders with the data.
+    products : list of ColumnProducts
+        For every block of runs, the products of its columns with the model and the measured series.
+    rows : list of array of shape (L_b,)
+        For every block, which of all L coordinates it has.
     gains : array of shape (G,)
         Fall of chi-squared of the data.
     max_gains : array of shape (D,)
@@ -54,27 +61,23 @@ class CandidateScan:
     """
 
     grid: CandidateGrid
-    gram: Array
-    coordinates: list[Array]
-    coordinate_rows: list[NDArray[np.int_]]
-    data_products: Array
+    products: list[ColumnProducts]
+    rows: list[NDArray[np.int_]]
     gains: Array
     max_gains: Array
 
     @property
     def squares(self) -> Array:
         """Squares of the columns of every block, starts projected out, (G, B, k)."""
-        known = [np.einsum("gkl,gkl->gk", mine, mine) for mine in self.coordinates]
-        return np.asarray(np.einsum("gbkk->gbk", self.gram) + np.stack(known, axis=1))
+        return np.stack([own.squares for own in self.products], axis=1)
 
     def schur(self, projector: Array) -> Array:
         """Compute the Gram matrices (G, B, k, k) of every block alone with the model projected out.
 
         `projector` (L, L) comes from `LinearisedModel.residual_projector`.
         """
-        pairs = zip(self.coordinates, self.coordinate_rows, strict=True)
-        left = [mine @ projector[np.ix_(rows, rows)] @ mine.transpose(0, 2, 1) for mine, rows in pairs]
-        return np.asarray(self.gram + np.stack(left, axis=1))
+        pairs = zip(self.products, self.rows, strict=True)
+        return np.stack([own.schur(projector[np.ix_(rows, rows)]) for own, rows in pairs], axis=1)
 
     def coefficients(self, g: int, projector: Array, data: Array) -> Array:
         """Compute the best coefficients (K,) at grid point g.
@@ -94,122 +97,218 @@ class CandidateScan:
             Least-squares coefficients.
 
         """
-        k = self.grid.k
-        gram, coordinates = np.zeros((self.grid.size, self.grid.size)), np.zeros((self.grid.size, len(data)))
-        for b, (mine, rows) in enumerate(zip(self.coordinates, self.coordinate_rows, strict=True)):
+        k, size = self.grid.k, self.grid.size
+        gram, coordinates = np.zeros((size, size)), np.zeros((size, len(data)))
+        for b, (products, rows) in enumerate(zip(self.products, self.rows, strict=True)):
             own = slice(b * k, (b + 1) * k)
-            gram[own, own], coordinates[own, rows] = self.gram[g, b], mine[g]
-        schur = gram + coordinates @ projector @ coordinates.T
-        root = whitener(schur, np.diag(gram) + np.sum(coordinates**2, axis=1))
-        return np.asarray(root.T @ (root @ (self.data_products[g].ravel() + coordinates @ (projector @ data))))
-
-
-def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
-    """Scan one candidate grid beside a fitted model; see `scan_candidates`."""
-    return scan_candidates(law, [grid], series)[0]
+            gram[own, own], coordinates[own, rows] = products.gram[g], products.coordinates[g]
+        right = np.concatenate([products.data[g] for products in self.products])
+        root = whitener(gram + coordinates @ projector @ coordinates.T, np.diag(gram) + np.sum(coordinates**2, axis=1))
+        return np.asarray(root.T @ (root @ (right + coordinates @ (projector @ data))))
 
 
 def scan_candidates(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> list[CandidateScan]:
-    """Scan candidate grids beside a fitted model.
+    """Scan candidate grids beside a fitted model; see `scan_candidate`."""
+    return map_in_threads(lambda grid: scan_candidate(law, grid, series), grids)
+
+
+def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
+    """Scan a candidate grid beside a fitted model.
 
     Parameters
     ----------
     law : LinearisedModel
         The fitted model.
-    grids : sequence of CandidateGrid
-        The candidates.
+    grid : CandidateGrid
+        The candidate.
     series : ScannedSeries
         The data.
 
     Returns
     -------
-    list of CandidateScan
-        Gains and products of all grid points, grid by grid.
+    CandidateScan
+        Gains and products of all grid points.
 
     """
-    small = [i for i, grid in enumerate(grids) if is_small(grid)]
-    scans = dict(zip(small, _scan_small(law, [grids[i] for i in small], series), strict=True))
-    equal = _equal_waves(law, grids)
-    large = [i for i in range(len(grids)) if i not in scans and i not in equal]
-    made = map_in_threads(lambda i: _scan_large(law, grids[i], series), large)
-    scans |= dict(zip(large, made, strict=True))
-    scans |= {i: _rescaled(scans[of], grids[i], sizes) for i, (of, sizes) in equal.items()}
-    return [scans[i] for i in range(len(grids))]
+    absorption, products = _Absorption(law, grid, series), _products_of_blocks(law, grid, series)
+    gains, max_gains, kept = [], np.full(series.profile.shape[1], -np.inf), []
+    for points in _parts(law, grid):
+        parts = [of_block(points) for of_block in products]
+        found = absorption.gains(parts)
+        gains.append(found[:, 0])
+        max_gains = np.maximum(max_gains, found.max(axis=0))
+        kept.append([own.without_draws() for own in parts])
+    blocks = [ColumnProducts.over_points(own) for own in zip(*kept, strict=True)]
+    return CandidateScan(grid, blocks, absorption.rows, np.concatenate(gains), max_gains)
 
 
-def _equal_waves(law: LinearisedModel, grids: Sequence[CandidateGrid]) -> dict[int, tuple[int, list[float]]]:
-    """Grids whose columns are those of an earlier one, each block times a number: which one, and the numbers.
+def _parts(law: LinearisedModel, grid: CandidateGrid) -> Iterator[slice]:
+    """Divide a grid into points that are evaluated together; waves of one envelope, or as many as suit the cache."""
+    line, size = len(grid.values), max(len(law.pieces[i].path_for(grid.effect).t) for i in grid.members)
+    at_once = max(MIN_POINTS_AT_ONCE, SAMPLES_AT_ONCE // size)
+    if any(are_sums_of_waves(grid, law.pieces[i]) for i in grid.members):
+        line, at_once = grid.shape[-1], WAVES_AT_ONCE
+    for first in range(0, len(grid.values), line):
+        for at in range(first, first + line, at_once):
+            yield slice(at, min(at + at_once, first + line))
 
-    Waves of a constant load are those of a force, and gain the same.
+
+def _products_of_blocks(
+    law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries
+) -> list[Callable[[slice], ColumnProducts]]:
+    """What computes the products of the columns of every block at some grid points."""
+
+    def of_piece(i: int) -> Callable[[slice], ColumnProducts]:
+        piece = law.pieces[i]
+        if are_sums_of_waves(grid, piece):
+            return WaveProducts(law, grid, i, series)
+        return lambda points: column_products(
+            piece, grid.whitened_columns(piece, grid.values[points]), grid.k, series, law.rows[i]
+        )
+
+    def together(block: list[int]) -> Callable[[slice], ColumnProducts]:
+        pieces = [of_piece(i) for i in block]
+        return lambda points: ColumnProducts.of_pieces([products_at(points) for products_at in pieces])
+
+    return [together(block) for block in grid.blocks]
+
+
+class _Absorption:
+    """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them.
+
+    A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every other
+    is evaluated for each series at its own scatter. The views say at which of the T scatters which series are seen.
     """
-    first: dict[Hashable, tuple[int, list[float]]] = {}
-    out = {}
-    for i, grid in enumerate(grids):
-        waves = None if is_small(grid) else constant_waves(law, grid)
-        if waves is None:
-            continue
-        key, sizes = waves
-        of, before = first.setdefault(key, (i, sizes))
-        if of != i:
-            out[i] = of, [a / b for a, b in zip(sizes, before, strict=True)]
-    return out
+
+    def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
+        self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
+        self.rows = [coordinate_rows(law, block) for block in grid.blocks]
+        self._all = slice(0, series.profile.shape[1])
+        self._is_small = len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER
+        groups = dict.fromkeys(range(len(series.taus)), self._all) if self._is_small else dict(enumerate(series.groups))
+        used = sorted((own.start, own.stop, t) for t, own in groups.items() if own.stop > own.start)  # measured first
+        self._views = [(t, slice(start, stop)) for start, stop, t in used]
+        self._projected = [series.projected(t)[:, columns] for t, columns in self._views]
+        self._at_own = np.hstack(self._projected)
+        parts = [_block_parts(law, series, self.rows, t) for t, _ in self._views]
+        self._left = [np.stack(own) for own in zip(*(left for left, _ in parts), strict=True)]
+        self._shared = _padded([shared for _, shared in parts])
+
+    def gains(self, parts: Sequence[ColumnProducts]) -> Array:
+        """Gains (g, D) of the columns of all blocks at some grid points."""
+        shape = len(parts[0].data), self._shared.shape[2]
+        at_own = np.zeros((shape[0], self._profile.shape[1]))
+        squares = [np.zeros(at_own.shape) if self._is_small else at_own[:, own] for _, own in self._views]
+        across = [np.zeros((*shape, own.shape[1])) for own in self._projected]
+        within, coupled = np.zeros((len(self._views), *shape, shape[1])), np.zeros(shape[0], dtype=bool)
+        for own, rows, left in zip(parts, self.rows, self._left, strict=True):
+            roots = whitener(own.schur(left), own.squares)
+            shared = roots @ (own.coordinates @ self._shared[:, None, rows])  # T'w of the identity is shared' w
+            here = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
+            spread = 2 * np.abs(roots - roots[0]).max(axis=(0, 2, 3)) - MAX_NEGLECTED_SHARE * np.abs(roots[0]).max(
+                axis=(1, 2)
+            )
+            if not self._is_small and not here.any() and np.all(spread <= 0):
+                for part, products in self._whitened(roots[0], own, self._all, self._at_own[rows]):
+                    at_own[:, part] += np.einsum("gkd,gkd->gd", products, products)
+                continue
+            for i, (_, columns) in enumerate(self._views):
+                for part, products in self._whitened(roots[i], own, columns, self._projected[i][rows]):
+                    squares[i][:, part] += np.einsum("gkd,gkd->gd", products, products)
+                    if here.any():
+                        across[i][:, :, part] += shared[i].transpose(0, 2, 1) @ products
+            if here.any():
+                coupled |= here
+                within += shared.transpose(0, 1, 3, 2) @ shared
+        least = np.full((shape[0], self._profile.shape[1]), np.inf)
+        for i, (t, columns) in enumerate(self._views):
+            if coupled.any():
+                root = _inverse_root(np.eye(shape[1]) * (1 + MIN_UNEXPLAINED_SHARE) - within[i, coupled])
+                squares[i][coupled] += np.sum((root @ across[i][coupled]) ** 2, axis=1)
+            least[:, columns] = np.minimum(least[:, columns], self._profile[t, columns] - squares[i])
+        return np.asarray(self._profile.min(axis=0) - least)
+
+    def _whitened(
+        self, root: Array, own: ColumnProducts, columns: slice, projected: Array
+    ) -> Iterator[tuple[slice, Array | Float32Array]]:
+        """Whitened products (g, k, d) with the measured series, with all digits, and with the draws of a view."""
+        unit, root = own.coordinates / own.size[:, :, None], root * own.size[:, None, :]
+        count = int(columns.start == 0)
+        if count:
+            measured = (own.data / own.size)[:, :, None] + unit @ projected[:, :1]
+            yield slice(0, 1), self._bounded(root @ measured)
+        rest = unit.reshape(-1, unit.shape[2]) @ projected[:, count:]  # terms may cancel: in double precision
+        products = own.draws[:, :, columns.start + count - 1 : columns.stop - 1]
+        products, single = products + rest.astype(np.float32).reshape(products.shape), root.astype(np.float32)
+        products = single * products if root.shape[2] == 1 else single @ products
+        yield slice(count, None), self._bounded(products)
+
+    def _bounded(self, products: Array | Float32Array) -> Array | Float32Array:
+        return products if self._limits == (-np.inf, np.inf) else products.clip(*self._limits)
 
 
-def _rescaled(scan: CandidateScan, grid: CandidateGrid, sizes: Sequence[float]) -> CandidateScan:
-    """The scan of a grid whose columns are those of another, block by block times a size."""
-    size = np.array(sizes)[:, None]
-    coordinates = [own * factor for own, factor in zip(scan.coordinates, sizes, strict=True)]
-    gram, data = scan.gram * size[:, :, None] ** 2, scan.data_products * size
-    return replace(scan, grid=grid, gram=gram, coordinates=coordinates, data_products=data)
+def _block_parts(
+    law: LinearisedModel, series: ScannedSeries, rows: Sequence[NDArray[np.int_]], t: int
+) -> tuple[list[Array], Array]:
+    """What a scatter of the levels leaves of coordinates by every block itself, and T (L, p) that couples the blocks.
+
+    The friction level of a run absorbs its part alone.
+    """
+    projector = series.residual_projectors[t]
+    if len(rows) == 1:
+        return [projector[np.ix_(rows[0], rows[0])]], np.zeros((len(projector), 0))
+    if t not in series.kept:
+        levels, tau = law.level_coordinates * law.basis.random, float(series.taus[t])
+        levels = levels * (tau / np.sqrt(1 + tau**2 * np.sum(levels**2, axis=0)))
+        size, directions = np.linalg.eigh(np.eye(len(projector)) - projector - levels @ levels.T)
+        kept = size > MIN_SHARED_SHARE
+        series.kept[t] = levels, directions[:, kept] * np.sqrt(size[kept])
+    levels, shared = series.kept[t]
+    return [np.eye(len(r)) - levels[r] @ levels[r].T for r in rows], shared
 
 
-def _scan_small(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> list[CandidateScan]:
-    """Scan all small grids at once, each point at the scatter of the levels that suits it best."""
-    scans = []
-    for together in in_batches(grids):
-        sums = products_of_grids(law, together, series)
-        scans += [
-            _small_scan(law, grid, (sums, rows), gains)
-            for grid, rows, gains in zip(together, sums.rows, sums.gains(series), strict=True)
-        ]
-    return scans
+def coordinate_rows(law: LinearisedModel, pieces: Sequence[int]) -> NDArray[np.int_]:
+    """Return the rows of the coordinates of some pieces among all L."""
+    return np.concatenate([np.arange(len(law.basis_coordinates))[law.coordinate_slices[i]] for i in pieces])
 
 
-def _small_scan(
-    law: LinearisedModel, grid: CandidateGrid, found: tuple[SmallGrids, NDArray[np.int_]], gains: tuple[Array, Array]
-) -> CandidateScan:
-    """The scan of one small grid; `found` are the sums of all and the rows (G, K) of this one."""
-    sums, rows = found
-    of_data, every = gains
-    blocks = rows.reshape(len(rows), -1, grid.k)  # (G, B, k)
-    places = [coordinate_rows(law, [grid.members[m] for m in block]) for block in grid.blocks]
-    max_gains = every.max(axis=0)
-    max_gains[0] = of_data.max()
-    return CandidateScan(
-        grid, sums.gram[blocks[..., :, None], blocks[..., None, :]],
-        [sums.coordinates[blocks[:, b, :, None], place] for b, place in enumerate(places)], places,
-        sums.data[blocks], of_data, max_gains,
-    )  # fmt: skip
+def _padded(matrices: Sequence[Array]) -> Array:
+    """Stack matrices (L, p) of T scatters, those with fewer columns filled up with zeros, (T, L, p)."""
+    width = max(m.shape[1] for m in matrices)
+    return np.stack([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in matrices])
 
 
-def _scan_large(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
-    """Scan a large grid, every series at its own scatter of the levels."""
-    blocks = [[grid.members[m] for m in block] for block in grid.blocks]
-    absorbed = {t: series.absorbed(law, blocks, t) for t in series.used}
-    total = GridGains(absorbed, series.groups, len(grid.values), sign_limits(grid.low, grid.high))
-    own = next(t for t in series.used if series.groups[t].start == 0)
-    measured = series.residual_projectors[own] @ series.coordinates[:, 0]
-    held = []
-    for b, block in enumerate(grid.blocks):
-        rows = coordinate_rows(law, blocks[b])
-        parts = []
-        for sums in block_sums(law, grid, block, series):
-            total.add(b, rows, sums, sums.of_data(measured[rows]))
-            parts.append((sums.gram, sums.data, sums.coordinates))
-        held.append((*(np.concatenate(part) for part in zip(*parts, strict=True)), rows))
-    gram, data, coordinates, places = zip(*held, strict=True)
-    of_data, max_gains = total.totals()
-    max_gains[0] = of_data.max()
-    return CandidateScan(
-        grid, np.stack(gram, axis=1), list(coordinates), list(places), np.stack(data, axis=1), of_data, max_gains
-    )
+def whitener(schur: Array, full: Array) -> Array:
+    """Compute W (..., K, K) with W'W the inverse of projected Gram matrices. Absorbed columns gain nothing.
+
+    `full` (..., K) are the squares of the columns before the projection. W is lower triangular.
+    """
+    size = np.sqrt(full)
+    size[full < MIN_COLUMN_SQUARE] = np.inf
+    unit = schur / size[..., :, None] / size[..., None, :]
+    root = np.zeros(unit.shape)
+    for i in range(unit.shape[-1]):  # Gram-Schmidt: row i, less what the rows before it are of it
+        across = root[..., :i, :i] @ unit[..., :i, i, None]
+        root[..., i, :i] = -(root[..., :i, :i].swapaxes(-1, -2) @ across)[..., 0]
+        root[..., i, i] = 1.0
+        left = unit[..., i, i] - np.sum(across[..., 0] ** 2, axis=-1)
+        root[..., i, :] /= np.sqrt(np.maximum(left, 0.0) + MIN_UNEXPLAINED_SHARE)[..., None]
+    return np.asarray(root / size[..., None, :])
+
+
+def _inverse_root(gram: Array) -> Array:
+    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing.
+
+    A difference from the identity may come out indefinite, because small shares of its columns were neglected.
+    """
+    left, axes = np.linalg.eigh(gram)
+    floor = np.where(left[..., :1] > 0, 0.0, MAX_ABSORBED_LEFT)
+    size = np.where(left > floor, 1 / np.sqrt(np.maximum(left, MIN_UNEXPLAINED_SHARE)), 0.0)
+    return np.asarray(size[..., :, None] * np.swapaxes(axes, -1, -2))
+
+
+def _sign_limits(low: Array, high: Array) -> tuple[float, float]:
+    """Limits of the product of a single bounded coefficient: data that ask for the wrong sign gain nothing."""
+    if len(low) > 1:
+        return -np.inf, np.inf
+    return (0.0 if low[0] >= 0 else -np.inf), (0.0 if high[0] <= 0 else np.inf)

@@ -28,7 +28,7 @@ from frictrack.fit.separable.constrained import ConstrainedVariableProjection, v
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
-from frictrack.fit.separable.scan_items import is_scannable
+from frictrack.fit.separable.scan_tables import is_scannable
 from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path, tiled_path
 from frictrack.fit.separable.varpro import VariableProjection
 

@@ -12,18 +12,80 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.effects import Effect, Parameter
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import SeparableSolution
-from frictrack.fit.separable.scan_items import ScanItem, coefficients_of, scan_grid
 from frictrack.fit.separable.table_scan import Box, FreeRows, ProjectedTable, ScanGrid, TableScan
 from frictrack.records import Array
 
-MAX_CACHED_VALUES = 2**19  # values of a table that fits into the cache; products with it are made two at a time
+MAX_SCAN_AXES = 3  # parameters of one effect that are scanned together
 MAX_SINGLE_PRECISION = 1e15  # sums of products of larger rows could leave the range of single precision, 3e38
 MIN_NEXT_GAIN_SHARE = (
     0.02  # of the largest gain; a position between grid points is known to about a fiftieth of its gain
 )
 MAX_AT_ONCE = 64  # grid points evaluated at once
+
+
+@dataclass(frozen=True)
+class ScanItem:
+    """An effect to scan, in group `g`; in one `run` if its scan belongs to single runs."""
+
+    effect: str
+    g: int
+    run: int | None = None
+
+
+def _scanned_parameters(effect: Effect) -> list[Parameter]:
+    return [p for p in effect.nonlinear if p.scan is not None and p.free]
+
+
+def is_scannable(effect: Effect) -> bool:
+    """Return whether an effect can be scanned on a grid: it modifies no other and has few scanned parameters.
+
+    An effect with relaxed parts is scanned part by part.
+    """
+    return bool(effect.relaxed) or (not effect.modifies and len(_scanned_parameters(effect)) <= MAX_SCAN_AXES)
+
+
+def scanned_effects(separable: SeparableModel) -> list[ScanItem]:
+    """Return the effects of a model that are scanned, in its order."""
+    out, layout = [], separable.layout
+    for effect in layout.model.effects:
+        if not is_scannable(effect) or effect.relaxed:
+            continue
+        g = next(k for k, group in enumerate(separable.groups) if effect.name in group.names)
+        if effect.single:
+            out += [ScanItem(effect.name, g, r) for r in separable.runs if (effect.name, r) not in layout.absent]
+        elif _scanned_parameters(effect) and effect.linear:
+            out.append(ScanItem(effect.name, g))
+    return out
+
+
+def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int_]:
+    """Return the coefficients of the model that belong to an item."""
+    own = [i for i, c in enumerate(separable.coefficients) if c.effect == item.effect and _in_run(c.run, item.run)]
+    return np.array(own, dtype=int)
+
+
+def _in_run(run: int | None, wanted: int | None) -> bool:
+    """Whether a parameter of one run (None: of all) belongs to a wanted run (None: any)."""
+    return wanted is None or run in (None, wanted)
+
+
+def _scan_grid(separable: SeparableModel, item: ScanItem) -> ScanGrid:
+    """Create the grid of an item's scanned parameters, without frequencies above the band of the data."""
+    effect = next(e for e in separable.layout.model.effects if e.name == item.effect)
+    span = separable.layout.span if item.run is None else separable.layout.spans[item.run]
+    highest = max(b.highest for b in separable.blocks)
+    axes = []
+    for p in _scanned_parameters(effect):
+        assert p.scan is not None
+        axis = np.asarray(p.scan(span), dtype=float)
+        axis = axis[(axis >= p.bounds[0]) & (axis <= p.bounds[1])]
+        if p.unit == "Hz" and np.any(axis < highest):
+            axis = axis[axis < highest]
+        axes.append(axis)
+    return ScanGrid(tuple(p.name for p in _scanned_parameters(effect)), tuple(axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +196,7 @@ class ScanTable:
                 continue
             own = single_rows if len(slices) == 1 else single_rows[:, cut]
             shown = np.flatnonzero(own.any(axis=1))  # most rows belong to one run
-            products: NDArray[Any] = _in_pairs(own[shown], mine).reshape(len(shown), g, len(at))
+            products: NDArray[Any] = (own[shown] @ mine.T).reshape(len(shown), g, len(at))
             if size * scale > 1:
                 products = size * scale * products.astype(float)
             if len(shown) == len(rows) and len(at) == c:
@@ -150,11 +212,41 @@ def _single_precision(rows: Array) -> tuple[NDArray[np.float32], float]:
     return (rows / scale if scale > 1 else rows).astype(np.float32), scale
 
 
-def _in_pairs(rows: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Inner products (k, n) of rows (k, m) with a table (n, m); a small table is fastest two rows at a time."""
-    if table.size > MAX_CACHED_VALUES or len(rows) <= 2:
-        return rows @ table.T
-    return np.concatenate([rows[i : i + 2] @ table.T for i in range(0, len(rows), 2)])
+@dataclass(frozen=True, eq=False)
+class _Scanned:
+    """What is fixed of an item.
+
+    Attributes
+    ----------
+    grid : ScanGrid
+        Its grid.
+    coefficients : array of int
+        Its coefficients among those of the model.
+    slots : list of list of int
+        Positions in the layout that each scanned parameter sets.
+    others : list of int
+        Positions of the parameters of its group that are not scanned.
+    box : tuple of array, optional
+        Bounds of the coefficients.
+
+    """
+
+    grid: ScanGrid
+    coefficients: NDArray[np.int_]
+    slots: list[list[int]]
+    others: list[int]
+    box: Box
+
+    @classmethod
+    def of(cls, separable: SeparableModel, item: ScanItem) -> _Scanned:
+        """Collect what is fixed of an item."""
+        grid, own, places = _scan_grid(separable, item), coefficients_of(separable, item), separable.layout.slots
+        in_run = [(i, s) for i, s in enumerate(places) if _in_run(s.run, item.run)]
+        slots = [[i for i, s in in_run if (s.effect, s.parameter) == (item.effect, name)] for name in grid.names]
+        in_group = separable.groups[item.g].nonlinear_slots
+        others = [i for i in in_group if places[i].parameter not in grid.names and places[i].run in (None, item.run)]
+        low, high = separable.low[own], separable.high[own]
+        return cls(grid, own, slots, others, (low, high) if np.isfinite([low, high]).any() else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,57 +264,37 @@ class ScanTables:
 
     def __init__(self, separable: SeparableModel) -> None:
         self.separable = separable
-        self._grids: dict[tuple[str, int | None], ScanGrid] = {}
-        self._made: dict[tuple[int, tuple[float, ...]], ScanTable] = {}
-        self._numbers: dict[tuple[object, ...], int] = {}
-        self._kinds: dict[ScanItem, tuple[int, list[int]]] = {}
-        self._mine: dict[ScanItem, NDArray[np.int_]] = {}
-        self._slots: dict[ScanItem, list[list[int]]] = {}
-        self._boxes: dict[ScanItem, Box] = {}
+        self._scanned: dict[ScanItem, _Scanned] = {}
+        self._made: dict[tuple[object, ...], ScanTable] = {}
         self._last: _CurrentSolution | None = None
+
+    def _of(self, item: ScanItem) -> _Scanned:
+        if item not in self._scanned:
+            self._scanned[item] = _Scanned.of(self.separable, item)
+        return self._scanned[item]
 
     def grid(self, item: ScanItem) -> ScanGrid:
         """Return the grid of an item."""
-        key = item.effect, item.run
-        if key not in self._grids:
-            self._grids[key] = scan_grid(self.separable, *key)
-        return self._grids[key]
+        return self._of(item).grid
 
     def slots(self, item: ScanItem) -> list[list[int]]:
         """Return the positions in the layout that each scanned parameter of an item sets."""
-        if item not in self._slots:
-            slots = list(enumerate(self.separable.layout.slots))
-            self._slots[item] = [
-                [i for i, s in slots if (s.effect, s.parameter) == (item.effect, name) and _in_run(s.run, item.run)]
-                for name in self.grid(item).names
-            ]
-        return self._slots[item]
+        return self._of(item).slots
 
     def table(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """Return the table of an item. It is kept, unless it depends on the current solution."""
-        if len(self.separable.groups[item.g].model.effects) > 1:
+        effects = self.separable.groups[item.g].model.effects
+        if len(effects) > 1:
             return self._build(item, state)
-        kind, others = self._kind_of(item)
-        key = kind, tuple(float(state.nonlinear_values[i]) for i in others)
+        others = tuple(float(state.nonlinear_values[i]) for i in self._of(item).others)
+        key = effects[0].columns, effects[0].parameters, item.run, others
         if key not in self._made:
             self._made[key] = self._build(item, state)
         return self._made[key]
 
-    def _kind_of(self, item: ScanItem) -> tuple[int, list[int]]:
-        """A number for the effect and the run of an item, and the positions of its parameters that are not scanned."""
-        if item not in self._kinds:
-            group, slots = self.separable.groups[item.g], self.separable.layout.slots
-            effect, names = group.model.effects[0], self.grid(item).names
-            number = self._numbers.setdefault((effect.columns, effect.parameters, item.run), len(self._numbers))
-            others = [
-                i for i in group.nonlinear_slots if slots[i].parameter not in names and slots[i].run in (None, item.run)
-            ]
-            self._kinds[item] = number, others
-        return self._kinds[item]
-
     def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of every grid point of one more effect like an item beside a solution."""
-        return self._projected_table(item, state, data).one_more(self._box(item))
+        return self._projected_table(item, state, data).one_more(self._of(item).box)
 
     def best_positions(self, items: Sequence[ScanItem], state: SeparableSolution, data: Array) -> dict[ScanItem, Array]:
         """Find missing effects beside a solution, one after the other, without any refinement.
@@ -251,7 +323,7 @@ class ScanTables:
         found: dict[ScanItem, Array] = {}
         largest = 0.0
         while beside:
-            scans = {key: table.one_more(self._box(waiting[key][0])) for key, table in beside.items()}
+            scans = {key: table.one_more(self._of(waiting[key][0]).box) for key, table in beside.items()}
             key, scan = max(scans.items(), key=lambda one: one[1].largest)
             if found and scan.largest < MIN_NEXT_GAIN_SHARE * largest:
                 return found
@@ -271,7 +343,7 @@ class ScanTables:
 
     def moves(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of every grid point of an item of a solution, which leaves its own position."""
-        return self._projected_table(item, state, data).moved(self._leaving(item, state), self._box(item))
+        return self._projected_table(item, state, data).moved(self._leaving(item, state), self._of(item).box)
 
     def pair_moves(self, pair: tuple[ScanItem, ScanItem], state: SeparableSolution, data: Array) -> TableScan:
         """Compute the gain of two neighbouring grid points together: two lines too close to be resolved."""
@@ -283,20 +355,7 @@ class ScanTables:
         first, slots = len(state.coefficients), self.separable.layout.slots
         places = enumerate(slots[i] for i in state.tangent.positions)
         own = [first + k for k, s in places if s.effect == item.effect and item.run in (None, s.run)]
-        return [*self._coefficients(item).tolist(), *own]
-
-    def _coefficients(self, item: ScanItem) -> NDArray[np.int_]:
-        if item not in self._mine:
-            self._mine[item] = coefficients_of(self.separable, item)
-        return self._mine[item]
-
-    def _box(self, item: ScanItem) -> Box:
-        """Bounds of the coefficients of an item."""
-        if item not in self._boxes:
-            mine = self._coefficients(item)
-            low, high = self.separable.low[mine], self.separable.high[mine]
-            self._boxes[item] = (low, high) if np.isfinite([low, high]).any() else None
-        return self._boxes[item]
+        return [*self._of(item).coefficients.tolist(), *own]
 
     def _projected_table(
         self, item: ScanItem, state: SeparableSolution, data: Array, in_pairs: bool = False
@@ -316,39 +375,28 @@ class ScanTables:
         if not in_pairs:
             return ProjectedTable(table.grid, table.gram, current.free_rows, (cross, right))
         both = np.concatenate([cross[:, :-1], cross[:, 1:]], axis=2), np.concatenate([right[:-1], right[1:]], axis=1)
-        return ProjectedTable(table.grid.shortened(), table.neighbours(), current.free_rows, both)
+        grid = ScanGrid(table.grid.names, (table.grid.axes[0][:-1],))
+        return ProjectedTable(grid, table.neighbours(), current.free_rows, both)
 
     def _build(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """Evaluate the rows of an item at all grid points."""
-        separable, grid = self.separable, self.grid(item)
-        nonlinear_values = np.tile(state.nonlinear_values, (len(grid.values), 1))
-        for slots, values in zip(self.slots(item), grid.values.T, strict=True):
+        separable, scanned = self.separable, self._of(item)
+        mine, grid, count = scanned.coefficients, scanned.grid, len(scanned.grid.values)
+        nonlinear_values = np.tile(state.nonlinear_values, (count, 1))
+        for slots, values in zip(scanned.slots, grid.values.T, strict=True):
             nonlinear_values[:, slots] = values[:, None]
-        mine = coefficients_of(separable, item)
-        rows, at, scales = [], [], []
-        gram = np.zeros((len(nonlinear_values), len(mine), len(mine)))
+        chunks = np.array_split(nonlinear_values, -(-count // MAX_AT_ONCE))
+        rows, at, scales, gram = [], [], [], np.zeros((count, len(mine), len(mine)))
         for b, block in enumerate(separable.blocks):
             place = separable.column_positions[item.g][block.run]
-            kept = np.flatnonzero(np.isin(place, mine))
-            if item.run is not None and block.run != item.run:
-                kept = kept[:0]
-            parts = (
-                [separable.rows(item.g, b, part)[:, kept] for part in _chunks(nonlinear_values)] if len(kept) else []
-            )
-            effect_rows = np.concatenate(parts) if parts else np.zeros((len(nonlinear_values), 0, len(block.data)))
+            kept = np.flatnonzero(np.isin(place, mine) & (item.run in (None, block.run)))
+            effect_rows = np.zeros((count, 0, len(block.data)))
+            if len(kept):
+                effect_rows = np.concatenate([separable.rows(item.g, b, part)[:, kept] for part in chunks])
             a = np.searchsorted(mine, place[kept])
-            gram[np.ix_(np.arange(len(nonlinear_values)), a, a)] += effect_rows @ effect_rows.transpose(0, 2, 1)
+            gram[np.ix_(np.arange(count), a, a)] += effect_rows @ effect_rows.transpose(0, 2, 1)
             single_rows, scale = _single_precision(effect_rows.reshape(-1, len(block.data)))
             rows.append(single_rows)
             scales.append(scale)
             at.append(a)
         return ScanTable(grid, rows, at, gram, scales)
-
-
-def _in_run(run: int | None, wanted: int | None) -> bool:
-    """Whether a parameter of one run (None: of all) belongs to a wanted run (None: any)."""
-    return wanted is None or run in (None, wanted)
-
-
-def _chunks(nonlinear_values: Array) -> list[Array]:
-    return np.array_split(nonlinear_values, max(1, -(-len(nonlinear_values) // MAX_AT_ONCE)))

@@ -11,11 +11,11 @@ Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, sec. 2.1.4. Johns Ho
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,60 +30,49 @@ Box = tuple[Array, Array] | None  # None without bounds
 
 @dataclass(frozen=True, eq=False)
 class ScanGrid:
-    """Points of a scan: `values` (G, d) of the parameters `names`, and their grid indices `steps` (G, d)."""
+    """All combinations of values along the axes of some parameters, in row-major order."""
 
     names: tuple[str, ...]
-    values: Array
-    steps: NDArray[np.int_]
-
-    def shortened(self) -> ScanGrid:
-        """Return the grid without its last point."""
-        return ScanGrid(self.names, self.values[:-1], self.steps[:-1])
+    axes: tuple[Array, ...]
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Number of grid points along every axis; the points are in row-major order."""
-        return tuple(map(int, self.steps.max(axis=0) + 1))
+        """Number of grid points along every axis."""
+        return tuple(len(axis) for axis in self.axes)
 
     @cached_property
-    def _axes(self) -> list[Array]:
-        """Values along every axis."""
-        return [self._axis_values(axis, 0) for axis in range(len(self.names))]
+    def values(self) -> Array:
+        """Values of the parameters at the G points, (G, d)."""
+        return np.array(list(product(*self.axes)))
 
-    def _axis_values(self, axis: int, g: int) -> Array:
-        """Values of one parameter along the axis through a grid point."""
-        return self.values[self._line(axis, g), axis]
-
-    def _line(self, axis: int, g: int) -> slice:
-        """Indices of the grid points along the axis through a grid point."""
-        stride = int(np.prod(self.shape[axis + 1 :]))
-        first = g - int(self.steps[g, axis]) * stride
-        return slice(first, first + self.shape[axis] * stride, stride)
+    @cached_property
+    def steps(self) -> NDArray[np.int_]:
+        """Grid indices of the points, (G, d)."""
+        return np.array(list(product(*map(range, self.shape))))
 
     def nearest(self, values: Array) -> int:
         """Return the grid point nearest to values (d,)."""
-        at = [int(np.argmin(np.abs(axis - v))) for axis, v in zip(self._axes, values, strict=True)]
+        at = [int(np.argmin(np.abs(axis - v))) for axis, v in zip(self.axes, values, strict=True)]
         return int(np.ravel_multi_index(at, self.shape))
 
     def peaks(self, heights: Array, least: float) -> NDArray[np.int_]:
         """Return the points not below their neighbours on any axis, with at least some height (G,), highest first."""
-        high = np.flatnonzero(heights >= least)
-        own, is_peak = heights[high], np.ones(len(high), dtype=bool)
-        for axis, count in enumerate(self.shape):
-            stride, step = int(np.prod(self.shape[axis + 1 :])), self.steps[high, axis]
-            is_peak &= own >= heights[high - stride * (step > 0)]
-            is_peak &= own >= heights[high + stride * (step < count - 1)]
-        found = high[is_peak]
+        cube = heights.reshape(self.shape)
+        is_peak = cube >= least
+        for axis in range(cube.ndim):
+            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
+            peak[1:] &= rise >= 0
+            peak[:-1] &= rise <= 0
+        found = np.flatnonzero(is_peak)
         return found[np.argsort(-heights[found], kind="stable")]
 
     def summit(self, heights: Array, g: int) -> Array:
         """Return the values (d,) of the vertex of parabolas through a peak (G,) at a point and its neighbours."""
-        out = self.values[g].copy()
-        for axis, step in enumerate(self.steps[g]):
-            if 0 < step < self.shape[axis] - 1:
-                line, k = self._line(axis, g), int(step)
-                around = slice(k - 1, k + 2)
-                out[axis] = _vertex(self.values[line, axis][around], heights[line][around])
+        out, cube, at = self.values[g].copy(), heights.reshape(self.shape), tuple(self.steps[g].tolist())
+        for i, (axis, step) in enumerate(zip(self.axes, at, strict=True)):
+            if 0 < step < len(axis) - 1:
+                around = slice(step - 1, step + 2)
+                out[i] = _vertex(axis[around], cube[(*at[:i], around, *at[i + 1 :])])
         return out
 
     def weights(self, g: int, values: Array) -> tuple[NDArray[np.int_], Array]:
@@ -95,22 +84,29 @@ class ScanGrid:
             return np.zeros(0, dtype=int), np.zeros(0)
         if not 0 < g < len(self.values) - 1:
             return np.array([g]), np.ones(1)
-        a, b, c = self.values[g - 1 : g + 2, 0]
+        a, b, c = self.axes[0][g - 1 : g + 2]
         x = float(values[0])
         parts = [(x - b) * (x - c) / ((a - b) * (a - c)), (x - a) * (x - c) / ((b - a) * (b - c))]
         return np.arange(g - 1, g + 2), np.array([*parts, 1.0 - sum(parts)])
 
 
+def _vertex(x: Array, y: Array) -> float:
+    """Place of the vertex of the parabola through three points of which the middle one is the highest."""
+    left, right = np.diff(y) / np.diff(x) * [1, -1]
+    if not left + right > 0:
+        return float(x[1])
+    return float(x[1] + 0.5 * (left * (x[2] - x[1]) - right * (x[1] - x[0])) / (left + right))
+
+
 @dataclass(frozen=True, eq=False)
 class TableScan:
-    """Gain of every grid point, (G,), and its coefficients (G, C).
+    """Gain of every grid point, (G,).
 
     `loss` is the rise of the misfit where an effect leaves its position before the gain.
     """
 
     grid: ScanGrid
     gains: Array
-    coefficients: Array
     loss: float = 0.0
 
     @property
@@ -149,8 +145,6 @@ class FreeRows:
         Inverse Gram matrix of the rows over their lengths.
     gradient : array of shape (k,)
         Products of these rows with the residual: zero at a minimum.
-    place : array of int, shape (K + R,)
-        Position of every coefficient and parameter among the free ones; -1 for none.
     coefficients : array of shape (k,)
         Coefficients of the rows over their lengths, at their minimum; of the tangent the steps to it.
     gain : float
@@ -162,29 +156,27 @@ class FreeRows:
     size: Array
     inverse: Array
     gradient: Array
-    place: NDArray[np.int_]
     coefficients: Array
     gain: float
 
     @classmethod
     def of(cls, state: SeparableSolution) -> FreeRows:
         """Collect the free rows of a solution."""
-        own, c = state.tangent, state.coefficients
-        gram, gradient, free = state.gram, np.zeros(len(c)), state.unconstrained
-        if len(own.positions):
-            across = own.products(state.rows)
-            gram = np.block([[gram, across], [across.T, own.normal]])
-            gradient, c = np.concatenate([gradient, own.gradient]), np.concatenate([c, np.zeros(len(own.positions))])
-            free = np.concatenate([free, own.is_inside & (own.normal.diagonal() > 0)])
-        if not free.all():
-            gram, gradient, c = gram[np.ix_(free, free)], gradient[free], c[free]
-        size = np.sqrt(gram.diagonal())
-        unit = gram / (size * size[:, None])
+        own, across = state.tangent, state.tangent.products(state.rows)
+        gram = np.block([[state.gram, across], [across.T, own.normal]])
+        free = np.concatenate([state.unconstrained, own.is_inside & (own.normal.diagonal() > 0)])
+        gradient = np.concatenate([np.zeros(len(state.coefficients)), own.gradient])[free]
+        c = np.concatenate([state.coefficients, np.zeros(len(own.positions))])[free]
+        size = np.sqrt(gram.diagonal()[free])
+        unit = gram[np.ix_(free, free)] / (size * size[:, None])
         unit.flat[:: len(size) + 1] += RIDGE
         inverse, gradient = np.linalg.inv(unit), gradient / size
         step = inverse @ gradient
-        place = np.where(free, np.cumsum(free) - 1, -1)
-        return cls(free, size, inverse, gradient, place, c * size + step, float(gradient @ step))
+        return cls(free, size, inverse, gradient, c * size + step, float(gradient @ step))
+
+    def places(self, rows: Sequence[int]) -> NDArray[np.int_]:
+        """Positions among the free rows of those of some coefficients and parameters that are free."""
+        return np.array([np.sum(self.free[:i]) for i in rows if self.free[i]], dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,20 +217,14 @@ class ProjectedTable:
 
     def __init__(self, grid: ScanGrid, gram: Array, free_rows: FreeRows, products: tuple[Array, Array]) -> None:
         self.grid, self.free_rows, self.full = grid, free_rows, np.einsum("gcc->gc", gram)
-        cross, self.right = products
-        free, size = free_rows.free, free_rows.size
-        self.rows = rows = (cross if free.all() else cross[free]) / size[:, None, None]
-        # the size is stated: a solution may have no free row
-        flat = (len(size), math.prod(rows.shape[1:]))
-        self.dual = (free_rows.inverse @ rows.reshape(flat)).reshape(rows.shape)
-        self.schur = gram - _outer_sum(self.dual, rows)
-        if free_rows.gradient.any():
-            self.right = self.right - (free_rows.gradient @ self.dual.reshape(flat)).reshape(self.right.shape)
+        self.rows = products[0][free_rows.free] / free_rows.size[:, None, None]
+        self.dual = _times(free_rows.inverse, self.rows)
+        self.schur = gram - _outer_sum(self.dual, self.rows)
+        self.right = products[1] - _times(free_rows.gradient, self.dual)
 
     def one_more(self, box: Box) -> TableScan:
         """Return the gains of one more effect at every grid point."""
-        c, gains = _best_coefficients(self.schur, self.right, self.full, box)
-        return TableScan(self.grid, gains + self.free_rows.gain, c)
+        return TableScan(self.grid, _gains(self.schur, self.right, self.full, box) + self.free_rows.gain)
 
     def placed(self, points: NDArray[np.int_], weights: Array, gram: Array) -> PlacedEffect:
         """Return the effect whose rows, of Gram matrix (C, C), are the sum of grid points (p,) with weights (p,)."""
@@ -257,38 +243,28 @@ class ProjectedTable:
             Inner products of the table with the rows of the effect.
 
         """
-        out, (k, c) = copy(self), effect.overlap.shape
-        # the size is stated: a solution may have no free row
-        flat: Array = products.reshape(c, -1) - effect.overlap.T @ self.dual.reshape(k, math.prod(products.shape[1:]))
-        lift = (effect.inverse @ flat).reshape(products.shape)
-        across = flat.reshape(products.shape)
-        out.right = self.right - (effect.right @ lift.reshape(c, -1)).reshape(self.right.shape)
+        out = copy(self)
+        across = products - _times(effect.overlap.T, self.dual)
+        lift = _times(effect.inverse, across)
+        out.right = self.right - _times(effect.right, lift)
         out.schur = self.schur - _outer_sum(lift, across)
         out.rows, out.dual = np.concatenate([self.rows, across]), np.concatenate([self.dual, lift])
         return out
 
     def moved(self, mine: Sequence[int], box: Box) -> TableScan:
         """Return the gains of every grid point where the rows `mine` of the solution and its tangent leave it."""
-        current = self.free_rows
-        own = current.place[list(mine)]
-        own = own[own >= 0]
-        if not len(own):
-            return self.one_more(box)
+        current, own = self.free_rows, self.free_rows.places(mine)
         dual, coefficients = self.dual[own], current.coefficients[own]
-        precision = np.linalg.inv(current.inverse[own[:, None], own])
-        lift: Array = (precision @ dual.reshape(len(own), -1)).reshape(dual.shape)
-        right = self.right + (coefficients @ lift.reshape(len(own), -1)).reshape(self.right.shape)
-        schur: Array = self.schur + _outer_sum(dual, lift)
-        c, gains = _best_coefficients(schur, right, self.full, box)
-        return TableScan(self.grid, gains, c, float(coefficients @ precision @ coefficients) - current.gain)
+        precision = np.asarray(np.linalg.inv(current.inverse[own[:, None], own]))
+        lift = _times(precision, dual)
+        schur, right = self.schur + _outer_sum(dual, lift), self.right + _times(coefficients, lift)
+        loss = float(coefficients @ precision @ coefficients) - current.gain
+        return TableScan(self.grid, _gains(schur, right, self.full, box), loss)
 
 
-def _vertex(x: Array, y: Array) -> float:
-    """Place of the vertex of the parabola through three points of which the middle one is the highest."""
-    left, right = (y[1] - y[0]) / (x[1] - x[0]), (y[1] - y[2]) / (x[2] - x[1])
-    if not left + right > 0:
-        return float(x[1])
-    return float(x[1] + 0.5 * (left * (x[2] - x[1]) - right * (x[1] - x[0])) / (left + right))
+def _times(matrix: Array, rows: Array) -> Array:
+    """Product (..., G, C) of a matrix (..., k) with rows (k, G, C)."""
+    return np.tensordot(matrix, rows, 1)
 
 
 def _outer_sum(left: Array, right: Array) -> Array:
@@ -298,35 +274,13 @@ def _outer_sum(left: Array, right: Array) -> Array:
     return np.asarray(np.matmul(left.transpose(1, 2, 0), right.transpose(1, 0, 2)))
 
 
-def _best_coefficients(schur: Array, right: Array, full: Array, box: Box) -> tuple[Array, Array]:
-    """Coefficients (G, C) within a box, and the gains (G,) with them."""
-    c = _solve(schur, right, full)
-    if box is not None and np.any((c < box[0]) | (c > box[1])):
-        c = np.clip(c, *box)
-        return c, np.einsum("gc,gc->g", c, 2 * right - np.einsum("gij,gj->gi", schur, c))
-    return c, np.einsum("gc,gc->g", c, right)
-
-
-def _solve(schur: Array, residual_products: Array, full: Array) -> Array:
-    """Best coefficients (G, C) for projected Gram matrices; points that the model absorbs get zero."""
-    count = schur.shape[1]
-    floor = MIN_UNEXPLAINED_SHARE * full
-    if count == 1:
-        own = schur[:, :, 0]
-        return residual_products / np.where(own > floor, own, np.inf)
-    if count == 2:
-        a, b, d = schur[:, 0, 0], schur[:, 0, 1], schur[:, 1, 1]
-        det = a * d - b * b
-        good = det > MIN_UNEXPLAINED_SHARE * full[:, 0] * full[:, 1]
-        det = np.where(good, det, np.inf)
-        out = np.stack(
-            [
-                (d * residual_products[:, 0] - b * residual_products[:, 1]) / det,
-                (a * residual_products[:, 1] - b * residual_products[:, 0]) / det,
-            ],
-            axis=1,
-        )
-        return out
+def _gains(schur: Array, right: Array, full: Array, box: Box) -> Array:
+    """Gains (G,) with the best coefficients within a box, clipped there; points that the model absorbs gain nothing."""
     size = np.sqrt(np.where(full > 0, full, 1.0))
-    unit = schur / size[:, :, None] / size[:, None, :] + MIN_UNEXPLAINED_SHARE * np.eye(count)
-    return np.linalg.solve(unit, (residual_products / size)[:, :, None])[:, :, 0] / size
+    unit = schur / size[:, :, None] / size[:, None, :] + MIN_UNEXPLAINED_SHARE * np.eye(full.shape[1])
+    own = right / size
+    c = own / unit[:, 0] if full.shape[1] == 1 else np.linalg.solve(unit, own[:, :, None])[:, :, 0]
+    if box is None or np.all((c >= box[0] * size) & (c <= box[1] * size)):
+        return np.asarray(np.sum(c * own, axis=1))
+    c = np.clip(c, box[0] * size, box[1] * size)
+    return np.asarray(np.sum(c * (2 * own - (unit @ c[:, :, None])[:, :, 0]), axis=1))

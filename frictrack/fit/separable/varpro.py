@@ -22,8 +22,7 @@ import numpy as np
 
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan_items import ScanItem, coefficients_of, scanned_effects
-from frictrack.fit.separable.scan_tables import ScanTables
+from frictrack.fit.separable.scan_tables import ScanItem, ScanTables, coefficients_of, scanned_effects
 from frictrack.fit.separable.table_scan import ScanGrid
 from frictrack.records import Array
 

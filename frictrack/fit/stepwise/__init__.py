@@ -9,9 +9,8 @@ from frictrack.fit.stepwise.growth import (
     reorder_effects,
     simulate_trial,
 )
-from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
-from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
-from frictrack.fit.stepwise.scan_starts import scan_effect, scan_effects
+from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty, entry_order, reversed_ties, ties_are_resolved
+from frictrack.fit.stepwise.scan_starts import effect_for_scan, scan_effect, scan_effects
 from frictrack.fit.stepwise.trial import (
     STRONG_MISFIT_CHI2,
     CandidateTrial,

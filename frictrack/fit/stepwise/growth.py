@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
-    MIN_CHI2_FALL,
     LeastSquaresProblem,
     Solution,
     fit_with_scatter,
@@ -20,8 +18,13 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece
-from frictrack.fit.stepwise.order import entry_order, model_without, ties_are_resolved
-from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise.order import (
+    EVENT_PARAMETERS,
+    bic_penalty,
+    entry_order,
+    model_without,
+    ties_are_resolved,
+)
 from frictrack.fit.stepwise.scan_starts import scan_effect
 from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
 from frictrack.models import Model
@@ -120,6 +123,9 @@ def _add_effect(solution: Solution, effect: Effect) -> Solution:
 def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
     """Refine a model with an effect on trial in simulation, from its values along the measured motion.
 
+    Along the measured motion the other unknowns may have moved to where the law diverges or is led astray. There it
+    begins at the model without the effect.
+
     Parameters
     ----------
     linearised : LinearisedModel
@@ -133,7 +139,23 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
         The larger model.
 
     """
-    return _with_few_clocks(_simulate_trial(linearised, trial), trial.effect)
+    model = linearised.solution
+    problem, tau = rebuild_problem(model.problem, trial.layout), model.tau or 0.03
+    starts = problem.first_starts()
+    if problem.simulates:
+        starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
+        if model.problem.model.memory:  # its motion takes long to find from afar
+            problem = problem.beginning_at(model.responses)
+    try:
+        first = refine(problem, trial.p, starts, tau=tau, max_steps=SETTLING_STEPS)
+    except FrictrackError:
+        first = None
+    if first is None or first.objective > model.objective:
+        first = _without_effect(problem, trial, model)
+    frames = problem.n_frames
+    excess = (trial.misfit - frames) / max(1.0, trial.misfit / max(frames, 1))  # in units of chi-squared per frame
+    min_fall = max(TRIAL_MIN_CHI2_FALL, TRIAL_MIN_EXCESS_SHARE * excess)
+    return _with_few_clocks(refit_with_scatter(first, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall), trial.effect)
 
 
 def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
@@ -163,26 +185,6 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
     return solution
 
 
-def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
-    """Refine a trial in simulation: from its values, or from the model without the effect where they are worse.
-
-    Along the measured motion the other unknowns may have moved to where the law diverges or is led astray.
-    """
-    model = linearised.solution
-    problem, tau = rebuild_problem(model.problem, trial.layout), model.tau or 0.03
-    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
-    if problem.simulates and model.problem.model.memory:  # its motion takes long to find from afar
-        problem = problem.beginning_at(model.responses)
-    try:
-        first = _settled(problem, trial.p, starts if problem.simulates else problem.first_starts(), tau)
-    except FrictrackError:
-        first = None
-    if first is None or first.objective > model.objective:
-        first = _without_effect(problem, trial, model)
-    min_fall = _trial_min_fall(trial.misfit, problem.n_frames)
-    return refit_with_scatter(first, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
-
-
 def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: Solution) -> Solution:
     """The model without the effect on trial, with its coefficients refined."""
     layout, known = trial.layout, dict(zip(model.problem.layout.names, model.p, strict=True))
@@ -192,11 +194,6 @@ def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: 
     if problem.simulates:
         problem = problem.beginning_at(model.responses)
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
-
-
-def _trial_min_fall(misfit: float, frames: int) -> float:
-    """Fall of chi-squared, in units of chi-squared per frame, that a trial step must be predicted to gain."""
-    return max(TRIAL_MIN_CHI2_FALL, TRIAL_MIN_EXCESS_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
 
 
 def refine_to_end(solution: Solution) -> Solution:
@@ -224,7 +221,7 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
-def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL) -> Solution:
+def remove_effect(solution: Solution, name: str) -> Solution:
     """Remove an effect from a fitted model and refine the rest.
 
     Parameters
@@ -233,8 +230,6 @@ def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL
         The fitted model.
     name : str
         Name of the effect.
-    min_fall : float
-        A step is not taken if it is predicted to lower chi-squared by less.
 
     Returns
     -------
@@ -250,23 +245,13 @@ def remove_effect(solution: Solution, name: str, min_fall: float = MIN_CHI2_FALL
     firsts = [np.array([values[n] for n in layout.names])]
     if problem.simulates:  # the rest takes over what it can of the effect
         firsts.append(refine_on_measured_motion(linearise(solution), layout, firsts[0]))
-    first = _best_start(problem, firsts, solution.starts, solution.tau or 0.03)
-    return refit_with_scatter(first, first.tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
-
-
-def _best_start(problem: LeastSquaresProblem, firsts: Sequence[Array], starts: Sequence[Array], tau: float) -> Solution:
-    """The model near those of some unknowns (P,) that fit best."""
     found = []
     for p in firsts:
         try:
-            found.append(_settled(problem, p, starts, tau))
+            found.append(refine(problem, p, solution.starts, tau=solution.tau or 0.03, max_steps=SETTLING_STEPS))
         except FrictrackError as error:
             failure = error
     if not found:
         raise failure
-    return min(found, key=lambda at: at.objective)
-
-
-def _settled(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
-    """The model near unknowns p (P,), once the starts of the motions, those of another law, have followed."""
-    return refine(problem, p, starts, tau=tau, max_steps=SETTLING_STEPS)
+    first = min(found, key=lambda at: at.objective)
+    return refit_with_scatter(first, first.tau, max_steps=TRIAL_MAX_STEPS)

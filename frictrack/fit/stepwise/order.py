@@ -1,18 +1,45 @@
-"""Determine the order in which effects enter a fit from scratch, and what is known of an effect before its scan."""
+"""Determine the order in which effects enter a fit from scratch, and the penalty that each must outweigh."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Effect, Parameter, Tie, Within
+from frictrack.effects import Effect, Tie
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import reported_value
 from frictrack.models import Model
 
-PRIOR_HALF_WIDTH_STD = 4.0  # range of a scan about a prior, standard deviations
+EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment beside its size
+
+
+def bic_penalty(count: float, frames: int) -> float:
+    """Return the fall of chi-squared that `count` further parameters must exceed to lower the BIC.
+
+    Parameters
+    ----------
+    count : float
+        Number of further parameters.
+    frames : int
+        Number of frames that are fitted.
+
+    Returns
+    -------
+    float
+        Natural logarithm of the frames for every parameter.
+
+    Examples
+    --------
+    >>> round(bic_penalty(2, 1000), 2)  # 2 ln 1000
+    13.82
+
+    References
+    ----------
+    Schwarz (1978), Annals of Statistics 6, 461-464.
+
+    """
+    return count * float(np.log(frames))
 
 
 def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
@@ -32,9 +59,8 @@ def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
 
     """
     without_scan: list[Effect] = []
-    while ready := [
-        e for e in model.effects if e not in without_scan and not _needs_scan(e) and ties_are_resolved(e, without_scan)
-    ]:
+    plain = [e for e in model.effects if e.clock is None and not any(p.free for p in e.nonlinear)]
+    while ready := [e for e in plain if e not in without_scan and ties_are_resolved(e, without_scan)]:
         without_scan += ready
     later: list[Effect] = []
     while left := [e for e in model.effects if e not in without_scan and e not in later]:
@@ -42,46 +68,10 @@ def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
     return [e for e in model.effects if e in without_scan], later
 
 
-def _needs_scan(effect: Effect) -> bool:
-    return effect.clock is not None or any(p.free for p in effect.nonlinear)
-
-
 def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
     """Return whether all effects that an effect is tied to are present."""
     leaders = {Tie.read(p.tie).effect for p in effect.parameters if p.tie}
     return leaders <= {effect.name, *(e.name for e in known_values)}
-
-
-def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
-    """Prepare an effect for a scan beside a fitted model.
-
-    Tied parameters are fixed at their current values; priors narrow the range of the scan.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fitted model.
-    effect : Effect
-        The candidate.
-
-    Returns
-    -------
-    Effect
-        The effect to scan.
-
-    """
-    changes: dict[str, dict[str, Any]] = {}
-    values, _ = solution.problem.layout.values(solution.p, 0)
-    for p in effect.nonlinear:
-        tie = Tie.read(p.tie) if p.tie else None
-        if tie is not None and tie.effect != effect.name:
-            known_values = tie.factor * float(reported_value(solution.problem.model, values, tie.effect, tie.parameter))
-            changes[p.name] = {"fixed": known_values, "tie": None, "per_run": False}
-        elif p.fixed is not None and p.per_run:
-            changes[p.name] = {"per_run": False}
-        elif p.prior is not None and p.scan is not None:
-            changes[p.name] = {"scan": _scan_near_prior(p, p.prior)}
-    return effect.adjusted(**changes)
 
 
 def reversed_ties(model: Model) -> list[Model]:
@@ -110,18 +100,15 @@ def model_without(solution: Solution, name: str) -> Model:
     """Return the model without one effect; parameters tied to it are fixed at their current values."""
     model = solution.problem.model
     values, _ = solution.problem.layout.values(solution.p, 0)
-    out = []
-    for e in (model - name).effects:
-        followers = [p for p in e.parameters if p.tie and Tie.read(p.tie).effect == name]
-        known_values = {
-            p.name: {"tie": None, "fixed": float(reported_value(model, values, e.name, p.name))} for p in followers
-        }
-        out.append(e.adjusted(**known_values) if known_values else e)
-    return Model(tuple(out))
-
-
-def _scan_near_prior(p: Parameter, prior: tuple[float, float]) -> Within:
-    """The scan of a parameter within `PRIOR_HALF_WIDTH_STD` standard deviations of its prior."""
-    mean, std = prior
-    low, high = max(p.bounds[0], mean - PRIOR_HALF_WIDTH_STD * std), min(p.bounds[1], mean + PRIOR_HALF_WIDTH_STD * std)
-    return Within((float(low), float(np.nextafter(max(high, low), np.inf))), p.scan)
+    return Model(
+        tuple(
+            e.adjusted(
+                **{
+                    p.name: {"tie": None, "fixed": float(reported_value(model, values, e.name, p.name))}
+                    for p in e.parameters
+                    if p.tie and Tie.read(p.tie).effect == name
+                }
+            )
+            for e in (model - name).effects
+        )
+    )

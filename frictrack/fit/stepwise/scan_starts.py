@@ -3,22 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from frictrack.effects import Effect
+from frictrack.effects import Effect, Parameter, Tie, Within
+from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, ScannedSeries, candidate_grids, scan_candidates
-from frictrack.fit.stepwise.order import effect_for_scan
-from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.parameters import reported_value
+from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty
 from frictrack.records import Array
 
 MAX_STARTS = 4  # grid points of one scan that are refined
 MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
+PRIOR_HALF_WIDTH_STD = 4.0  # range of a scan about a prior, standard deviations
 MIN_GAIN_SHARE = 0.5  # share of the best gain
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
-# values by parameter and run (None for all runs), and (effect, run) where the effect is absent
-Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
+StartValues = dict[tuple[str, int | None], float]  # by parameter and run (None for all runs)
+
+
+def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
+    """Prepare an effect for a scan beside a fitted model.
+
+    Tied parameters are fixed at their current values; priors narrow the range of the scan.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted model.
+    effect : Effect
+        The candidate.
+
+    Returns
+    -------
+    Effect
+        The effect to scan.
+
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    values, _ = solution.problem.layout.values(solution.p, 0)
+    for p in effect.nonlinear:
+        tie = Tie.read(p.tie) if p.tie else None
+        if tie is not None and tie.effect != effect.name:
+            leader = float(reported_value(solution.problem.model, values, tie.effect, tie.parameter))
+            changes[p.name] = {"fixed": tie.factor * leader, "tie": None, "per_run": False}
+        elif p.fixed is not None and p.per_run:
+            changes[p.name] = {"per_run": False}
+        elif p.prior is not None and p.scan is not None:
+            changes[p.name] = {"scan": _scan_near_prior(p, p.prior)}
+    return effect.adjusted(**changes)
 
 
 def scan_effect(linearised: LinearisedModel, effect: Effect, series: ScannedSeries) -> list[CandidateScan]:
@@ -54,8 +88,8 @@ def scan_effects(
 
 def starts_of_scans(
     linearised: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array
-) -> list[Start]:
-    """Return start values of an effect that is added to a fitted model.
+) -> tuple[list[StartValues], frozenset[tuple[str, int]]]:
+    """Return start values of an effect that is added to a fitted model, and the runs in which it is absent.
 
     Parameters
     ----------
@@ -70,19 +104,20 @@ def starts_of_scans(
 
     Returns
     -------
-    list of Start
+    starts : list of StartValues
         One start of several scans, up to `MAX_STARTS` of one.
+    absent : frozenset of (str, int)
+        Pairs (effect, run).
 
     """
     left = linearised.residual_projector(linearised.solution.tau)
-    return [_start_values(linearised, effect, picks) for picks in _starts_of_grids(scans, left, data)]
-
-
-def _starts_of_grids(scans: list[CandidateScan], left: Array, data: Array) -> list[list[Pick]]:
-    """Start positions: the best of every grid, or several of a single grid."""
     if len(scans) > 1:
-        return [[_best_forms(s, left, data, 1)[0] for s in scans]]
-    return [[pick] for pick in _best_forms(scans[0], left, data, MAX_STARTS)]
+        return _event_values(linearised, effect, [_best_forms(s, left, data, 1)[0] for s in scans])
+    picks = _best_forms(scans[0], left, data, MAX_STARTS)
+    if effect.single:
+        return [_event_values(linearised, effect, [pick])[0][0] for pick in picks], frozenset()
+    runs = range(len(linearised.solution.problem.layout.run_names))
+    return [_start_values(effect, point, c, runs) for _, point, c in picks], frozenset()
 
 
 def _best_forms(found: CandidateScan, left: Array, data: Array, most: int) -> list[Pick]:
@@ -105,56 +140,46 @@ def _best_forms(found: CandidateScan, left: Array, data: Array, most: int) -> li
     return out
 
 
-def _start_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
-    """Start values of the effect's parameters by (name, run), and the runs in which it is absent."""
-    runs = range(len(linearised.solution.problem.layout.run_names))
-    if effect.single:
-        return _event_values(linearised, effect, picks)
-    _, point, c = picks[0]
-    out: dict[tuple[str, int | None], float] = {}
-    for p in effect.nonlinear:
-        if p.role not in ("phase", "depth"):
-            out |= {(p.name, r): point[p.name] for r in (runs if p.per_run else [None])}
-    if not any(p.role == "phase" and p.free for p in effect.parameters):
-        return out | _scan_coefficients(effect, c, len(runs)), frozenset()
-    size = np.hypot(*c.reshape(-1, 2).T)
-    phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
-    for p in effect.parameters:
-        if p.role == "phase":
-            each = phase
-        elif p.role in ("amplitude", "depth"):
-            each = size if p.per_run else np.mean(size, keepdims=True)
-        else:
-            continue
-        places: list[int | None] = [*runs] if p.per_run else [None]
-        out |= {(p.name, r): float(np.resize(each, len(places))[i]) for i, r in enumerate(places)}
-    return out, frozenset()
-
-
-def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], float]:
-    """Coefficients of a scan without phases, for every run and for all."""
-    amplitudes = [p for p in effect.parameters if p.linear or p.role == "depth"]
-    out: dict[tuple[str, int | None], float] = {}
-    if not amplitudes:  # a modifier without amplitude, such as a lag
-        return out
-    for p, column in zip(amplitudes, c.reshape(-1, len(amplitudes)).T, strict=True):
-        out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}
-        out[p.name, None] = float(np.mean(column))
+def _start_values(effect: Effect, point: dict[str, float], c: Array, runs: range) -> StartValues:
+    """Start values of the effect's parameters at a grid point with its coefficients (K,)."""
+    has_phases = any(p.role == "phase" and p.free for p in effect.parameters)
+    sized = [p for p in effect.parameters if p.role == "depth" or (p.role == "amplitude" if has_phases else p.linear)]
+    each: dict[str, Array] = {
+        p.name: np.array([point[p.name]]) for p in effect.nonlinear if p.role not in ("phase", "depth")
+    }
+    if has_phases:
+        sine, cosine = c.reshape(-1, 2).T
+        each |= {p.name: np.hypot(sine, cosine) for p in sized}
+        each |= {p.name: np.arctan2(cosine, sine) for p in effect.parameters if p.role == "phase"}
+    elif sized:  # a modifier without amplitude, such as a lag, has none
+        each |= {p.name: column for p, column in zip(sized, c.reshape(-1, len(sized)).T, strict=True)}
+    out: StartValues = {}
+    for name, values in each.items():
+        out |= {(name, r): float(np.resize(values, len(runs))[r]) for r in runs}
+        out[name, None] = float(values[0] if effect.parameter(name).role == "phase" else np.mean(values))
     return out
 
 
-def _event_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
+def _event_values(
+    linearised: LinearisedModel, effect: Effect, picks: list[Pick]
+) -> tuple[list[StartValues], frozenset[tuple[str, int]]]:
     """Events of single runs: kept where they gain more than their penalty, at least in the best run."""
     penalty = bic_penalty(EVENT_PARAMETERS, linearised.solution.problem.n_frames)
     gains = np.array([g for g, _, _ in picks])
-    kept = np.flatnonzero((gains > penalty) | (gains == gains.max()))
-    out: dict[tuple[str, int | None], float] = {}
+    kept = np.flatnonzero((gains > penalty) | (gains == gains.max())).tolist()
+    out: StartValues = {}
     for p in effect.parameters:
         if p.linear:
-            out |= {(p.name, int(r)): float(picks[r][2][0]) for r in kept}
+            out |= {(p.name, r): float(picks[r][2][0]) for r in kept}
         elif p.per_run:
-            out |= {(p.name, int(r)): picks[r][1][p.name] for r in kept}
+            out |= {(p.name, r): picks[r][1][p.name] for r in kept}
         else:
             out[p.name, None] = picks[int(np.argmax(gains))][1][p.name]
-    absent = frozenset((effect.name, r) for r in range(len(picks)) if r not in kept)
-    return out, absent
+    return [out], frozenset((effect.name, r) for r in range(len(picks)) if r not in kept)
+
+
+def _scan_near_prior(p: Parameter, prior: tuple[float, float]) -> Within:
+    """The scan of a parameter within `PRIOR_HALF_WIDTH_STD` standard deviations of its prior."""
+    mean, std = prior
+    low, high = max(p.bounds[0], mean - PRIOR_HALF_WIDTH_STD * std), min(p.bounds[1], mean + PRIOR_HALF_WIDTH_STD * std)
+    return Within((float(low), float(np.nextafter(max(high, low), np.inf))), p.scan)

@@ -6,17 +6,17 @@ milliseconds. Several positions of the scan are tried, because the best grid poi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
-from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout, Slot
+from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
-from frictrack.fit.stepwise.penalties import EVENT_PARAMETERS, bic_penalty
-from frictrack.fit.stepwise.scan_starts import MIN_GAIN_SHARE, Start, starts_of_scans
+from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise.scan_starts import MIN_GAIN_SHARE, StartValues, starts_of_scans
 from frictrack.records import Array
 
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
@@ -66,7 +66,7 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     }
     shared = effect.single or not has_per_run_coefficients(effect) or runs == 1 or not amplitudes
     free = effect if shared else effect.adjusted(**amplitudes)
-    free_amplitudes = _best_of_starts(linearised, free, starts_of_scans(linearised, free, scans, data))
+    free_amplitudes = _best_of_starts(linearised, free, *starts_of_scans(linearised, free, scans, data))
     if shared:
         return free_amplitudes
     count = len(amplitudes) * (runs - 1)
@@ -118,15 +118,14 @@ def try_together(
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
     """Return the unknowns (P,) of another model of the same runs, refined along the measured motion from `p`."""
     problem = _projected_problem(linearised, layout)
-    _, state = _refined(problem, problem.at(p))
+    state = _refined(problem, problem.at(p))
     return np.clip(problem.separable.law(state.nonlinear_values, state.coefficients), *layout.bounds)
 
 
 def baseline_misfit(linearised: LinearisedModel) -> float:
     """Compute the misfit of the model itself along the measured motion."""
-    layout = linearised.solution.problem.layout
-    problem = _projected_problem(linearised, layout)
-    return problem.refine(problem.at(np.array(linearised.solution.p)), steps=FINAL_STEPS, enough=FINAL_MIN_FALL).misfit
+    problem = _projected_problem(linearised, linearised.solution.problem.layout)
+    return _refined(problem, problem.at(np.array(linearised.solution.p))).misfit
 
 
 def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) -> float:
@@ -183,13 +182,11 @@ def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, othe
         Expected difference of chi-squared between the two.
 
     """
-    true_problem = _projected_problem(linearised, true.layout)
+    true_problem, other_problem = (_projected_problem(linearised, t.layout) for t in (true, other))
     ideal = true_problem.data - true_problem.at(np.array(true.p)).residual
-    problem = ProjectedProblem(
-        TiedSeparableModel(other.layout, linearised.blocks, linearised.stacks), ideal, true_problem.tau
-    )
-    found = problem.refine(problem.at(np.array(other.p)), steps=FINAL_STEPS, enough=ROUGH_MIN_FALL)
-    return found.misfit - ProjectedProblem(true_problem.separable, ideal, true_problem.tau).at(np.array(true.p)).misfit
+    true_problem, other_problem = true_problem.for_data(ideal), other_problem.for_data(ideal)
+    found = other_problem.refine(other_problem.at(np.array(other.p)), steps=FINAL_STEPS, enough=ROUGH_MIN_FALL)
+    return found.misfit - true_problem.at(np.array(true.p)).misfit
 
 
 class TiedSeparableModel(SeparableModel):
@@ -209,53 +206,39 @@ def _projected_problem(
     return ProjectedProblem(separable, separable.data, tau, budget)
 
 
-def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
+def _best_of_starts(
+    linearised: LinearisedModel, effect: Effect, starts: Sequence[StartValues], absent: frozenset[tuple[str, int]]
+) -> CandidateTrial:
     """The best of the fits from several starts."""
-    found: list[tuple[ProjectedProblem, SeparableSolution]] = []
-    first: dict[frozenset[tuple[str, int]], tuple[ProjectedProblem, SeparableSolution]] = {}
     old = linearised.solution.problem.layout
-    known_values = dict(zip(old.names, linearised.solution.p, strict=True))
-    for values, absent in starts:
-        known = first.get(absent)
-        layout = known[0].layout if known else replace(old, model=old.model + effect, absent=old.absent | absent)
-        slots = zip(layout.names, layout.slots, strict=True)
-        p = np.array([known_values.get(name, _start_value(values, s)) for name, s in slots])
-        if known is None:
-            problem = _projected_problem(linearised, layout)
-            state = problem.at(p)
-            first[absent] = problem, state
-        else:  # the rest of the model is the same
-            problem, state = known[0], known[0].at(p, known[1], _groups_with(known[0], effect))
+    layout = replace(old, model=old.model + effect, absent=old.absent | absent)
+    problem = _projected_problem(linearised, layout)
+    own_groups = [g for g, group in enumerate(problem.separable.groups) if effect.name in group.names]
+    known = dict(zip(old.names, linearised.solution.p, strict=True))
+    first: SeparableSolution | None = None
+    found = []
+    for values in starts:
+        new = [1.0 if s.effect == LEVEL else values.get((s.parameter, s.run), 0.0) for s in layout.slots]
+        p = np.array([known.get(name, value) for name, value in zip(layout.names, new, strict=True)])
+        state = problem.at(p) if first is None else problem.at(p, first, own_groups)  # the rest is the same
+        first = first or state
         # friction levels first: until they give back what they took up of the effect, it has no size to refine
         state = problem.refine(state, (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
-        found.append((problem, problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
-    found.sort(key=lambda pair: pair[1].misfit)
-    best = _refined(*found[0])
-    for problem, state in [*found[1:2], *_with_levels_at_one(*found[0])]:
-        other = _refined(problem, state, below=best[1].misfit)
-        best = min(best, other, key=lambda pair: pair[1].misfit)
-    return _trial(effect, *best)
+        found.append(problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))
+    found.sort(key=lambda state: state.misfit)
+    best = _refined(problem, found[0])
+    for state in [*found[1:2], *_with_levels_at_one(problem, found[0])]:
+        best = min(best, _refined(problem, state, below=best.misfit), key=lambda state: state.misfit)
+    return _trial(effect, problem, best)
 
 
-def _with_levels_at_one(
-    problem: ProjectedProblem, state: SeparableSolution
-) -> list[tuple[ProjectedProblem, SeparableSolution]]:
+def _with_levels_at_one(problem: ProjectedProblem, state: SeparableSolution) -> list[SeparableSolution]:
     """The same start with all friction levels at one: those of the model without the effect may imitate it."""
-    p = problem.separable.law(state.nonlinear_values, state.coefficients)
-    if len(problem.layout.levels) < 2:
+    p, levels = problem.separable.law(state.nonlinear_values, state.coefficients), problem.layout.levels
+    if len(levels) < 2:
         return []
-    p[problem.layout.levels] = 1.0
-    return [(problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))]
-
-
-def _groups_with(problem: ProjectedProblem, effect: Effect) -> list[int]:
-    """The groups of a model that an effect is in."""
-    return [g for g, group in enumerate(problem.separable.groups) if effect.name in group.names]
-
-
-def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> float:
-    """First value of an unknown that the smaller model does not have: from the scan; a friction level is one."""
-    return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
+    p[levels] = 1.0
+    return [problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)]
 
 
 def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
@@ -308,7 +291,7 @@ def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> Candida
     """A trial with the positions of all quickly scanned effects exchanged."""
     problem = _projected_problem(linearised, trial.layout)
     state = VariableProjection(problem.separable, problem.tau).exchange_positions(problem, problem.at(trial.p), "")
-    return _trial(trial.effect, *_refined(problem, state))
+    return _trial(trial.effect, problem, _refined(problem, state))
 
 
 def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
@@ -324,14 +307,13 @@ def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> Cand
     removed = {pair for pair in search.unneeded_events(state, penalty) if pair[0] == name}
     kept = replace(layout, absent=layout.absent | removed)
     problem = _projected_problem(linearised, kept)
-    new = _trial(trial.effect, *_refined(problem, problem.at(np.array([found[n] for n in kept.names]))))
+    state = _refined(problem, problem.at(np.array([found[n] for n in kept.names])))
+    new = _trial(trial.effect, problem, state)
     return min(new, trial, key=lambda t: t.misfit + penalty * len(t.layout.slots))
 
 
-def _refined(
-    problem: ProjectedProblem, state: SeparableSolution, below: float = np.inf
-) -> tuple[ProjectedProblem, SeparableSolution]:
-    return problem, problem.refine(state, steps=FINAL_STEPS, enough=FINAL_MIN_FALL, below=below)
+def _refined(problem: ProjectedProblem, state: SeparableSolution, below: float = np.inf) -> SeparableSolution:
+    return problem.refine(state, steps=FINAL_STEPS, enough=FINAL_MIN_FALL, below=below)
 
 
 def _trial(effect: Effect, problem: ProjectedProblem, state: SeparableSolution) -> CandidateTrial:
@@ -352,7 +334,7 @@ def _with_shared_amplitude(
         known_values.setdefault(name.split("[")[0], []).append(float(value))
     problem = _projected_problem(linearised, layout)
     p = np.array([np.mean(known_values[n]) for n in layout.names])
-    return _trial(effect, *_refined(problem, problem.at(p), limit))
+    return _trial(effect, problem, _refined(problem, problem.at(p), limit))
 
 
 def is_unconstrained(p: Parameter) -> bool:

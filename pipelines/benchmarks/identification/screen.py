@@ -16,7 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from frictrack import effects, models
 from frictrack.effects import Effect, Span
-from frictrack.fit.linearised.grid import scan_points
+from frictrack.fit.linearised import scan_points
 from frictrack.models import Model
 
 from .emps import Record

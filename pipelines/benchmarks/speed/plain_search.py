@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.effects import LIBRARY, Effect, Path, Span
-from frictrack.fit.linearised.grid import scan_points
+from frictrack.fit.linearised import scan_points
 from frictrack.records import Array, Run
 
 DRAWS = 999
