@@ -19,8 +19,6 @@ from frictrack.diagnose.detection_limits import detection_limit
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.finished_search import FinishedSearch
-from frictrack.diagnose.formula_comparison import compare_with_formulas
-from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.power import find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
@@ -28,14 +26,12 @@ from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import FailurePattern, Repeatability, find_failure_pattern
 from frictrack.diagnose.residual_kinds import ResidualKind, residual_kind
 from frictrack.diagnose.residual_series import residual_series
-from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
-from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
+from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
 
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
@@ -53,8 +49,6 @@ class Conclusion:
         The search.
     remarks
         Sentences on how the search was made.
-    functions
-        Further shapes of formulas.
     costs
         Costs of the next experiments.
 
@@ -63,7 +57,6 @@ class Conclusion:
     fit: Fit
     search: FinishedSearch
     remarks: tuple[str, ...] = ()
-    functions: tuple[Shape, ...] = ()
     costs: Costs = DEFAULT_COSTS
 
     @cached_property
@@ -221,13 +214,12 @@ class Conclusion:
         if not self._may_be_a_formula:
             return None
         start, rng = self.search.start, self.search.generators[1]
-        forces = ResidualForces(keep_compared_frames(start))
 
         def repeats() -> Repeatability:
             pattern = self._pattern if not self.search.last.leaves_misfit else find_failure_pattern(start, rng)
             return pattern.repeats
 
-        return compare_with_formulas(forces, self.search.last.solution, repeats, self.functions)
+        return compare_with_formulas(self.search.formulas, self.search.last.solution, repeats)
 
     @property
     def _residual(self) -> dict[str, Array]:
@@ -257,9 +249,7 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
-            unexplained = unexplained_force(
-                self.search.first.solution, self.search.last.solution, self._pattern.forces, self.functions
-            ).summary
+            unexplained = unexplained_force(self.search.formulas, self.search.last.solution).summary
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 
