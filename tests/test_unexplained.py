@@ -89,7 +89,7 @@ def fits():
 @pytest.fixture(scope="module")
 def firsts(fits):
     """The first formula of a cause, looked for once."""
-    return cache(lambda cause: FormulaSearch.of(fits[cause].solution).found().entries[0])
+    return cache(lambda cause: FormulaSearch.of(fits[cause].solution).found()[0].entry)
 
 
 @pytest.mark.few(3)
@@ -131,7 +131,7 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
 def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
-    found = FormulaSearch.of(fits[cause].solution).found().entries
+    found = [one.entry for one in FormulaSearch.of(fits[cause].solution).found()]
     probabilities = [f["probability"] for f in found]
     assert probabilities == sorted(probabilities, reverse=True)
     assert 0.5 < sum(probabilities) < 1.0
@@ -212,7 +212,7 @@ def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
     assert waves.objective < start.objective - 1000  # they explain most of it
     imitation = Explanation((), information_criterion(waves))
     assert formula.explains_more(imitation)
-    best = formula.search.found().first.solution
+    best = formula.search.found()[0].solution
     assert not formula.explains_more(replace(imitation, criterion=information_criterion(best)))
     assert not _FormulaInstead(formula.search, False).explains_more(imitation)
 

@@ -43,8 +43,7 @@ class CompressedResidual:
     paths: list[Path]  # at the n_i points where a force is read
     force_maps: list[Array]  # (m_i, n_i) from a force at these points to its trace
     rows: list[Rows]  # of the points among the frames
-    shift_maps: list[Array]  # (m_i, frames) from a shift of the picture, m
-    displacement_basis: list[Array]  # (frames, m_i) displacement per component, m
+    components: list[Array]  # (frames, m_i) orthonormal, of the whitened displacement
     runs: list[int]  # index of the run
     model_directions: Array  # (M, P)
     model_shares: Array  # (P,) that the model removes of these directions
@@ -98,7 +97,7 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
         solution = linearise_about_measurement(solution)
     responses = solution.responses
     per_piece = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
-    traces, force_maps, rows = zip(*(_compress_piece(r, per_piece) for r in responses), strict=True)
+    components, force_maps, rows = zip(*(_compress_piece(r, per_piece) for r in responses), strict=True)
     removed = np.array([slot.effect == without for slot in layout.slots])
     jac, prior_jac = solution.jac, np.array(prior_jacobian(layout, solution.p))
     data = solution.random_effect_data()
@@ -108,14 +107,13 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     shrink, on_basis = basis.shrink(solution.tau), basis.u.T @ data
     whole = np.column_stack([data, basis.u])
     parts = np.split(whole, np.cumsum([len(r.r) for r in responses])[:-1])
-    compressed = np.concatenate([q.T @ part for q, part in zip(traces, parts, strict=True)])
+    compressed = np.concatenate([q.T @ part for q, part in zip(components, parts, strict=True)])
     directions, shares = _square_root(compressed[:, 1:], shrink)
     made = CompressedResidual(
         paths=[_path_at(solution, r, at, about_measurement) for r, at in zip(responses, rows, strict=True)],
         force_maps=list(force_maps),
         rows=list(rows),
-        shift_maps=[r.piece.whitened_transposed(q).T for q, r in zip(traces, responses, strict=True)],
-        displacement_basis=[r.piece.coloured(q) for q, r in zip(traces, responses, strict=True)],
+        components=list(components),
         runs=[r.piece.run for r in responses],
         model_directions=directions,
         model_shares=shares,

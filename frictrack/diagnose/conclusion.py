@@ -115,7 +115,7 @@ class Conclusion:
         """The model with the effects, or with the formula, that explain everything; None if none do."""
         if self.search.found and not self.search.last.leaves_misfit:
             return self.search.last.solution
-        first = self._compared.formulas.first if self._compared is not None and self._is_formula else None
+        first = self._compared.formulas[0] if self._compared is not None and self._is_formula else None
         return None if first is None else first.solution
 
     @property

@@ -9,7 +9,7 @@ at once are rarer, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,8 +21,8 @@ from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
     SHAPES,
+    FittedFormula,
     FormulaSearch,
-    FoundFormulas,
     formula_axes,
 )
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
@@ -55,16 +55,16 @@ class UnexplainedForce:
     """
 
     summary: dict[str, Any]
-    formulas: FoundFormulas
+    formulas: Sequence[FittedFormula]
 
     def as_candidate(self) -> tuple[str, Solution, float] | None:
         """The first formula as a candidate: its name in `frictrack add`, its fit, and its fall of BIC.
 
         None if there is no formula, or if it is a sum of several terms.
         """
-        first = self.formulas.first
-        if first is None or len(first.terms) > 1:
+        if not self.formulas or len(self.formulas[0].terms) > 1:
             return None
+        first = self.formulas[0]
         old = first.solution.problem
         known = f"the formula depends on {_names_of(first.terms[0].variables)} alone"
         effects = tuple(
@@ -93,7 +93,7 @@ def unexplained_force(search: FormulaSearch, extended: Solution | None = None) -
     extended = None if extended is None or extended is search.solution else keep_compared_frames(extended)
     smooth = (search.forces if extended is None else forces_of(extended)).smooth
     best, formulas = smooth[0], search.found(extended)
-    stated = sum(f["probability"] for f in formulas.entries)
+    entries = [one.entry for one in formulas]
     summary = {
         "axis": best.axis.name,
         "factor": best.axis.factor,
@@ -102,8 +102,8 @@ def unexplained_force(search: FormulaSearch, extended: Solution | None = None) -
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "probability_none": max(1.0 - stated, 0.0) if formulas.entries else None,
-        "formulas": formulas.entries,
+        "probability_none": max(1.0 - sum(one["probability"] for one in entries), 0.0) if entries else None,
+        "formulas": entries,
     }
     return UnexplainedForce(summary, formulas)
 
@@ -138,11 +138,11 @@ def compare_with_formulas(
     if not _is_worth_searching(search, found, repeats, evidence - margin):
         return None
     unexplained = unexplained_force(search)
-    special = [one for one in unexplained.formulas.fitted if is_special_case(one.solution, found)]
-    evidence = max([evidence, *(one.delta_bic for one in special)])  # of the effect, if it is one of them
-    formulas = unexplained.formulas.without(special)
-    listed = formulas.entries
-    advantages = np.array([entry["delta_bic"] - evidence for entry in listed])
+    special = [is_special_case(one.solution, found) for one in unexplained.formulas]
+    formulas = [one for one, is_special in zip(unexplained.formulas, special, strict=True) if not is_special]
+    listed = [one.entry for one in formulas]
+    same = [one.delta_bic for one, is_special in zip(unexplained.formulas, special, strict=True) if is_special]
+    advantages = np.array([one.delta_bic for one in formulas]) - max([evidence, *same])  # over the effects found
     if advantages.max(initial=-np.inf) < -margin:
         return None
     probability = _probability(advantages, np.array([entry["probability"] for entry in listed]), prior)

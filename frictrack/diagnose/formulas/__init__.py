@@ -1,15 +1,15 @@
 """Search formulas of few variables and numbers that describe a force which no library effect explains."""
 
-from frictrack.diagnose.formulas.formula_search import FormulaSearch, FoundFormulas, is_noise
+from frictrack.diagnose.formulas.formula_search import FormulaSearch, is_noise
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape, shapes_of_functions
-from frictrack.diagnose.formulas.terms import AXIS_SYMBOLS, EFFECT_NAME, formula_axes
+from frictrack.diagnose.formulas.terms import AXIS_SYMBOLS, EFFECT_NAME, FittedFormula, formula_axes
 
 __all__ = [
     "AXIS_SYMBOLS",
     "EFFECT_NAME",
     "SHAPES",
+    "FittedFormula",
     "FormulaSearch",
-    "FoundFormulas",
     "Shape",
     "formula_axes",
     "is_noise",

@@ -7,11 +7,9 @@ their evidence, and the most probable are fitted in full. If significant misfit 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -45,24 +43,6 @@ MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit
 MAX_EVIDENCE_BEHIND = 15.0  # of the logarithm of the evidence; a form further behind is not probable
 MAX_GAIN_ERROR = 0.01  # of a gain beside the linearised model, where the rest of the model moves far
 MIN_CHI2_FALL = 0.01  # of a step of a formula that is compared with the best one
-
-
-@dataclass(frozen=True)
-class FoundFormulas:
-    """Formulas that fit what a model leaves, most probable first: JSON entries, and the fits."""
-
-    entries: list[dict[str, Any]] = field(default_factory=list)
-    fitted: list[FittedFormula] = field(default_factory=list)
-
-    @property
-    def first(self) -> FittedFormula | None:
-        """The fit of the first one; None if there is none."""
-        return self.fitted[0] if self.fitted else None
-
-    def without(self, others: Sequence[FittedFormula]) -> FoundFormulas:
-        """All but some of the formulas."""
-        kept = [k for k, one in enumerate(self.fitted) if not any(one is other for other in others)]
-        return FoundFormulas([self.entries[k] for k in kept], [self.fitted[k] for k in kept])
 
 
 @dataclass(frozen=True)
@@ -119,7 +99,7 @@ class FormulaSearch:
         """Misfit that is left by the best formula of one term, fitted in full; at most that of the model."""
         return min([self.solution.objective, *(one.solution.objective for one in self._firsts)])
 
-    def found(self, extended: Solution | None = None) -> FoundFormulas:
+    def found(self, extended: Solution | None = None) -> list[FittedFormula]:
         """Return the formulas that fit what the model leaves, most probable first.
 
         Where all leave significant misfit, they are also fitted beside `extended`, the model with the effects found.
@@ -130,13 +110,13 @@ class FormulaSearch:
         probabilities = form_probabilities(found.weights, found.none)
         better = [one for one in found.fitted.values() if one.delta_bic > 0]
         shown = sorted(better, key=lambda one: -found.weights[one.form])[:N_SHOWN]
-        group, entries = credible_forms(probabilities), []
+        group, out = credible_forms(probabilities), []
         for one in shown:
             first = shown[0].form
             others = [form for form in group if form != first] if one is shown[0] else [first] * (one.form in group)
-            entry = describe_formula(one, self.solution)
-            entries.append(entry | {"probability": probabilities[one.form], "equivalents": others})
-        return FoundFormulas(entries, shown)
+            stated = {"probability": probabilities[one.form], "equivalents": others}
+            out.append(replace(one, entry=describe_formula(one, self.solution) | stated))
+        return out
 
     @cached_property
     def _firsts(self) -> list[FittedFormula]:
@@ -149,6 +129,7 @@ class FormulaSearch:
         if not self._firsts:
             return _Found({}, {}, 0.0)
         best = max(self._firsts, key=lambda one: one.delta_bic)
+        best = self._evaluated(best.terms, refine_to_end(best.solution))
         if self.bare is None and not _is_noise(best.solution):
             best = self._refit_model_effects(best)
         single, best, sizes = self._compare_forms(best)
@@ -173,18 +154,18 @@ class FormulaSearch:
         Where one of them proves better, all are compared beside that one once more.
         """
         for is_last in (False, True):
-            compressed = self._compress_without_formula(best.solution)
-            scan = scan_forms(compressed, self._shapes, N_REFINED, _unit(best.solution))
-            evidence = _evidence(scan, _unit(best.solution))
+            compressed, unit = self._compress_without_formula(best.solution), _unit(best.solution)
+            scan = scan_forms(compressed, self._shapes, N_REFINED, unit)
             if not scan.terms:
                 return _Found({best.form: best}, {best.form: best.delta_bic / 2}, 0.0), best, scan.sizes
-            fitted, leader = {}, best
             power = max(t.gain for t in scan.terms)
-            behind = MAX_EVIDENCE_BEHIND + MAX_GAIN_ERROR * power / (2 * _unit(best.solution))
+            evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
+            least = max(evidence.values()) - MAX_EVIDENCE_BEHIND - MAX_GAIN_ERROR * power / (2 * unit)
+            fitted, leader = {}, best
             for term in sorted(scan.terms, key=lambda t: -evidence[t.form])[:N_SHOWN]:
-                if evidence[term.form] < max(evidence.values()) - behind:
-                    break
-                one = best if term.form == best.form else self._exchange_term(best, term)
+                one = best if term.form == best.form else None
+                if one is None and evidence[term.form] > least:
+                    one = self._exchange_term(best, term)
                 if one is not None:
                     fitted[one.form] = one
                     leader = max(leader, one, key=lambda f: f.delta_bic)
@@ -260,12 +241,6 @@ class FormulaSearch:
         return self._evaluated(best.terms, solution)
 
 
-def _evidence(scan: Scan, unit: float) -> dict[str, float]:
-    """Logarithm of the evidence of every form, over that of no force."""
-    power = max((t.gain for t in scan.terms), default=0.0)
-    return {t.form: relative_evidence(t, power, unit) for t in scan.terms}
-
-
 def _weighed(
     best: FittedFormula, fitted: dict[str, FittedFormula], scan: Scan, compressed: CompressedResidual
 ) -> _Found:
@@ -275,8 +250,9 @@ def _weighed(
     full as they are there.
     """
     unit = _unit(best.solution)
-    evidence, gains = _evidence(scan, unit), {t.form: t.gain for t in scan.terms}
+    gains = {t.form: t.gain for t in scan.terms}
     power = max(gains.values())
+    evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
     base = best.delta_bic / (2 * unit) - max(evidence.values())
     weights = {form: base + one for form, one in evidence.items()}
     for form, one in fitted.items():

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -84,12 +85,13 @@ class Term:
 
 @dataclass(frozen=True)
 class FittedFormula:
-    """A sum of terms added to a model and fitted, with its fall of BIC and its share of the excess chi-squared."""
+    """A sum of terms added to a model and fitted."""
 
     terms: tuple[Term, ...]
     solution: Solution
-    delta_bic: float
-    share: float
+    delta_bic: float  # fall of BIC
+    share: float  # of the excess chi-squared
+    entry: dict[str, Any] = field(default_factory=dict)  # of the JSON of a diagnosis
 
     @property
     def form(self) -> str:
@@ -135,49 +137,41 @@ def build_effect(name: str, term: Term) -> Effect:
 def parameter_bounds(term: Term, factor: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
     """Bounds of the parameters by name: a width within a factor, a place or frequency within some resolution cells."""
     low, high = term.ends
-    span, period = high - low, _period(term)
-    cell = {
-        "place": 0.05 * span,
-        "offset": 0.25 * period,
-        "period": 0.5 * period**2 / span,
-        "rate": 0.5 / span,
-        "sweep": 0.5 / span**2,
-    }
     out = {}
     for q, kind, value in zip(term.shape.parameters, term.shape.kinds, term.parameters, strict=True):
+        cell, _ = _cell_and_range(term, kind)
+        a, b = value - cells * cell, value + cells * cell
         if kind in ("width", "scale"):
-            sizes = np.clip([abs(value) / factor, abs(value) * factor], MIN_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span)
+            least, most = MIN_WIDTH_RATIO * (high - low), MAX_WIDTH_RATIO * (high - low)
+            sizes = np.clip([abs(value) / factor, abs(value) * factor], least, most)
             a, b = sorted((np.sign(value) * sizes).tolist())
         elif kind == "share":
             a, b = MIN_SHARE, MAX_SHARE
-        else:
-            a, b = value - cells * cell[kind], value + cells * cell[kind]
         out[q + suffix] = (max(a, low), min(b, high)) if kind == "place" else (a, b)
     return out
 
 
 def parameter_ranges(term: Term) -> tuple[Array, Mask]:
     """Widths (q,) of the constant priors of the parameters, and whether they are those of the logarithm."""
-    span = term.ends[1] - term.ends[0]
+    ranges = [_cell_and_range(term, kind)[1] for kind in term.shape.kinds]
+    return np.array(ranges), np.array([kind in LOGARITHMIC_KINDS for kind in term.shape.kinds], dtype=bool)
+
+
+def _cell_and_range(term: Term, kind: str) -> tuple[float, float]:
+    """Resolution cell of a kind of parameter, and width of its prior; of the logarithm for `LOGARITHMIC_KINDS`."""
+    span, kinds = term.ends[1] - term.ends[0], term.shape.kinds
+    period = term.parameters[kinds.index("period")] if "period" in kinds else span
     widths = float(np.log(MAX_WIDTH_RATIO / MIN_WIDTH_RATIO))
-    ranges = {
-        "place": span,
-        "offset": _period(term),
-        "width": widths,
-        "scale": widths + float(np.log(2.0)),  # either sign
-        "period": float(np.log(MAX_PERIODS)),
-        "rate": MAX_PERIODS / span,
-        "sweep": MAX_PERIODS / span**2,
-        "share": MAX_SHARE - MIN_SHARE,
-    }
-    kinds = term.shape.kinds
-    return np.array([ranges[k] for k in kinds]), np.array([k in LOGARITHMIC_KINDS for k in kinds], dtype=bool)
-
-
-def _period(term: Term) -> float:
-    """Period of a wave; the length of the axis for other shapes."""
-    kinds = term.shape.kinds
-    return term.parameters[kinds.index("period")] if "period" in kinds else term.ends[1] - term.ends[0]
+    return {
+        "place": (0.05 * span, span),
+        "offset": (0.25 * period, period),
+        "period": (0.5 * period**2 / span, float(np.log(MAX_PERIODS))),
+        "rate": (0.5 / span, MAX_PERIODS / span),
+        "sweep": (0.5 / span**2, MAX_PERIODS / span**2),
+        "share": (0.0, MAX_SHARE - MIN_SHARE),
+        "width": (0.0, widths),
+        "scale": (0.0, widths + float(np.log(2.0))),  # either sign
+    }[kind]
 
 
 def coefficient_names(term: Term, suffix: str = "") -> list[str]:
