@@ -12,7 +12,6 @@ from frictrack import effects
 from frictrack.cli.diagnosis_output import unexplained
 from frictrack.cli.output import Console
 from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
-from frictrack.diagnose.formulas.formula_text import coefficient_unit
 from frictrack.diagnose.formulas.probability import (
     CREDIBLE_PROBABILITY,
     credible_forms,
@@ -22,7 +21,7 @@ from frictrack.diagnose.formulas.probability import (
     relative_evidence,
 )
 from frictrack.diagnose.formulas.shapes import KIND_POWERS
-from frictrack.diagnose.formulas.terms import Term, build_effect, parameter_bounds
+from frictrack.diagnose.formulas.terms import Term, build_effect, coefficient_unit, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.errors import FrictrackError
 from frictrack.flow.formula_effects import choose_formula, formula_number

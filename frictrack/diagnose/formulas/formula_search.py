@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual, is_far_from_data
-from frictrack.diagnose.formulas.formula_text import describe_formula
 from frictrack.diagnose.formulas.probability import (
     PRIOR_NONE,
     credible_forms,
@@ -27,7 +26,14 @@ from frictrack.diagnose.formulas.probability import (
 )
 from frictrack.diagnose.formulas.scan import Scan, scan_forms
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape
-from frictrack.diagnose.formulas.terms import EFFECT_NAME, FittedFormula, Term, build_effect, coefficient_names
+from frictrack.diagnose.formulas.terms import (
+    EFFECT_NAME,
+    FittedFormula,
+    Term,
+    build_effect,
+    coefficient_names,
+    describe_formula,
+)
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.errors import FrictrackError

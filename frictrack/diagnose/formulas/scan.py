@@ -60,7 +60,7 @@ def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refine
     variables = [_Variable(compressed, axis) for axis in formula_axes(compressed)]
     variables = sorted((v for v in variables if v.ends[1] > v.ends[0]), key=lambda v: -v.gain_of_free_curve)
     best, sizes, scanned = 0.0, [], []
-    on_grid = cache(_at_nodes)  # the same for all variables over an axis
+    on_grid = cache(_columns_on_grid)  # the same for all variables over an axis
     for variable in variables:
         is_behind = variable.gain_of_free_curve < MIN_GAIN_RATIO_FREE * best - MAX_GAIN_BEHIND * unit
         for shape in shapes:
@@ -159,7 +159,7 @@ class _Variable:
         return traces, self.compressed.residual
 
 
-def _at_nodes(shape: Shape, low: float, high: float) -> Array:
+def _columns_on_grid(shape: Shape, low: float, high: float) -> Array:
     """Columns (K, G, k) of a shape at the nodes of an axis and its settings."""
     return _finite(shape.columns_at(np.linspace(low, high, N_NODES)[:, None], shape.settings(low, high).T))
 
