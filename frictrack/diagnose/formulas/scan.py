@@ -40,7 +40,7 @@ MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain on the grid that a form must re
 MAX_GAIN_BEHIND = 40.0  # times the reduced chi-squared: a form that gains so much less has no probability
 N_STARTS = 2  # settings of the grid from which a form is refined
 MIN_GAIN_RATIO_START = 0.8  # of the best setting of a form, for further starts
-REFINED_WIDTH_FACTOR, REFINED_CELLS = 30.0, 3.0  # reach of a refinement: factor of a width, resolution cells of a place
+REACH, REACH_AGAIN = (30.0, 3.0), (1.5, 0.3)  # of both refinements: factor of a width, resolution cells of a place
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refine
         return Scan([], sizes)
     tried = [pair for pair in scanned if pair[1][0].gain > MIN_GAIN_RATIO_REFINED * best]
     tried = sorted(tried, key=lambda pair: -pair[1][0].gain)[:n_refined]
-    refined = [max((_refine(t, *v.at_nodes(t)) for t in starts), key=lambda t: t.gain) for v, starts in tried]
+    refined = [max((_refine(t, REACH, *v.at_nodes(t)) for t in starts), key=lambda t: t.gain) for v, starts in tried]
     power = max(t.gain for t in refined)
     refined = [
-        _refine(t, *v.at_all_points(t)) if t.gain > power - MAX_GAIN_BEHIND * unit else t
+        _refine(t, REACH_AGAIN, *v.at_all_points(t)) if t.gain > power - MAX_GAIN_BEHIND * unit else t
         for (v, _), t in zip(tried, refined, strict=True)
     ]
     return Scan(sorted(refined, key=lambda t: -relative_evidence(t, power)), sizes)
@@ -113,8 +113,8 @@ class _Variable:
         compressed = self.compressed
         units = make_interp_spline(np.linspace(*self.ends, N_NODES), np.eye(N_NODES))
         forces = csr_array(BSpline.design_matrix(self.u, units.t, units.k).multiply(self.factor[:, None]))
-        ends = np.cumsum([0, *(len(path.t) for path in compressed.paths)])
-        parts = zip(compressed.force_maps, ends[:-1], ends[1:], strict=True)
+        cuts = np.cumsum([0, *(len(path.t) for path in compressed.paths)])
+        parts = zip(compressed.force_maps, cuts[:-1], cuts[1:], strict=True)
         traces = np.concatenate([m @ forces[a:b] for m, a, b in parts]) @ units.c
         squares, of_model = traces.T @ traces, compressed.model_directions.T @ traces
         removed = 1 - (1 - compressed.model_shares) ** 2
@@ -180,7 +180,7 @@ def _gains(columns: Array, norm: Array, residual: Array, min_share: float) -> Ar
     return np.asarray(np.sum(data * found, axis=1))
 
 
-def _refine(term: Term, traces: Traces, residual: Array) -> Term:
+def _refine(term: Term, reach: tuple[float, float], traces: Traces, residual: Array) -> Term:
     """Refine the parameters of a term, with coefficients solved in every trial (variable projection)."""
 
     def solve(parameters: Array) -> tuple[Array, Array]:
@@ -191,7 +191,7 @@ def _refine(term: Term, traces: Traces, residual: Array) -> Term:
 
     parameters, jacobian = np.array(term.parameters), np.empty((len(residual), 0))
     if term.parameters:
-        low, high = np.array(list(parameter_bounds(term, REFINED_WIDTH_FACTOR, REFINED_CELLS).values())).T
+        low, high = np.array(list(parameter_bounds(term, *reach).values())).T
         scale = np.minimum(high - low, np.maximum(np.abs(parameters), 1e-3 * (high - low)))
 
         def left_at(z: Array) -> Array:
