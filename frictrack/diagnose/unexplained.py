@@ -138,11 +138,13 @@ def compare_with_formulas(
     if not _is_worth_searching(search, found, repeats, evidence - margin):
         return None
     unexplained = unexplained_force(search)
-    special = [is_special_case(one.solution, found) for one in unexplained.formulas]
-    formulas = [one for one, is_special in zip(unexplained.formulas, special, strict=True) if not is_special]
-    listed = [one.entry for one in formulas]
-    same = [one.delta_bic for one, is_special in zip(unexplained.formulas, special, strict=True) if is_special]
-    advantages = np.array([one.delta_bic for one in formulas]) - max([evidence, *same])  # over the effects found
+    formulas: list[FittedFormula] = []
+    for one in unexplained.formulas:
+        if is_special_case(one.solution, found):
+            evidence = max(evidence, one.delta_bic)  # of the effect, which it is
+        else:
+            formulas.append(one)
+    listed, advantages = [one.entry for one in formulas], np.array([one.delta_bic - evidence for one in formulas])
     if advantages.max(initial=-np.inf) < -margin:
         return None
     probability = _probability(advantages, np.array([entry["probability"] for entry in listed]), prior)
