@@ -19,6 +19,7 @@ from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
 from frictrack.diagnose.explanations import Explanation, Explanations
 from frictrack.diagnose.finished_search import FinishedSearch
+from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.diagnose.refined_candidates import RefinedCandidate
@@ -312,7 +313,12 @@ def test_effects_are_named_if_the_model_with_all_of_them_predicts_better(
     found = [RefinedCandidate(LIBRARY[n], law, 100.0, 0.001) for n, law in (("drag", alone), ("spring", whole))]
     tried = [replace(found[0], passes=True)]
     generators = np.random.default_rng(0).spawn(2)
-    conclusion = Conclusion(cancelling, FinishedSearch(cancelling.solution, first, last, tried, found, generators))
+    conclusion = Conclusion(
+        cancelling,
+        FinishedSearch(
+            cancelling.solution, first, last, tried, found, generators, FormulaSearch.of(cancelling.solution)
+        ),
+    )
 
     def heldout(law: Solution) -> tuple[float, float, str]:
         return 1.0, together if law is whole else 2.0, "run by run"

@@ -12,7 +12,6 @@ from frictrack import effects
 from frictrack.cli.diagnosis_output import unexplained
 from frictrack.cli.output import Console
 from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
-from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, coefficient_unit, dimension_of
 from frictrack.diagnose.formulas.probability import (
     CREDIBLE_PROBABILITY,
     credible_forms,
@@ -21,7 +20,8 @@ from frictrack.diagnose.formulas.probability import (
     log_volume,
     relative_evidence,
 )
-from frictrack.diagnose.formulas.terms import Term, build_effect, factor_dimension, parameter_bounds
+from frictrack.diagnose.formulas.shapes import KIND_POWERS
+from frictrack.diagnose.formulas.terms import Term, build_effect, coefficient_unit, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.errors import FrictrackError
 from frictrack.flow.formula_effects import choose_formula, formula_number
@@ -43,37 +43,44 @@ DIAGNOSIS = {
 }
 
 
+def term(shape, factor="", axis="v", parameters=None):
+    variable = Axis(axis, lambda p: {"x": p.x, "t": p.t, "v": p.speed}[axis], factor)
+    return Term(shape, variable, parameters or (0.5,) * len(shape.parameters), (0.5, 4.0))
+
+
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.name)
 def test_every_form_has_units_that_agree_and_can_be_written(shape):
     for axis in shape.axes:
         for column in shape.columns:
-            unit = coefficient_unit(shape.dimension(column, axis))
+            unit = coefficient_unit(column, term(shape, axis=axis))
             assert is_coherent(unit), unit
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.name)
+def test_a_column_scales_with_the_unit_of_its_axis_as_its_degree_says(shape):
+    """A text that adds unlike quantities, or has a function of a quantity with a unit, would not."""
+    u, parameters = np.linspace(0.6, 3.0, 7), (0.3, 0.7, 0.6)[: len(shape.parameters)]
+    scaled = [q * 3.0 ** KIND_POWERS[kind] for q, kind in zip(parameters, shape.kinds, strict=True)]
+    degrees = np.array([shape.degree(column) for column in shape.columns])
+    assert shape.columns_at(3 * u, scaled) == pytest.approx(shape.columns_at(u, parameters) * 3.0**degrees, abs=1e-9)
 
 
 @pytest.mark.parametrize(
     "factor", ["L * s * x", "abs(v)", "L * s * mass", "L * s * mass^(-1/2)", "L * s * mass^(-1/3)", "s * t"]
 )
 def test_a_factor_with_a_unit_gives_a_unit_and_an_effect(factor):
-    assert is_coherent(coefficient_unit(factor_dimension(factor)))
-    shape = next(s for s in SHAPES if s.name == "decay")
-    term = Term(shape, Axis("v", lambda p: p.speed, factor), (2.0,), (0.5, 4.0))
-    effect = build_effect("unexplained", term)
+    decay = term(next(s for s in SHAPES if s.name == "decay"), factor, parameters=(2.0,))
+    assert is_coherent(coefficient_unit(*decay.shape.columns, decay))
+    assert coefficient_unit(*decay.shape.columns, decay) != "N"
+    effect = build_effect("unexplained", decay)
     assert [p.name for p in effect.parameters] == ["F", "w"]
-
-
-def test_unlike_quantities_are_not_added():
-    with pytest.raises(FrictrackError, match="sum of quantities of one unit"):
-        dimension_of("1 + u", {"u": AXIS_DIMENSIONS["x"]})
-    with pytest.raises(FrictrackError, match="argument of exp without a unit"):
-        dimension_of("exp(u)", {"u": AXIS_DIMENSIONS["v"]})
 
 
 def test_functions_of_the_user_become_shapes():
     scaled, placed = shapes_of_functions(["z^2*exp(-z)"])
     u = np.linspace(0.1, 2.0, 5)
-    assert scaled.columns_at(u, [0.5])[0] == pytest.approx((u / 0.5) ** 2 * np.exp(-u / 0.5))
-    assert placed.columns_at(u, [1.0, 0.5])[0] == pytest.approx(((u - 1) / 0.5) ** 2 * np.exp(-(u - 1) / 0.5))
+    assert scaled.columns_at(u, [0.5])[:, 0] == pytest.approx((u / 0.5) ** 2 * np.exp(-u / 0.5))
+    assert placed.columns_at(u, [1.0, 0.5])[:, 0] == pytest.approx(((u - 1) / 0.5) ** 2 * np.exp(-(u - 1) / 0.5))
 
 
 @pytest.mark.parametrize("text", ["z*y", "1", "z z", "exp(", "__import__('os')", "z.real"])

@@ -18,13 +18,12 @@ from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.explanations import Explanation
-from frictrack.diagnose.formula_comparison import compare_with_formulas
-from frictrack.diagnose.formulas import SHAPES, search_formulas
+from frictrack.diagnose.formulas import SHAPES, FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
 from frictrack.diagnose.search import _FormulaInstead
-from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
-from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.smooth_forces import candidate_axes, smooth_forces
+from frictrack.diagnose.unexplained import compare_with_formulas, unexplained_force
 from frictrack.effects import definitions, read_settings
 from frictrack.fit import add_effect, fit, refine
 
@@ -90,7 +89,7 @@ def fits():
 @pytest.fixture(scope="module")
 def firsts(fits):
     """The first formula of a cause, looked for once."""
-    return cache(lambda cause: search_formulas(ResidualForces(fits[cause].solution)).entries[0])
+    return cache(lambda cause: FormulaSearch.of(fits[cause].solution).found()[0].entry)
 
 
 @pytest.mark.few(3)
@@ -132,7 +131,7 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
 def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
-    found = search_formulas(ResidualForces(fits[cause].solution)).entries
+    found = [one.entry for one in FormulaSearch.of(fits[cause].solution).found()]
     probabilities = [f["probability"] for f in found]
     assert probabilities == sorted(probabilities, reverse=True)
     assert 0.5 < sum(probabilities) < 1.0
@@ -170,7 +169,7 @@ def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, f
 
 
 def test_the_json_has_what_the_report_shows(fits):
-    found = unexplained_force(fits["joint"].solution).summary
+    found = unexplained_force(FormulaSearch.of(fits["joint"].solution)).summary
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
@@ -185,7 +184,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     """The library's best imitation swings the load, with an amplitude and a phase in every run."""
     start = fits["rate_and_state"]
     imitation = fit([*LAW, "load_modulation"], start.runs)
-    told = compare_with_formulas(ResidualForces(start.solution), imitation.solution, lambda: repeated("v"))
+    told = compare_with_formulas(FormulaSearch.of(start.solution), imitation.solution, lambda: repeated("v"))
     assert told.summary["decisive"]
     assert told.summary["words"].startswith("a force that depends only on speed explains more with ")
     assert told.summary["formulas"][0]["axis"] == "v"
@@ -195,7 +194,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
 
 @pytest.mark.slow
 def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
-    found = unexplained_force(fits["joint"].solution)
+    found = unexplained_force(FormulaSearch.of(fits["joint"].solution))
     name, law, delta_bic = found.as_candidate()
     assert name == "formula:1"
     assert delta_bic == found.summary["formulas"][0]["delta_bic"]
@@ -207,15 +206,15 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
 def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
     """A magnet: a few waves in every run imitate it, and any other set of so many effects can only do the same."""
     start = fits["magnet"].solution
-    formula, waves = _FormulaInstead(start, (), True), start
+    formula, waves = _FormulaInstead(FormulaSearch.of(start), True), start
     for name in ("vibration", "drift", "spring"):
         waves = add_effect(waves, effects.get(name))
     assert waves.objective < start.objective - 1000  # they explain most of it
     imitation = Explanation((), information_criterion(waves))
     assert formula.explains_more(imitation)
-    best = search_formulas(ResidualForces(start)).first.solution
+    best = formula.search.found()[0].solution
     assert not formula.explains_more(replace(imitation, criterion=information_criterion(best)))
-    assert not _FormulaInstead(start, (), False).explains_more(imitation)
+    assert not _FormulaInstead(formula.search, False).explains_more(imitation)
 
 
 @pytest.mark.slow
@@ -247,7 +246,7 @@ def test_an_effect_of_the_library_wins_ties():
     runs = slides(lambda x, v, t, s, load: 0.8 * load * s * np.exp(-(((x - 0.3) / 0.015) ** 2) / 2))
     start, found = fit(LAW, runs), fit([*LAW, "patch"], runs)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
-    told = compare_with_formulas(ResidualForces(start.solution), found.solution, lambda: repeated("x"))
+    told = compare_with_formulas(FormulaSearch.of(start.solution), found.solution, lambda: repeated("x"))
     assert told is None or not told.summary["decisive"]
 
 
@@ -271,12 +270,12 @@ def test_fewer_numbers_say_the_same_as_all_frames(fits):
 def test_shapes_are_written_as_they_are_evaluated():
     u = np.linspace(0.1, 2.0, 7)
     by_name = {s.name: s for s in SHAPES}
-    assert by_name["logarithm"].columns_at(u, [0.3])[0] == pytest.approx(np.log(1 + u / 0.3))
-    assert by_name["pair"].columns_at(u, [1.0, 0.5])[0] == pytest.approx(
+    assert by_name["logarithm"].columns_at(u, [0.3])[:, 0] == pytest.approx(np.log(1 + u / 0.3))
+    assert by_name["pair"].columns_at(u, [1.0, 0.5])[:, 0] == pytest.approx(
         (u - 1) / 0.5 / (1 + ((u - 1) / 0.5) ** 2) ** 2
     )
-    grid = by_name["wave"].on_grid(u, [(1.0,), (2.5,)])
-    assert grid[1][:, 1] == pytest.approx(np.cos(5 * np.pi * u))
+    many = by_name["wave"].columns_at(u[:, None], [np.array([1.0, 2.5])])
+    assert many[:, 1, 1] == pytest.approx(np.cos(5 * np.pi * u))
 
 
 def test_one_direction_alone_has_no_second_factor():

@@ -218,7 +218,7 @@ def _largest_piece_curve(
     parts = np.split(explained, ends)
     k = int(np.argmax([float(part @ part) for part in parts]))
     piece = solution.responses[k].piece
-    basis = compressed.displacement_basis[k]
+    basis = piece.coloured(compressed.components[k])
     return k, {"t": piece.t, "left": basis @ np.split(compressed.residual, ends)[k], "told": basis @ parts[k]}
 
 
@@ -250,7 +250,8 @@ def _signal_traces(
         force = response.piece.mass * u[compressed.rows[i], :0:-1].reshape(-1, 2 * count)
         parts["load"].append(compressed.force_maps[i] @ (compressed.paths[i].s[:, None] * force))
         parts["push"].append(compressed.force_maps[i] @ force)
-        parts["picture"].append(compressed.shift_maps[i] @ u[:, :2].reshape(-1, 2 * count))
+        shift = response.piece.whitened(u[:, :2].reshape(-1, 2 * count))
+        parts["picture"].append(compressed.components[i].T @ shift)
     return {
         action: compressed.project_out_model(np.concatenate(blocks)).reshape(-1, 2, count)
         for action, blocks in parts.items()

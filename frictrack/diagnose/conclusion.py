@@ -24,22 +24,19 @@ from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effe
 from frictrack.diagnose.examination import Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.finished_search import FinishedSearch
-from frictrack.diagnose.formula_comparison import compare_with_formulas
-from frictrack.diagnose.formulas import Shape
 from frictrack.diagnose.held_parameters import held_remarks
 from frictrack.diagnose.power import detection_limit, find_undetermined
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.repaired_frames import rests_on_repairs
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
-from frictrack.diagnose.smooth_forces import ResidualForces
 from frictrack.diagnose.suspect_runs import suspect_run_remarks
-from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
+from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.verdict_rule import Grounds, judge
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.observations import keep_compared_frames, observation_of
+from frictrack.fit.observations import observation_of
 from frictrack.records import Array
 
 NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
@@ -57,8 +54,6 @@ class Conclusion:
         The search.
     remarks
         Sentences on how the search was made.
-    functions
-        Further shapes of formulas.
     costs
         Costs of the next experiments.
 
@@ -67,7 +62,6 @@ class Conclusion:
     fit: Fit
     search: FinishedSearch
     remarks: tuple[str, ...] = ()
-    functions: tuple[Shape, ...] = ()
     costs: Costs = DEFAULT_COSTS
 
     @cached_property
@@ -122,7 +116,7 @@ class Conclusion:
         """The model with the effects, or with the formula, that explain everything; None if none do."""
         if self.search.found and not self.search.last.leaves_misfit:
             return self.search.last.solution
-        first = self._compared.formulas.first if self._compared is not None and self._is_formula else None
+        first = self._compared.formulas[0] if self._compared is not None and self._is_formula else None
         return None if first is None else first.solution
 
     @property
@@ -225,13 +219,12 @@ class Conclusion:
         if not self._may_be_a_formula:
             return None
         start, rng = self.search.start, self.search.generators[1]
-        forces = ResidualForces(keep_compared_frames(start))
 
         def repeats() -> Repeatability:
             pattern = self._pattern if not self.search.last.leaves_misfit else find_failure_pattern(start, rng)
             return pattern.repeats
 
-        return compare_with_formulas(forces, self.search.last.solution, repeats, self.functions)
+        return compare_with_formulas(self.search.formulas, self.search.last.solution, repeats)
 
     @property
     def _residual(self) -> dict[str, Array]:
@@ -263,9 +256,7 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
-            unexplained = unexplained_force(
-                self.search.first.solution, self.search.last.solution, self._pattern.forces, self.functions
-            ).summary
+            unexplained = unexplained_force(self.search.formulas, self.search.last.solution).summary
         figures = found.figures | self._pattern.figures | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -20,13 +19,12 @@ from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, Explanations
 from frictrack.diagnose.finished_search import FinishedSearch
-from frictrack.diagnose.formulas import Shape, is_noise, least_misfit, shapes_of_functions
+from frictrack.diagnose.formulas import FormulaSearch, Shape, is_noise, shapes_of_functions
 from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
 from frictrack.diagnose.refined_candidates import RefinedCandidate
 from frictrack.diagnose.rivals import alternatives_of, find_rivals, names_in_place_of
 from frictrack.diagnose.search_budget import describe_cut, search_budget
-from frictrack.diagnose.smooth_forces import forces_of
 from frictrack.diagnose.subsampling import subsample, subsample_frames
 from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Diagnosis
@@ -151,7 +149,7 @@ def _conclude(
     if joined is not None:
         joined, remark = subsample_frames(joined)
         found = _search(fit, joined, signals, (np.random.default_rng(rng), level, notify), shapes)
-        conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])), shapes)
+        conclusion = Conclusion(fit, found, tuple(filter(None, [found.cut, remark])))
         if not found.last.leaves_misfit:
             notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
             if conclusion.verdict.verdict != "unexplained":
@@ -161,7 +159,7 @@ def _conclude(
     start, remarks = subsample(start)
     found = _search(fit, start, signals, (np.random.default_rng(rng), level, notify), shapes)
     notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
-    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])), shapes)
+    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 
 
 def _search(
@@ -182,7 +180,7 @@ def _search(
     scanned = sorted(first.tests.scanned, key=lambda s: -s.excess[0])
     space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
-    formula = _FormulaInstead(start, shapes, simulates)
+    formula = _FormulaInstead(FormulaSearch.of(start, shapes), simulates)
     beaten = False
     for size in range(1, MAX_SIZE + 1):
         beaten = last.something_is_missing and size > MIN_SIZE_IMITATING and formula.explains_more(best)
@@ -211,7 +209,10 @@ def _search(
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    return FinishedSearch(start, first, last, tried, found, generators, cut, alternatives_of(best, rivals), beaten)
+    alternatives = alternatives_of(best, rivals)
+    return FinishedSearch(
+        start, first, last, tried, found, generators, formula.search, cut, alternatives, is_beaten=beaten
+    )
 
 
 def _describe_step(best: Explanation, size: int) -> str:
@@ -249,19 +250,13 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
 class _FormulaInstead:
     """One formula in place of all effects: where it explains far more, no larger set of effects is searched."""
 
-    start: Solution
-    shapes: tuple[Shape, ...]
+    search: FormulaSearch
     is_comparable: bool  # whether the residual is one that formulas are fitted to
-
-    @cached_property
-    def misfit(self) -> float:
-        """Misfit that the best formula of one term leaves in the model without any effect found."""
-        return least_misfit(forces_of(self.start), self.shapes)
 
     def explains_more(self, best: Explanation) -> bool:
         """Whether it leaves only noise, and the effects found explain far less by the BIC: they imitate it."""
-        start, n = self.start, self.start.problem.n_frames
-        if not self.is_comparable or not is_noise(self.misfit - n, n):
+        start, n = self.search.solution, self.search.solution.problem.n_frames
+        if not self.is_comparable or not is_noise(self.search.least_misfit - n, n):
             return False
-        fall = start.objective - self.misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
+        fall = start.objective - self.search.least_misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
         return bool(information_criterion(start) - fall < best.criterion + 2 * best.log_prior - MIN_BIC_BEATEN)

@@ -7,16 +7,14 @@ their evidence, and the most probable are fitted in full. If significant misfit 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual, is_far_from_data
-from frictrack.diagnose.formulas.formula_text import describe_formula
 from frictrack.diagnose.formulas.probability import (
     PRIOR_NONE,
     credible_forms,
@@ -34,101 +32,23 @@ from frictrack.diagnose.formulas.terms import (
     Term,
     build_effect,
     coefficient_names,
-    parameter_names,
+    describe_formula,
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
+from frictrack.fit.observations import keep_compared_frames
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
-from frictrack.models import Model
 
-N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full beside the bare model
-N_REFINED_FIRST, N_REFINED = 40, 300  # forms refined beside the bare model, and beside the model with a formula
+N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full, unless one leaves only noise
+N_REFINED_FIRST, N_REFINED = 16, 300  # forms refined beside the bare model, and beside the model with a formula
 N_SHOWN = 6  # formulas reported
 MIN_RISE_COMPARED_AGAIN = 2.0  # of the fall of BIC by a better formula, for which all forms are compared again
-MAX_COMPARISONS = 2  # of all forms with each other, each time beside the best formula so far
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
-
-
-@dataclass(frozen=True)
-class FoundFormulas:
-    """Formulas that fit what a model leaves, most probable first: JSON entries, and the fits."""
-
-    entries: list[dict[str, Any]] = field(default_factory=list)
-    fitted: list[FittedFormula] = field(default_factory=list)
-
-    @property
-    def first(self) -> FittedFormula | None:
-        """The fit of the first one; None if there is none."""
-        return self.fitted[0] if self.fitted else None
-
-    def without(self, others: Sequence[FittedFormula]) -> FoundFormulas:
-        """All but some of the formulas."""
-        pairs = zip(self.entries, self.fitted, strict=True)
-        kept = [pair for pair in pairs if not any(pair[1] is one for one in others)]
-        return FoundFormulas([entry for entry, _ in kept], [one for _, one in kept])
-
-
-def search_formulas(
-    forces: ResidualForces, extended: Solution | None = None, functions: Sequence[Shape] = ()
-) -> FoundFormulas:
-    """Search formulas that fit what a model leaves.
-
-    Parameters
-    ----------
-    forces
-        Smooth forces in the residual of the fitted model.
-    extended
-        The model with the effects found so far; used if a formula beside the model leaves significant misfit.
-    functions
-        Further shapes, of the user's own functions.
-
-    Returns
-    -------
-    FoundFormulas
-
-    """
-    solution = forces.solution
-    fitter = _FormulaFitter.of(solution, functions)
-    found = _find_formulas(forces, fitter, solution.problem.model)
-    if extended is not None and extended is not solution and not any(_is_noise(f.solution) for f in found.formulas):
-        found = found.joined(_find_formulas(forces_of(extended), fitter, None))
-    probabilities = found.probabilities()
-    shown = sorted((f for f in found.formulas if f.delta_bic > 0), key=lambda f: -found.weights[f.form])[:N_SHOWN]
-    if not shown:
-        return FoundFormulas()
-    group = credible_forms(probabilities)
-    first = shown[0].form
-    entries = []
-    for one in shown:
-        others = [form for form in group if form != first] if one is shown[0] else [first] * (one.form in group)
-        entry = describe_formula(one, solution)
-        entries.append(entry | {"probability": probabilities[one.form], "equivalents": others})
-    return FoundFormulas(entries, shown)
-
-
-def least_misfit(forces: ResidualForces, functions: Sequence[Shape] = ()) -> float:
-    """Misfit that is left by the best formula of one term over one of the axes, fitted in full.
-
-    Parameters
-    ----------
-    forces
-        Smooth forces in the residual of the fitted model.
-    functions
-        Further shapes, of the user's own functions.
-
-    Returns
-    -------
-    float
-        At most that of the model.
-
-    """
-    fitter = _FormulaFitter.of(forces.solution, functions)
-    terms = scan_forms(forces.compressed, fitter.shapes, N_REFINED_FIRST).terms
-    best_by_axis = {t.axis: t for t in reversed(terms)}
-    tried = fitter.add_terms(forces.solution, (), list(best_by_axis.values()))
-    return min([forces.solution.objective, *(f.solution.objective for f in tried)])
+MAX_EVIDENCE_BEHIND = 15.0  # of the logarithm of the evidence; a form further behind is not probable
+MAX_GAIN_ERROR = 0.01  # of a gain beside the linearised model, where the rest of the model moves far
+MIN_CHI2_FALL = 0.01  # of a step of a formula that is compared with the best one
 
 
 @dataclass(frozen=True)
@@ -138,97 +58,212 @@ class _Found:
     `free` is the latter's weight as a smooth force of any shape, whatever the formulas leave.
     """
 
-    formulas: list[FittedFormula]
+    fitted: dict[str, FittedFormula]
     weights: dict[str, float]
     none: float
     free: float = -np.inf
 
     def joined(self, other: _Found) -> _Found:
         """Both, of forms in both the one of the higher weight."""
-        formulas = {f.form: f for f in (*self.formulas, *other.formulas)}
-        weights = self.weights | {
-            form: max(weight, self.weights.get(form, -np.inf)) for form, weight in other.weights.items()
-        }
-        better = {f.form: f for f in self.formulas if weights[f.form] == self.weights[f.form]}
-        none, free = max(self.none, other.none), max(self.free, other.free)
-        return _Found(list((formulas | better).values()), weights, none, free)
-
-    def probabilities(self) -> dict[str, float]:
-        """Probability of every form, highest first."""
-        return form_probabilities(self.weights, self.none)
+        forms = self.weights | other.weights
+        weights = {f: max(one.weights.get(f, -np.inf) for one in (self, other)) for f in forms}
+        better = {f: one for f, one in self.fitted.items() if self.weights[f] == weights[f]}
+        return _Found(other.fitted | better, weights, max(self.none, other.none), max(self.free, other.free))
 
 
-def _find_formulas(forces: ResidualForces, fitter: _FormulaFitter, law: Model | None) -> _Found:
-    """Formulas of one term, and of two if misfit remains; effects of `law` may be refitted beside them."""
-    first = scan_forms(forces.compressed, fitter.shapes, N_REFINED_FIRST).terms[:N_FIRST_FITTED]
-    tried = fitter.add_terms(forces.solution, (), first)
-    if not tried:
-        return _Found([], {}, 0.0)
-    best = max(tried, key=lambda f: f.delta_bic)
-    if law is not None and not _is_noise(best.solution):
-        best = fitter.refit_model_effects(best, law)
-    single, best, scan = _compare_forms(fitter, best)
-    if _is_noise(best.solution):
-        return single
-    second = scan_forms(forces_of(best.solution).compressed, fitter.shapes, N_REFINED_FIRST)
-    pairs = fitter.add_terms(best.solution, best.terms, second.terms[:N_SECOND_FITTED])
-    if not pairs:
-        return single
-    leader = max(pairs, key=lambda f: f.delta_bic).solution
-    unit, own = _unit(leader), max(single.weights.values())
-    more = {
-        f.form: own + (f.delta_bic - best.delta_bic) / (2 * unit) + log_prior(f.terms[-1].size, scan.sizes)
-        for f in pairs
-    }
-    both = single.joined(_Found(pairs, more, -np.inf))
-    left = float(logsumexp(list(both.weights.values()))) + remaining_evidence(leader)
-    return replace(both, none=max(single.free, float(np.log(PRIOR_NONE)) + left))
+@dataclass(frozen=True, eq=False)
+class FormulaSearch:
+    """Search of formulas in the residual of one model; what several steps of a diagnosis need is computed once.
 
+    Parameters
+    ----------
+    forces
+        Smooth forces in the residual of the fitted model.
+    functions
+        Further shapes, of the user's own functions.
+    bare
+        The model with which formulas are compared, if it is not that of `forces`.
 
-def _compare_forms(fitter: _FormulaFitter, best: FittedFormula) -> tuple[_Found, FittedFormula, Scan]:
-    """Compare all forms beside the model with the best formula, where the linearised model is accurate.
-
-    Where a form that is fitted in full proves better than that one, they are compared beside it once more.
     """
-    for comparison in range(MAX_COMPARISONS):
-        compressed = fitter.compress_without(best.solution)
-        scan = scan_forms(compressed, fitter.shapes, N_REFINED)
-        if not scan.terms:
-            return _Found([best], {best.form: best.delta_bic / 2}, 0.0), best, scan
-        new, is_last = fitter.exchange_term(best, scan.terms[0]), comparison == MAX_COMPARISONS - 1
-        if new is not None and _is_better(new, best):
-            best = new
-            if not is_last:
-                continue
-        found = _weigh_forms(fitter, best, scan, compressed)
-        leader = max(found.formulas, key=lambda f: f.delta_bic, default=best)
-        if is_last or not _is_better(leader, best):
-            break
-        best = leader
-    return found, best, scan
+
+    forces: ResidualForces
+    functions: tuple[Shape, ...] = ()
+    bare: Solution | None = None
+
+    @classmethod
+    def of(cls, solution: Solution, functions: tuple[Shape, ...] = ()) -> FormulaSearch:
+        """The search in the frames of a fit that are compared."""
+        return cls(forces_of(keep_compared_frames(solution)), functions)
+
+    @property
+    def solution(self) -> Solution:
+        """The fitted model."""
+        return self.forces.solution
+
+    @cached_property
+    def least_misfit(self) -> float:
+        """Misfit that is left by the best formula of one term, fitted in full; at most that of the model."""
+        return min([self.solution.objective, *(one.solution.objective for one in self._firsts)])
+
+    def found(self, extended: Solution | None = None) -> list[FittedFormula]:
+        """Return the formulas that fit what the model leaves, most probable first.
+
+        Where all leave significant misfit, they are also fitted beside `extended`, the model with the effects found.
+        """
+        found = self._found
+        if extended is not None and not any(_is_noise(one.solution) for one in found.fitted.values()):
+            found = found.joined(FormulaSearch(forces_of(extended), self.functions, self.solution)._found)
+        probabilities = form_probabilities(found.weights, found.none)
+        better = [one for one in found.fitted.values() if one.delta_bic > 0]
+        shown = sorted(better, key=lambda one: -found.weights[one.form])[:N_SHOWN]
+        group, out = credible_forms(probabilities), []
+        for one in shown:
+            first = shown[0].form
+            others = [form for form in group if form != first] if one is shown[0] else [first] * (one.form in group)
+            stated = {"probability": probabilities[one.form], "equivalents": others}
+            out.append(replace(one, entry=describe_formula(one, self.solution) | stated))
+        return out
+
+    @cached_property
+    def _firsts(self) -> list[FittedFormula]:
+        """The most probable forms beside the model, fitted in full up to the first one that leaves only noise."""
+        return self._fit_next(self.solution, (), self.forces, N_FIRST_FITTED)
+
+    @cached_property
+    def _found(self) -> _Found:
+        """Formulas of one term, and of two if misfit remains."""
+        if not self._firsts:
+            return _Found({}, {}, 0.0)
+        best = max(self._firsts, key=lambda one: one.delta_bic)
+        best = self._evaluated(best.terms, refine_to_end(best.solution))
+        if self.bare is None and not _is_noise(best.solution):
+            best = self._refit_model_effects(best)
+        single, best, sizes = self._compare_forms(best)
+        if _is_noise(best.solution):
+            return single
+        pairs = self._fit_next(best.solution, best.terms, forces_of(best.solution), N_SECOND_FITTED)
+        if not pairs:
+            return single
+        leader = max(pairs, key=lambda one: one.delta_bic).solution
+        base, unit = max(single.weights.values()), _unit(leader)
+        weights = {
+            one.form: base + (one.delta_bic - best.delta_bic) / (2 * unit) + log_prior(one.terms[-1].size, sizes)
+            for one in pairs
+        }
+        both = single.joined(_Found({one.form: one for one in pairs}, weights, -np.inf))
+        left = float(logsumexp(list(both.weights.values()))) + remaining_evidence(leader)
+        return replace(both, none=max(single.free, float(np.log(PRIOR_NONE)) + left))
+
+    def _compare_forms(self, best: FittedFormula) -> tuple[_Found, FittedFormula, list[int]]:
+        """Compare all forms of one term beside the model with the best one, and fit those that may be probable in full.
+
+        Where one of them proves better, all are compared beside that one once more.
+        """
+        for is_last in (False, True):
+            compressed, unit = self._compress_without_formula(best.solution), _unit(best.solution)
+            scan = scan_forms(compressed, self._shapes, N_REFINED, unit)
+            if not scan.terms:
+                return _Found({best.form: best}, {best.form: best.delta_bic / 2}, 0.0), best, scan.sizes
+            power = max(t.gain for t in scan.terms)
+            evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
+            least = max(evidence.values()) - MAX_EVIDENCE_BEHIND - MAX_GAIN_ERROR * power / (2 * unit)
+            fitted, leader = {}, best
+            for term in sorted(scan.terms, key=lambda t: -evidence[t.form])[:N_SHOWN]:
+                one = best if term.form == best.form else None
+                if one is None and evidence[term.form] > least:
+                    one = self._exchange_term(best, term)
+                if one is not None:
+                    fitted[one.form] = one
+                    leader = max(leader, one, key=lambda f: f.delta_bic)
+                if leader.delta_bic > best.delta_bic + MIN_RISE_COMPARED_AGAIN and not is_last:
+                    break
+            if is_last or leader.delta_bic <= best.delta_bic + MIN_RISE_COMPARED_AGAIN:
+                break
+            best = leader
+        return _weighed(best, fitted, scan, compressed), leader, scan.sizes
+
+    @property
+    def _shapes(self) -> tuple[Shape, ...]:
+        return (*SHAPES, *self.functions)
+
+    def _evaluated(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
+        """A fitted formula with its gain over the bare model."""
+        bare = self.bare or self.solution
+        excess = _excess_chi2(bare)
+        share = float(np.clip((excess - _excess_chi2(solution)) / max(excess, 1e-300), 0.0, 1.0))
+        return FittedFormula(terms, solution, information_criterion(bare) - information_criterion(solution), share)
+
+    def _compress_without_formula(self, solution: Solution) -> CompressedResidual:
+        """Compress the residual with the force of the formula in it.
+
+        The formula may take up the scatter of few friction levels by chance; that of the bare model is kept.
+        """
+        scattered = replace(solution, tau=max(solution.tau or 0.0, (self.bare or self.solution).tau or 0.0))
+        return compress_residual(scattered, EFFECT_NAME, about_measurement=is_far_from_data(solution))
+
+    def _fit_next(
+        self, solution: Solution, first: tuple[Term, ...], forces: ResidualForces, count: int
+    ) -> list[FittedFormula]:
+        """Add the most probable terms to a model and fit each in full, up to the first one that leaves only noise.
+
+        Terms that cannot be integrated are left out.
+        """
+        name = EFFECT_NAME if not first else f"{EFFECT_NAME}_{len(first) + 1}"
+        scan = scan_forms(forces.compressed, self._shapes, N_REFINED_FIRST, _unit(solution))
+        out: list[FittedFormula] = []
+        for term in scan.terms[:count]:
+            with suppress(FrictrackError):
+                fitted = add_effect(solution, build_effect(name, term))
+                out.append(self._evaluated((*first, term), fitted if _is_noise(fitted) else refine_to_end(fitted)))
+                if _is_noise(fitted):
+                    break
+        return out
+
+    def _exchange_term(self, best: FittedFormula, term: Term) -> FittedFormula | None:
+        """Replace the only term of a formula, starting from its fit; None if it cannot be integrated."""
+        solution = best.solution
+        old = solution.problem.layout
+        layout = replace(old, model=old.model - EFFECT_NAME + build_effect(EFFECT_NAME, term))
+        names = [f"{EFFECT_NAME}.{name}" for name in (*term.shape.parameters, *coefficient_names(term))]
+        values = dict(zip(old.names, solution.p, strict=True))
+        values |= dict(zip(names, (*term.parameters, *term.coefficients), strict=True))
+        problem = solution.problem.rebuild(layout, solution.problem.pieces)
+        if problem.simulates:
+            problem = problem.beginning_at(solution.responses)
+        p = np.array([values[name] for name in layout.names])
+        with suppress(FrictrackError):
+            tau = solution.tau or 0.03
+            fitted = fit_with_scatter(problem, p, solution.starts, tau, min_fall=MIN_CHI2_FALL)
+            return self._evaluated((term,), fitted)
+        return None
+
+    def _refit_model_effects(self, best: FittedFormula) -> FittedFormula:
+        """Refit effects of the model that fit better elsewhere beside the formula."""
+        solution = best.solution
+        for effect in entry_order(self.solution.problem.model)[1]:
+            with suppress(FrictrackError):
+                moved = add_effect(remove_effect(solution, effect.name), effect)
+                solution = moved if moved.objective < solution.objective else solution
+        return self._evaluated(best.terms, solution)
 
 
-def _is_better(new: FittedFormula, old: FittedFormula) -> bool:
-    return new.delta_bic >= old.delta_bic + MIN_RISE_COMPARED_AGAIN
+def _weighed(
+    best: FittedFormula, fitted: dict[str, FittedFormula], scan: Scan, compressed: CompressedResidual
+) -> _Found:
+    """Weights of all forms, relative to the model without a formula.
 
-
-def _weigh_forms(fitter: _FormulaFitter, best: FittedFormula, scan: Scan, compressed: CompressedResidual) -> _Found:
-    """Weigh the forms that were refined beside the model with the best formula, and fit the most probable in full.
-
-    The weights are relative to the model without a formula: half the fall of BIC of the best formula and the
-    differences of evidence beside it, for forms fitted in full as they are there.
+    They are half the fall of BIC of the best formula and the differences of evidence beside it, for forms fitted in
+    full as they are there.
     """
     unit = _unit(best.solution)
-    power = max(t.gain for t in scan.terms)
+    gains = {t.form: t.gain for t in scan.terms}
+    power = max(gains.values())
     evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
     base = best.delta_bic / (2 * unit) - max(evidence.values())
     weights = {form: base + one for form, one in evidence.items()}
-    gains = {t.form: t.gain for t in scan.terms}
-    order = sorted(scan.terms, key=lambda t: -weights[t.form])[:N_SHOWN]
-    fitted = [f for t in order if (f := fitter.exchange_term(best, t)) is not None]
-    for one in fitted:
-        gain = gains.get(best.form, max(gains.values())) + best.solution.objective - one.solution.objective
-        weights[one.form] += (gain - gains[one.form]) / (2 * unit)
+    for form, one in fitted.items():
+        gain = gains.get(best.form, power) + best.solution.objective - one.solution.objective
+        weights[form] += (gain - gains[form]) / (2 * unit)
     outside = float(np.log(PRIOR_NONE))
     free = outside + base + smooth_evidence(compressed, power, unit) - log_prior(0, scan.sizes)
     left = outside + float(logsumexp(list(weights.values()))) + remaining_evidence(best.solution)
@@ -238,72 +273,6 @@ def _weigh_forms(fitter: _FormulaFitter, best: FittedFormula, scan: Scan, compre
 def _unit(solution: Solution) -> float:
     """Reduced chi-squared, if it is above 1."""
     return max(solution.chi2 / max(solution.problem.n_frames - len(solution.p), 1), 1.0)
-
-
-@dataclass(frozen=True)
-class _FormulaFitter:
-    """Fits formulas and compares them with the bare model: its BIC and its excess chi-squared."""
-
-    bare_bic: float
-    excess: float
-    scatter: float  # of the friction levels, of the bare model
-    shapes: tuple[Shape, ...]
-
-    @classmethod
-    def of(cls, bare: Solution, functions: Sequence[Shape]) -> _FormulaFitter:
-        """The fitter of formulas in the residual of a model, with further shapes."""
-        return cls(information_criterion(bare), _excess_chi2(bare), bare.tau or 0.0, (*SHAPES, *functions))
-
-    def evaluate(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
-        """Return a fitted formula with its gain."""
-        explained = self.excess - _excess_chi2(solution)
-        share = float(np.clip(explained / max(self.excess, 1e-300), 0.0, 1.0))
-        return FittedFormula(terms, solution, self.bare_bic - information_criterion(solution), share)
-
-    def compress_without(self, solution: Solution) -> CompressedResidual:
-        """Compress the residual with the force of the formula in it.
-
-        The formula may take up the scatter of few friction levels by chance; that of the bare model is kept.
-        """
-        bare = replace(solution, tau=max(solution.tau or 0.0, self.scatter))
-        return compress_residual(bare, EFFECT_NAME, about_measurement=is_far_from_data(solution))
-
-    def add_terms(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[FittedFormula]:
-        """Add each term to a model and fit it in full; skip those that cannot be integrated."""
-        name = EFFECT_NAME if not first else f"{EFFECT_NAME}_{len(first) + 1}"
-        out = []
-        for term in terms:
-            with suppress(FrictrackError):
-                fitted = add_effect(solution, build_effect(name, term))
-                out.append(self.evaluate((*first, term), fitted if _is_noise(fitted) else refine_to_end(fitted)))
-        return out
-
-    def exchange_term(self, best: FittedFormula, term: Term) -> FittedFormula | None:
-        """Replace the only term of a formula, starting from its fit; None if it cannot be integrated."""
-        old = best.solution.problem.layout
-        layout = replace(old, model=old.model - EFFECT_NAME + build_effect(EFFECT_NAME, term))
-        old_values = dict(zip(old.names, best.solution.p, strict=True))
-        term_values = dict(zip(parameter_names(term), term.parameters, strict=True)) | dict(
-            zip(coefficient_names(term), term.coefficients, strict=True)
-        )
-        new_values = {f"{EFFECT_NAME}.{name}": value for name, value in term_values.items()}
-        p = np.array([(old_values | new_values)[name] for name in layout.names])
-        problem = best.solution.problem.rebuild(layout, best.solution.problem.pieces)
-        if problem.simulates:
-            problem = problem.beginning_at(best.solution.responses)
-        try:
-            return self.evaluate((term,), fit_with_scatter(problem, p, best.solution.starts, best.solution.tau or 0.03))
-        except FrictrackError:
-            return None
-
-    def refit_model_effects(self, best: FittedFormula, law: Model) -> FittedFormula:
-        """Refit effects of the model that fit better elsewhere beside the formula."""
-        solution = best.solution
-        for effect in entry_order(law)[1]:
-            with suppress(FrictrackError):
-                moved = add_effect(remove_effect(solution, effect.name), effect)
-                solution = moved if moved.objective < solution.objective else solution
-        return self.evaluate(best.terms, solution)
 
 
 def _excess_chi2(solution: Solution) -> float:
@@ -318,17 +287,6 @@ def _is_noise(solution: Solution) -> bool:
 
 def is_noise(excess: float, frames: int) -> bool:
     """Return whether chi-squared exceeds its expectation by no more than noise does.
-
-    Parameters
-    ----------
-    excess
-        Chi-squared above its expectation.
-    frames
-        Number of frames.
-
-    Returns
-    -------
-    bool
 
     Examples
     --------

@@ -30,14 +30,7 @@ CREDIBLE_PROBABILITY = 0.95  # that the right form is in the group, if the gramm
 
 
 def log_prior(size: int, sizes: Sequence[int]) -> float:
-    """Logarithm of the prior probability of a form among those of a grammar.
-
-    Parameters
-    ----------
-    size
-        Number of its coefficients, parameters and further operators.
-    sizes
-        Sizes of all forms of the grammar.
+    """Logarithm of the prior probability of a form of a size among those of a grammar.
 
     Examples
     --------
@@ -51,18 +44,7 @@ def log_prior(size: int, sizes: Sequence[int]) -> float:
 def log_volume(term: Term, jacobian: Array) -> float:
     """Logarithm of the share of the prior range of its parameters that the data leave to a form.
 
-    Parameters
-    ----------
-    term
-        The form at its best parameters.
-    jacobian
-        Derivative of the whitened residual by the parameters, (M, q).
-
-    Returns
-    -------
-    float
-        At most 0, for parameters that the data do not determine.
-
+    `jacobian` (M, q) is the derivative of the whitened residual. Parameters that the data do not determine keep all.
     """
     ranges, logarithmic = parameter_ranges(term)
     per_step = jacobian * np.where(logarithmic, np.abs(term.parameters), 1.0)
@@ -75,33 +57,15 @@ def log_volume(term: Term, jacobian: Array) -> float:
 def relative_evidence(term: Term, power: float, unit: float = 1.0) -> float:
     """Logarithm of the evidence of a form times its relative prior, over that of no force.
 
-    Parameters
-    ----------
-    term
-        The refined form.
-    power
-        Fall of chi-squared by the best form, from which the prior of the size of a force is taken (Zellner 1986).
-    unit
-        Reduced chi-squared, if it is above 1.
-
+    The prior of the size of a force is taken from `power`, the fall of chi-squared by the best form (Zellner 1986).
+    `unit` is the reduced chi-squared, if it is above 1.
     """
     coefficients = 0.5 * len(term.shape.columns) * float(np.log1p(power / unit))
     return 0.5 * term.gain / unit - coefficients + term.log_volume + LOG_PRIOR_PER_UNKNOWN * term.size
 
 
 def smooth_evidence(compressed: CompressedResidual, power: float, unit: float = 1.0) -> float:
-    """Logarithm of the evidence of a smooth force of any shape over the best axis, over that of no force.
-
-    Parameters
-    ----------
-    compressed
-        The compressed residual.
-    power
-        Fall of chi-squared by the best force, from which the prior of its size is taken, as for a form.
-    unit
-        Reduced chi-squared, if it is above 1.
-
-    """
+    """Logarithm of the evidence of a smooth force of any shape over the best axis, as `relative_evidence` of a form."""
     smooth = smooth_forces(compressed)
     tried = float(np.log(len(smooth) * len(LENGTH_RATIOS)))
     return smooth[0].gain / (2 * unit) - tried - 0.5 * float(np.log1p(power / unit))
@@ -116,19 +80,9 @@ def remaining_evidence(solution: Solution) -> float:
 
 
 def form_probabilities(weights: Mapping[str, float], none: float) -> dict[str, float]:
-    """Probability of every form; what is missing to 1 belongs to none of them.
+    """Probability of every form, highest first; what is missing to 1 belongs to none of them.
 
-    Parameters
-    ----------
-    weights
-        Logarithm of the weight of every form.
-    none
-        Logarithm of the weight of a cause outside of the grammar.
-
-    Returns
-    -------
-    dict
-        Highest first.
+    The weights are logarithms, `none` that of a cause outside of the grammar.
 
     Examples
     --------

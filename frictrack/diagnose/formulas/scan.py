@@ -1,4 +1,7 @@
-"""Fit every form of the grammar beside a linearised model: grid of settings, variable projection, and evidence.
+"""Fit every form of the grammar beside a linearised model: a grid on splines, then variable projection for the best.
+
+Along an axis u every force is a spline through its values at a few hundred nodes. Its chi-squared beside the model is
+then a small quadratic form in these values, made once for a variable and shared by all shapes and settings over it.
 
 References
 ----------
@@ -8,121 +11,157 @@ Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 
 from frictrack.diagnose.compressed import CompressedResidual
 from frictrack.diagnose.formulas.probability import log_volume, relative_evidence
 from frictrack.diagnose.formulas.shapes import Shape
-from frictrack.diagnose.formulas.terms import Term, parameter_bounds, parameter_names
-from frictrack.diagnose.formulas.variables import formula_axes, is_excluded
+from frictrack.diagnose.formulas.terms import Term, formula_axes, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.records import Array
 
+N_NODES = 160  # per axis; more than three for a period of the fastest wave
 MIN_LEAKAGE_RATIO = 3.0  # remaining share of a column's square over the leakage of the model projection
 MIN_SQUARE_SHARE = 1e-8  # least remaining share of a column's square
 MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
 RELATIVE_STEP = 1e-5  # of finite differences
 MAX_EVALUATIONS = 25  # per refinement of a term
+MIN_CHI2_FALL = 0.01  # of a step of it
+MIN_GAIN_RATIO_FREE = 0.9  # of the best gain that a free curve over a variable must reach
 MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain on the grid that a form must reach to be refined
+MAX_GAIN_BEHIND = 40.0  # times the reduced chi-squared: a form that gains so much less has no probability
 N_STARTS = 2  # settings of the grid from which a form is refined
 MIN_GAIN_RATIO_START = 0.8  # of the best setting of a form, for further starts
-REFINED_WIDTH_FACTOR, REFINED_CELLS = 30.0, 3.0  # reach of a refinement: factor of a width, resolution cells of a place
+REACH, REACH_AGAIN = (30.0, 3.0), (1.5, 0.3)  # of both refinements: factor of a width, resolution cells of a place
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Forms of the grammar beside one linearised model.
-
-    Parameters
-    ----------
-    terms
-        Refined forms, one per shape and variable, highest evidence first.
-    sizes
-        Size of every form of the grammar, by which the prior is normalised.
-
-    """
+    """Refined forms, one per shape and variable, most probable first; sizes of all forms, which normalise the prior."""
 
     terms: list[Term]
     sizes: list[int]
 
 
-def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refined: int) -> Scan:
-    """Fit all forms at the settings of a grid, and refine the best.
+def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refined: int, unit: float) -> Scan:
+    """Fit all forms at the settings of a grid beside the model, and refine at most `n_refined` of the best.
 
-    Parameters
-    ----------
-    compressed
-        The compressed residual of the model, without the formula.
-    shapes
-        Shapes of the grammar.
-    n_refined
-        Number of forms that are refined at most.
-
-    Returns
-    -------
-    Scan
-
+    A variable over which even a free curve gains less than the best form is left out. The forms that may be probable
+    are refined once more at all points; `unit` is the reduced chi-squared of the model.
     """
-    scanned = list(_scan_shapes(compressed, shapes))
-    sizes = [starts[0].size for starts in scanned]
-    best = max((starts[0].gain for starts in scanned), default=0.0)
+    variables = [_Variable(compressed, axis) for axis in formula_axes(compressed)]
+    variables = sorted((v for v in variables if v.ends[1] > v.ends[0]), key=lambda v: -v.gain_of_free_curve)
+    best, sizes, scanned = 0.0, [], []
+    on_grid = cache(_columns_on_grid)  # the same for all variables over an axis
+    for variable in variables:
+        is_behind = variable.gain_of_free_curve < MIN_GAIN_RATIO_FREE * best - MAX_GAIN_BEHIND * unit
+        for shape in shapes:
+            form = Term(shape, variable.axis, (), variable.ends)
+            if variable.axis.name in shape.axes and not form.is_excluded:
+                sizes.append(form.size)
+                scanned += [] if is_behind else [(variable, variable.best_settings(form, on_grid(shape, *form.ends)))]
+        best = max([best, *(starts[0].gain for _, starts in scanned)])
     if not best > 0:  # no form fits in what the data determine
         return Scan([], sizes)
-    tried = sorted((s for s in scanned if s[0].gain > MIN_GAIN_RATIO_REFINED * best), key=lambda s: -s[0].gain)
-    refined = [max((_refine_term(compressed, t) for t in s), key=lambda t: t.gain) for s in tried[:n_refined]]
+    tried = [pair for pair in scanned if pair[1][0].gain > MIN_GAIN_RATIO_REFINED * best]
+    tried = sorted(tried, key=lambda pair: -pair[1][0].gain)[:n_refined]
+    refined = [max((_refine(t, REACH, *v.at_nodes(t)) for t in starts), key=lambda t: t.gain) for v, starts in tried]
     power = max(t.gain for t in refined)
+    refined = [
+        _refine(t, REACH_AGAIN, *v.at_all_points(t)) if t.gain > power - MAX_GAIN_BEHIND * unit else t
+        for (v, _), t in zip(tried, refined, strict=True)
+    ]
     return Scan(sorted(refined, key=lambda t: -relative_evidence(t, power)), sizes)
 
 
-def _scan_shapes(compressed: CompressedResidual, shapes: Sequence[Shape]) -> Iterator[list[Term]]:
-    """The best settings of every shape over every variable, best first."""
-    axes = formula_axes(compressed)
-    for name in dict.fromkeys(axis.name for axis in axes):
-        variables = [axis for axis in axes if axis.name == name]
-        u = compressed.concatenate(variables[0].of)
-        ends = float(u.min()), float(u.max())
-        for shape in shapes:
-            allowed = [axis for axis in variables if name in shape.axes and not is_excluded(shape, axis)]
-            points = shape.grid(*ends) if allowed else []
-            if points:
-                columns = np.stack([_finite(c) for c in shape.on_grid(u, points)], axis=2)
-                for axis in allowed:
-                    gains = _grid_gains(compressed, columns, compressed.concatenate(axis.times))
-                    yield _best_settings(shape, axis, points, ends, gains)
+Traces = Callable[[Array], Array]  # parameters (q,): traces (M, k) of the columns of a form
 
 
-def _best_settings(
-    shape: Shape, axis: Axis, points: Sequence[tuple[float, ...]], ends: tuple[float, float], gains: Array
-) -> list[Term]:
-    """The best setting of a form and other local maxima along the grid that are nearly as good."""
-    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
-    order = peaks[np.argsort(-gains[peaks])][:N_STARTS]
-    kept = [k for k in order if gains[k] >= MIN_GAIN_RATIO_START * gains[order[0]]]
-    return [Term(shape, axis, points[k], ends, float(gains[k])) for k in kept]
+@dataclass(frozen=True, eq=False)
+class _Variable:
+    """A variable of formulas, and the traces of forces over it."""
+
+    compressed: CompressedResidual
+    axis: Axis
+
+    @cached_property
+    def u(self) -> Array:
+        """The variable along all pieces, (N,)."""
+        return self.compressed.concatenate(self.axis.of)
+
+    @cached_property
+    def factor(self) -> Array:
+        """Factor on the force along all pieces, (N,)."""
+        return self.compressed.concatenate(self.axis.times)
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the axis."""
+        return float(self.u.min()), float(self.u.max())
+
+    @cached_property
+    def products(self) -> tuple[Array, Array, Array]:
+        """Squares (K, K) of traces of units at the nodes, a root (K, K) of what the model leaves, the residual (K,)."""
+        compressed = self.compressed
+        units = make_interp_spline(np.linspace(*self.ends, N_NODES), np.eye(N_NODES))
+        forces = csr_array(BSpline.design_matrix(self.u, units.t, units.k).multiply(self.factor[:, None]))
+        cuts = np.cumsum([0, *(len(path.t) for path in compressed.paths)])
+        parts = zip(compressed.force_maps, cuts[:-1], cuts[1:], strict=True)
+        traces = np.concatenate([m @ forces[a:b] for m, a, b in parts]) @ units.c
+        squares, of_model = traces.T @ traces, compressed.model_directions.T @ traces
+        removed = 1 - (1 - compressed.model_shares) ** 2
+        ridge = np.diag(MIN_SQUARE_SHARE * np.diag(squares) + 1e-300)
+        root = np.linalg.cholesky(squares - (of_model.T * removed) @ of_model + ridge)
+        data = traces.T @ compressed.project_out_model(compressed.residual)
+        return squares, np.asarray(root.T), np.asarray(solve_triangular(root, data, lower=True))
+
+    @property
+    def gain_of_free_curve(self) -> float:
+        """Fall of chi-squared by any values at the nodes; no form over the variable gains more."""
+        residual = self.products[2]
+        return float(residual @ residual)
+
+    def best_settings(self, form: Term, columns: Array) -> list[Term]:
+        """The best setting of a form on its grid (K, G, k), and other local maxima that are nearly as good."""
+        squares, root, residual = self.products
+        flat = columns.reshape(len(columns), -1)
+        norm = np.sqrt(np.sum(flat * (squares @ flat), axis=0)).reshape(columns.shape[1:])
+        min_share = max(MIN_LEAKAGE_RATIO * self.compressed.leakage, MIN_SQUARE_SHARE)
+        gains = _gains((root @ flat).reshape(columns.shape), norm, residual, min_share)
+        padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+        peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
+        order = peaks[np.argsort(-gains[peaks], kind="stable")][:N_STARTS]
+        kept = [k for k in order if gains[k] >= MIN_GAIN_RATIO_START * gains[order[0]]]
+        settings = form.shape.settings(*self.ends)
+        return [replace(form, parameters=tuple(settings[k].tolist()), gain=float(gains[k])) for k in kept]
+
+    def at_nodes(self, form: Term) -> tuple[Traces, Array]:
+        """The traces of the columns of a form from its values at the nodes, and the residual."""
+        _, root, residual = self.products
+        nodes = np.linspace(*self.ends, N_NODES)
+        return lambda parameters: root @ _finite(form.shape.columns_at(nodes, parameters)), residual
+
+    def at_all_points(self, form: Term) -> tuple[Traces, Array]:
+        """The traces of the columns of a form from its values at all points of the paths, and the residual."""
+
+        def traces(parameters: Array) -> Array:
+            columns = _finite(form.shape.columns_at(self.u, parameters)) * self.factor[:, None]
+            return self.compressed.traces_of(self.compressed.split_by_piece(columns))
+
+        return traces, self.compressed.residual
 
 
-def _grid_gains(compressed: CompressedResidual, columns: Array, factor: Array) -> Array:
-    """Fall of chi-squared with the best coefficients at every setting, (G,), of columns (n, G, k) times a factor."""
-    n, _, k = columns.shape
-    whole = (columns * factor[:, None, None]).reshape(n, -1)
-    rows = np.concatenate([m @ c for m, c in zip(compressed.force_maps, compressed.split_by_piece(whole), strict=True)])
-    projected = compressed.project_out_model(rows)
-    norm = np.linalg.norm(rows, axis=0)
-    norm[norm == 0] = np.inf
-    projections = (compressed.residual @ projected / norm).reshape(-1, k)
-    unit = (projected / norm).reshape(len(projected), -1, k).transpose(1, 0, 2)
-    values, vectors = np.linalg.eigh(unit.transpose(0, 2, 1) @ unit)
-    rotated = np.einsum("gij,gi->gj", vectors, projections)
-    min_eigenvalue = max(MIN_LEAKAGE_RATIO * compressed.leakage, MIN_SQUARE_SHARE)
-    gains: Array = np.sum(
-        np.where(values > min_eigenvalue, rotated**2 / np.maximum(values, min_eigenvalue), 0.0), axis=1
-    )
-    return gains
+def _columns_on_grid(shape: Shape, low: float, high: float) -> Array:
+    """Columns (K, G, k) of a shape at the nodes of an axis and its settings."""
+    return _finite(shape.columns_at(np.linspace(low, high, N_NODES)[:, None], shape.settings(low, high).T))
 
 
 def _finite(columns: Array) -> Array:
@@ -130,39 +169,44 @@ def _finite(columns: Array) -> Array:
     return np.where(np.abs(columns) < MAX_COLUMN_VALUE, columns, 0.0)
 
 
-def _refine_term(compressed: CompressedResidual, term: Term) -> Term:
-    """Refine the parameters of a term, with coefficients solved in every trial (variable projection)."""
-    at = compressed.concatenate(term.variable.of), compressed.concatenate(term.variable.times)
-    if not term.parameters:
-        return replace(term, coefficients=_solve_coefficients(compressed, term, term.parameters, at)[1])
-    limits = parameter_bounds(term, REFINED_WIDTH_FACTOR, REFINED_CELLS)
-    low, high = np.array([limits[q] for q in parameter_names(term)]).T
-    scale = np.minimum(high - low, np.maximum(np.abs(np.array(term.parameters)), 1e-3 * (high - low)))
+def _gains(columns: Array, norm: Array, residual: Array, min_share: float) -> Array:
+    """Fall of chi-squared (G,) with the best coefficients of columns (M, G, k).
 
-    start = np.clip(term.parameters, low, high) / scale
-    ends = low / scale - 1e-9, high / scale + 1e-9
-
-    def residual(z: Array) -> Array:
-        return _solve_coefficients(compressed, term, z * scale, at)[0]
-
-    steps = np.full(len(start), RELATIVE_STEP)
-    found = least_squares(residual, start, bounds=ends, diff_step=steps, max_nfev=MAX_EVALUATIONS)
-    parameters = tuple(map(float, np.clip(found.x * scale, low, high)))
-    remaining, coefficients = _solve_coefficients(compressed, term, parameters, at)
-    gain = float(compressed.residual @ compressed.residual - remaining @ remaining)
-    refined = replace(term, parameters=parameters, gain=gain, coefficients=coefficients)
-    return replace(refined, log_volume=log_volume(refined, np.asarray(found.jac) / scale))
-
-
-def _solve_coefficients(
-    compressed: CompressedResidual, term: Term, parameters: Sequence[float] | Array, at: tuple[Array, Array]
-) -> tuple[Array, tuple[float, ...]]:
-    """What the best coefficients of a term leave, (M,), and these coefficients.
-
-    `at` are the values of its axis and the factor on its force along all pieces.
+    The norms (G, k) are those before the projection; columns of which it leaves less than a share gain nothing.
     """
-    u, factor = at
-    made = np.stack(term.shape.columns_at(u, list(parameters)), axis=1) * factor[:, None]
-    columns = compressed.traces_of(compressed.split_by_piece(_finite(made)))
-    coefficients = np.linalg.lstsq(columns, compressed.residual, rcond=1e-9)[0]
-    return np.asarray(compressed.residual - columns @ coefficients), tuple(map(float, coefficients))
+    unit = columns / np.where(norm > 0, norm, np.inf)
+    gram, data = np.einsum("mgi,mgj->gij", unit, unit), np.tensordot(residual, unit, 1)
+    found = np.linalg.solve(gram + min_share * np.eye(columns.shape[2]), data[..., None])[..., 0]
+    return np.asarray(np.sum(data * found, axis=1))
+
+
+def _refine(term: Term, reach: tuple[float, float], traces: Traces, residual: Array) -> Term:
+    """Refine the parameters of a term, with coefficients solved in every trial (variable projection)."""
+
+    def solve(parameters: Array) -> tuple[Array, Array]:
+        """What the best coefficients leave (M,), and these coefficients (k,)."""
+        columns = traces(parameters)
+        coefficients = np.asarray(np.linalg.lstsq(columns, residual, rcond=1e-9)[0], dtype=float)
+        return residual - columns @ coefficients, coefficients
+
+    parameters, jacobian = np.array(term.parameters), np.empty((len(residual), 0))
+    if term.parameters:
+        low, high = np.array(list(parameter_bounds(term, *reach).values())).T
+        scale = np.minimum(high - low, np.maximum(np.abs(parameters), 1e-3 * (high - low)))
+
+        def left_at(z: Array) -> Array:
+            return solve(z * scale)[0]
+
+        found = least_squares(
+            left_at,
+            np.clip(parameters, low, high) / scale,
+            bounds=(low / scale - 1e-9, high / scale + 1e-9),
+            diff_step=np.full(len(scale), RELATIVE_STEP),
+            ftol=MIN_CHI2_FALL / max(float(residual @ residual), 1.0),
+            max_nfev=MAX_EVALUATIONS,
+        )
+        parameters, jacobian = np.clip(found.x * scale, low, high), np.asarray(found.jac) / scale
+    left, coefficients = solve(parameters)
+    gain = float(residual @ residual - left @ left)
+    refined = replace(term, parameters=tuple(parameters.tolist()), gain=gain, coefficients=tuple(coefficients.tolist()))
+    return replace(refined, log_volume=log_volume(refined, jacobian))

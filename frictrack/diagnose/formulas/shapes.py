@@ -7,8 +7,9 @@ and written to a study file, so that the three agree.
 from __future__ import annotations
 
 import ast
+import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -17,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, KIND_POWERS, Dimension, dimension_of, scaled
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
@@ -26,10 +26,12 @@ WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps
 MAX_PERIODS = 45.0  # on an axis
 PERIOD_STEP = 0.25  # difference of periods over the axis between two waves of the grid
 RINGING_RATIOS = (0.1, 0.25, 1.0)  # of the axis, decay lengths of a wave
-Grid = Callable[[float, float], list[tuple[float, ...]]]  # ends of the axis -> numbers to try
+KIND_POWERS = {  # powers of the unit of the axis that parameters have, by kind
+    "place": 1, "offset": 1, "width": 1, "period": 1, "scale": 1, "rate": -1, "sweep": -2, "share": 0,
+}  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A sum of columns in a variable `u`, each with its own coefficient.
 
@@ -42,10 +44,10 @@ class Shape:
     parameters
         Letters of its non-linear parameters.
     kinds
-        Kind of each: "place", "offset" (of a wave), "width", "period" and "scale" (of either sign) have the unit of the
-        axis, "rate" one over it, "sweep" one over its square, "share" none.
+        Kind of each: "place", "offset" (of a wave), "width", "period", "scale" (of either sign), "rate", "sweep" or
+        "share"; see `KIND_POWERS`.
     grid
-        Function from the ends of the axis to the settings to try.
+        Settings to try on an axis from 0 to 1, (G, q).
     axes
         Axes on which the shape makes sense.
 
@@ -55,116 +57,57 @@ class Shape:
     columns: tuple[str, ...]
     parameters: tuple[str, ...]
     kinds: tuple[str, ...]
-    grid: Grid
+    grid: Array
     axes: str = "xtv"
 
-    def columns_at(self, u: Array, parameters: Sequence[float | Array]) -> list[Array]:
-        """Evaluate the columns.
-
-        Parameters
-        ----------
-        u
-            Values of the variable.
-        parameters
-            Values of the parameters, each a number or of the shape of `u`.
-
-        Returns
-        -------
-        list of ndarray
-            One per column, of the shape of `u`.
+    def columns_at(self, u: Array, parameters: Sequence[float | Array] | Array) -> Array:
+        """Evaluate the k columns (..., k) for values of the variable and of the parameters, which are broadcast.
 
         Examples
         --------
-        >>> SHAPES[0].columns_at(np.array([1.0, 2.0]), ())[0].tolist()
+        >>> SHAPES[0].columns_at(np.array([1.0, 2.0]), ())[:, 0].tolist()
         [1.0, 2.0]
 
         """
         names = {"u": u, **CONSTANTS, **dict(zip(self.parameters, parameters, strict=True))}
+        shape = np.broadcast_shapes(np.shape(u), *map(np.shape, parameters))
         with np.errstate(all="ignore"):
-            made = [_compile(text)(names) for text in self.columns]
-        return [np.broadcast_to(column, np.shape(u)) for column in made]
+            return np.stack([np.broadcast_to(_evaluate(_tree(text), names), shape) for text in self.columns], axis=-1)
 
-    def dimension(self, column: str, axis: str) -> Dimension:
-        """Powers of m, s and kg of one of the columns over an axis."""
-        unit = AXIS_DIMENSIONS[axis]
-        names = {q: scaled(unit, KIND_POWERS[k]) for q, k in zip(self.parameters, self.kinds, strict=True)}
-        return dimension_of(column, {"u": unit, **names})
+    def settings(self, low: float, high: float) -> Array:
+        """Settings to try (G, q) on an axis between two ends."""
+        scales = np.array([(high - low) ** KIND_POWERS[kind] for kind in self.kinds])
+        return self.grid * scales + np.array([low * (kind == "place") for kind in self.kinds])
 
-    def on_grid(self, u: Array, points: Sequence[tuple[float, ...]]) -> list[Array]:
-        """Columns along u (n,) at G settings, each (n, G)."""
-        repeated = np.broadcast_to(u[:, None], (len(u), len(points)))
-        return self.columns_at(repeated, [np.array(q) for q in zip(*points, strict=True)])
+    def degree(self, column: str) -> float:
+        """Power of the unit of the axis that one of the columns has, from its value in two units."""
+        powers, k = np.array([KIND_POWERS[kind] for kind in self.kinds]), self.columns.index(column)
+        parameters = np.array([0.3, 0.7, 0.6])[: len(powers)]
+        once, twice = (self.columns_at(np.array(0.9 * f), parameters * f**powers)[k] for f in (1.0, 2.0))
+        return round(float(np.log2(twice / once)), 9) if once * twice > 0 else 0.0
 
 
 @cache
-def _compile(text: str) -> Callable[[Mapping[str, Any]], Any]:
-    """Compile the text of a column to a function of its names; ^ is a power."""
-    return _build_function(ast.parse(text.replace("^", "**"), mode="eval").body)
+def _tree(text: str) -> ast.expr:
+    return ast.parse(text.replace("^", "**"), mode="eval").body
 
 
-def _build_function(node: ast.expr) -> Callable[[Mapping[str, Any]], Any]:
-    if isinstance(node, ast.BinOp):
-        do, left, right = OPERATORS[type(node.op)], _build_function(node.left), _build_function(node.right)
-        return lambda names: do(left(names), right(names))
-    if isinstance(node, ast.UnaryOp):
-        change, one = OPERATORS[type(node.op)], _build_function(node.operand)
-        return lambda names: change(one(names))
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        of, inner = FUNCTIONS[node.func.id], [_build_function(one) for one in node.args]
-        return lambda names: of(*(one(names) for one in inner))
-    if isinstance(node, ast.Name):
-        name = node.id
-        return lambda names: names[name]
-    assert isinstance(node, ast.Constant)
-    value = float(str(node.value))
-    return lambda names: value
-
-
-def _no_parameters(low: float, high: float) -> list[tuple[float, ...]]:
-    return [()]
-
-
-def _scale_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    return [(float(w),) for w in np.geomspace(3e-3, 3.0, 13) * (high - low)]
-
-
-def _signed_scale_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    return [(sign * w,) for (w,) in _scale_grid(low, high) for sign in (1.0, -1.0)]
-
-
-def _place_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    """Places one width apart, at several widths."""
-    span = high - low
-    return [
-        (float(c), w * span)
-        for w in WIDTH_RATIOS
-        for c in low + span * (np.arange(int(np.ceil(1 / w))) + 0.5) / np.ceil(1 / w)
-    ]
-
-
-def _wave_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    return [(float(f) / (high - low),) for f in np.arange(0.5, MAX_PERIODS, PERIOD_STEP)]
-
-
-def _sawtooth_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    """Sawtooth waves whose steep side takes a tenth of the period."""
-    periods = np.arange(1.0, MAX_PERIODS / 2, 2 * PERIOD_STEP)
-    return [(float(p * (high - low) / n), (high - low) / n, 0.9) for n in periods for p in np.arange(6) / 6]
-
-
-def _chirp_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    """Waves whose frequency changes linearly."""
-    span, ends = high - low, np.arange(0.75, 32.0, 0.75)
-    return [
-        (float(a / span), float((b - a) / (2 * span**2))) for a, b in product(ends, ends) if abs(b - a) > 1 and low >= 0
-    ]
-
-
-def _ringing_grid(low: float, high: float) -> list[tuple[float, ...]]:
-    """Waves that decay over a tenth, a quarter and once the axis."""
-    span = high - low
-    waves = [f for (f,) in _wave_grid(low, high) if f * span > 1]
-    return [(share * span, f) for share in RINGING_RATIOS for f in waves]
+def _evaluate(node: ast.expr, names: Mapping[str, Any]) -> Any:
+    """Evaluate a formula, ^ read as a power; a user's was checked by `effects.formula`."""
+    match node:
+        case ast.BinOp(left, ast.Pow(), right):
+            return operator.pow(_evaluate(left, names), _evaluate(right, names))  # a square is much faster than a power
+        case ast.BinOp(left, do, right):
+            return OPERATORS[type(do)](_evaluate(left, names), _evaluate(right, names))
+        case ast.UnaryOp(do, inner):
+            return OPERATORS[type(do)](_evaluate(inner, names))
+        case ast.Call(ast.Name(function), arguments):
+            return FUNCTIONS[function](*(_evaluate(one, names) for one in arguments))
+        case ast.Name(name):
+            return names[name]
+        case ast.Constant(int() | float() as value):
+            return np.float64(value)  # of which a large power is infinite, and does not hang
+    raise AssertionError(ast.dump(node))
 
 
 # Functions of a dimensionless z: those of a scale w, z = u/w, and those of a place c and a width w, z = (u - c)/w.
@@ -177,28 +120,28 @@ OF_SCALE = {
     "brake": ("z/(1 + (z)^2)", "v"),
     "fall": ("1/(1 + (z)^2)", "tv"),
 }
-OF_PLACE = {
-    "bump": "exp(-z^2/2)",
-    "step": "tanh(z)",
-    "peak": "1/(1 + z^2)",
-    "pair": "z/(1 + z^2)^2",
-}
+OF_PLACE = {"bump": "exp(-z^2/2)", "step": "tanh(z)", "peak": "1/(1 + z^2)", "pair": "z/(1 + z^2)^2"}
 POWERS = {"linear": ("u", "xtv"), "constant": ("1", "xtv"), "square": ("u^2", "xtv"), "root": ("sqrt(u)", "tv"),
           "cube": ("u^3", "xtv")}  # fmt: skip
-WAVES = ("sin(2*pi*f*u)", "cos(2*pi*f*u)")
+WAVE = ("sin(2*pi*f*u)", "cos(2*pi*f*u)")
+TEETH = "atan(r*sin(2*pi*(u - c)/p)/(1 - r*cos(2*pi*(u - c)/p)))"
+
+# Settings to try on an axis from 0 to 1.
+SCALES = np.geomspace(3e-3, 3.0, 13)[:, None]
+PLACES = np.array(  # one width apart, at several widths
+    [(c, w) for w in WIDTH_RATIOS for c in (np.arange(np.ceil(1 / w)) + 0.5) / np.ceil(1 / w)]
+)
+FREQUENCIES = np.arange(0.5, MAX_PERIODS, PERIOD_STEP)[:, None]
+OFFSETS = np.array(  # of sawtooth waves whose steep side takes a tenth of the period
+    [(p / n, 1 / n, 0.9) for n in np.arange(1.0, MAX_PERIODS / 2, 2 * PERIOD_STEP) for p in np.arange(6) / 6]
+)
+DECAYS = np.array([(share, f) for share in RINGING_RATIOS for f in FREQUENCIES[:, 0] if f > 1])
+ENDS = np.arange(0.75, 32.0, 0.75)  # frequencies at the ends of a chirp
+CHIRPS = np.array([(a, (b - a) / 2) for a, b in product(ENDS, ENDS) if abs(b - a) > 1])
 
 
 def scaled_shape(name: str, text: str, axes: str = "xtv") -> Shape:
-    """Make the shape of a function of z = u/w.
-
-    Parameters
-    ----------
-    name
-        Name of the shape.
-    text
-        The function, with `z` for its argument.
-    axes
-        Axes on which it makes sense.
+    """Make the shape of a function, with `z` for its argument u/w, on the axes where it makes sense.
 
     Examples
     --------
@@ -207,13 +150,13 @@ def scaled_shape(name: str, text: str, axes: str = "xtv") -> Shape:
 
     """
     signed = text == OF_SCALE["decay"][0]  # it may grow too
-    grid = _signed_scale_grid if signed else _scale_grid
+    grid = np.concatenate([SCALES, -SCALES]) if signed else SCALES
     return Shape(name, (_substitute(text, "u/w"),), ("w",), ("scale" if signed else "width",), grid, axes)
 
 
 def placed_shape(name: str, text: str, axes: str = "xtv") -> Shape:
     """Make the shape of a function of z = (u - c)/w; see `scaled_shape`."""
-    return Shape(name, (_substitute(text, "((u - c)/w)"),), ("c", "w"), ("place", "width"), _place_grid, axes)
+    return Shape(name, (_substitute(text, "((u - c)/w)"),), ("c", "w"), ("place", "width"), PLACES, axes)
 
 
 def _substitute(text: str, argument: str) -> str:
@@ -253,19 +196,12 @@ def shapes_of_functions(functions: Sequence[str]) -> tuple[Shape, ...]:
 
 # Simplest first: of two formulas that explain the same, the earlier one stands first.
 SHAPES = (
-    *(Shape(name, (text,), (), (), _no_parameters, axes) for name, (text, axes) in POWERS.items()),
+    *(Shape(name, (text,), (), (), np.empty((1, 0)), axes) for name, (text, axes) in POWERS.items()),
     *(scaled_shape(name, *of) for name, of in OF_SCALE.items()),
-    Shape("wave", WAVES, ("f",), ("rate",), _wave_grid),
+    Shape("wave", WAVE, ("f",), ("rate",), FREQUENCIES),
     *(placed_shape(name, text) for name, text in OF_PLACE.items()),
-    Shape(
-        "teeth",
-        ("atan(r*sin(2*pi*(u - c)/p)/(1 - r*cos(2*pi*(u - c)/p)))",),
-        ("c", "p", "r"),
-        ("offset", "period", "share"),
-        _sawtooth_grid,
-        "xt",
-    ),
-    Shape("ringing", tuple(f"exp(-u/w)*{wave}" for wave in WAVES), ("w", "f"), ("width", "rate"), _ringing_grid, "t"),
-    Shape("swelling wave", (*WAVES, *(f"u*{wave}" for wave in WAVES)), ("f",), ("rate",), _wave_grid, "xt"),
-    Shape("chirp", ("sin(2*pi*(f + k*u)*u)", "cos(2*pi*(f + k*u)*u)"), ("f", "k"), ("rate", "sweep"), _chirp_grid, "t"),
+    Shape("teeth", (TEETH,), ("c", "p", "r"), ("offset", "period", "share"), OFFSETS, "xt"),
+    Shape("ringing", tuple(f"exp(-u/w)*{one}" for one in WAVE), ("w", "f"), ("width", "rate"), DECAYS, "t"),
+    Shape("swelling wave", (*WAVE, *(f"u*{one}" for one in WAVE)), ("f",), ("rate",), FREQUENCIES, "xt"),
+    Shape("chirp", tuple(one.replace("f", "(f + k*u)") for one in WAVE), ("f", "k"), ("rate", "sweep"), CHIRPS, "t"),
 )

@@ -1,18 +1,19 @@
-"""Define terms of formulas: a shape over an axis with its parameters, and the user effect that it makes."""
+"""Define terms of formulas: a shape over a variable with its parameters, the user effect that it makes, its text."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from frictrack import effects
-from frictrack.diagnose.formulas.dimensions import AXIS_DIMENSIONS, NONE, Dimension, product
+from frictrack.axes import AXES
+from frictrack.diagnose.compressed import CompressedResidual
 from frictrack.diagnose.formulas.shapes import MAX_PERIODS, Shape
-from frictrack.diagnose.smooth_forces import Axis
+from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO, Axis, candidate_axes
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -20,53 +21,36 @@ from frictrack.records import Array, Mask
 
 AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # in a study file, and to read
 EFFECT_NAME = "unexplained"  # in the study file
-FACTOR_VARIABLES = {"x": "x", "t": "t", "abs(v)": "v"}  # factors that are variables of the motion
-FACTOR_DIMENSIONS = {  # of factors with a unit
-    **{factor: AXIS_DIMENSIONS[axis] for factor, axis in FACTOR_VARIABLES.items()},
-    "mass": (0.0, 0.0, 1.0),
-    "mass^(-1/2)": (0.0, 0.0, -1 / 2),
-    "mass^(-1/3)": (0.0, 0.0, -1 / 3),
-}
+LOAD_POWERS = ("mass", "mass^(-1/2)", "mass^(-1/3)")  # times L: powers 2, 1/2 and 2/3, where loads are masses
+FACTOR_VARIABLES = {symbol: name for name, (symbol, _) in AXIS_SYMBOLS.items()}  # factors that vary along a motion
+MAX_UNKNOWNS_MULTIPLIED = 3  # of a shape that is multiplied with another variable
 MIN_WIDTH_RATIO, MAX_WIDTH_RATIO = 3e-3, 3.0  # times the axis; a wider shape is flat
-LOGARITHMIC_KINDS = ("width", "scale", "period")
 MIN_SHARE, MAX_SHARE = 0.3, 0.995
+DIMENSIONS = {  # powers of m, s and kg of the axes, and of factors with a unit
+    "x": (1, 0, 0), "t": (0, 1, 0), "v": (1, -1, 0), "abs(v)": (1, -1, 0),
+    "mass": (0, 0, 1), "mass^(-1/2)": (0, 0, -1 / 2), "mass^(-1/3)": (0, 0, -1 / 3),
+}  # fmt: skip
+INVERSE_UNITS = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
+POWER_TOLERANCE = 1e-9
+LOGARITHMIC_KINDS = ("width", "scale", "period")
 
 
 @dataclass(frozen=True)
 class Term:
-    """One shape over one axis.
-
-    Parameters
-    ----------
-    shape
-        The shape.
-    variable
-        The axis.
-    parameters
-        Values of its parameters.
-    ends
-        Ends of the axis.
-    gain
-        Fall of chi-squared.
-    coefficients
-        Coefficient of each column, N.
-    log_volume
-        Logarithm of the share of the prior range of its parameters that the data leave.
-
-    """
+    """One shape over one variable between its ends; what it gains, and what the data leave of its prior range."""
 
     shape: Shape
     variable: Axis
     parameters: tuple[float, ...]
-    ends: tuple[float, float]  # of the axis
-    gain: float = 0.0
-    coefficients: tuple[float, ...] = ()
-    log_volume: float = 0.0
+    ends: tuple[float, float]  # of the variable
+    gain: float = 0.0  # fall of chi-squared
+    coefficients: tuple[float, ...] = ()  # of the columns, N
+    log_volume: float = 0.0  # logarithm of the share of the prior range of its parameters that the data leave
 
     @property
     def unknowns(self) -> int:
         """Number of coefficients and parameters."""
-        return len(self.shape.columns) + len(self.parameters)
+        return len(self.shape.columns) + len(self.shape.parameters)
 
     @property
     def axis(self) -> str:
@@ -74,14 +58,9 @@ class Term:
         return self.variable.name
 
     @property
-    def factor(self) -> str:
-        """Factor on the shape, as in a study file."""
-        return self.variable.factor
-
-    @property
     def multipliers(self) -> tuple[str, ...]:
         """Factors with a unit: variables of the motion, and powers of the mass."""
-        return tuple(one for one in self.factor.split(" * ") if one in FACTOR_DIMENSIONS)
+        return tuple(one for one in self.variable.factor.split(" * ") if one in (*FACTOR_VARIABLES, *LOAD_POWERS))
 
     @property
     def size(self) -> int:
@@ -91,7 +70,7 @@ class Term:
     @property
     def form(self) -> str:
         """The form without values, as in a study file."""
-        return study_file_text(self, "")
+        return study_file_text(self)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -99,165 +78,246 @@ class Term:
         own = () if self.shape.columns == ("1",) and self.multipliers else (self.axis,)
         return (*own, *(FACTOR_VARIABLES[one] for one in self.multipliers if one in FACTOR_VARIABLES))
 
-    def force(self, path: Path, parameters: Sequence[float]) -> Array:
-        """Columns along a path, N per unit of each coefficient, (n, k)."""
-        made = self.shape.columns_at(self.variable.of(path), parameters)
-        return np.stack(made, axis=1) * self.variable.times(path)[:, None]
+    @property
+    def is_excluded(self) -> bool:
+        """Whether it has too many operators, or is another form: a constant over any axis, and x v as v x."""
+        if self.multipliers and self.unknowns > MAX_UNKNOWNS_MULTIPLIED:
+            return True
+        others = [FACTOR_VARIABLES[one] for one in self.multipliers if one in FACTOR_VARIABLES]
+        if self.shape.columns == ("1",):
+            return bool(others) or self.axis != "x"
+        order = list(AXIS_SYMBOLS)
+        return self.shape.columns == ("u",) and any(order.index(one) < order.index(self.axis) for one in others)
 
 
 @dataclass(frozen=True)
 class FittedFormula:
-    """A sum of terms added to a model and fitted, with its fall of BIC and its share of the excess chi-squared."""
+    """A sum of terms added to a model and fitted."""
 
     terms: tuple[Term, ...]
     solution: Solution
-    delta_bic: float
-    share: float
+    delta_bic: float  # fall of BIC
+    share: float  # of the excess chi-squared
+    entry: dict[str, Any] = field(default_factory=dict)  # of the JSON of a diagnosis
 
     @property
     def form(self) -> str:
         """The form without values, as in a study file."""
-        suffixes = [""] if len(self.terms) == 1 else ["_a", "_b"]
-        return " + ".join(study_file_text(*pair) for pair in zip(self.terms, suffixes, strict=True))
+        return " + ".join(study_file_text(*pair) for pair in with_suffixes(self.terms))
 
 
-def factor_dimension(factor: str) -> Dimension:
-    """Powers of m, s and kg of a factor."""
-    out = NONE
-    for one in factor.split(" * "):
-        out = product(out, FACTOR_DIMENSIONS.get(one, NONE))
-    return out
+def formula_axes(compressed: CompressedResidual) -> list[Axis]:
+    """List the variables of formulas that these runs can distinguish.
+
+    Every axis without a multiplier comes first; then times another axis, and times a power of the mass where masses
+    are known and differ, in proportion to the load.
+    """
+    plain = [axis for axis in candidate_axes(compressed) if axis.name in AXIS_SYMBOLS]
+    masses = [float(np.mean(path.mass)) for path in compressed.paths if path.mass is not None]
+    differ = len(masses) == len(compressed.paths) and max(masses) > MIN_LOAD_RATIO * min(masses)
+    other = [(axis, symbol) for axis in plain for symbol, name in FACTOR_VARIABLES.items() if name != axis.name]
+    heavy = [(axis, power) for axis in plain for power in LOAD_POWERS if differ and axis.factor == "L * s"]
+    return plain + [
+        replace(axis, factor=" * ".join(one for one in (axis.factor, multiplier) if one))
+        for axis, multiplier in other + heavy
+    ]
 
 
 def build_effect(name: str, term: Term) -> Effect:
     """Make a user effect of a term, to be fitted from where it was found."""
-    effect = effects.formula(name, study_file_text(term, ""), bounds=parameter_bounds(term, 10.0, 3.0))
-    scans = {
-        q: {"scan": _SingleValueScan(value)} for q, value in zip(parameter_names(term), term.parameters, strict=True)
-    }
-    return replace(effect, columns=_Columns(term)).adjusted(**scans)
 
-
-@dataclass(frozen=True)
-class _Columns:
-    """Columns of a term without the checks of a user's text."""
-
-    term: Term
-
-    def __call__(self, path: Path, nonlinear: Mapping[str, float]) -> Array:
-        made = self.term.force(path, [nonlinear[q] for q in self.term.shape.parameters])
+    def columns(path: Path, nonlinear: Mapping[str, float]) -> Array:
+        made = term.shape.columns_at(term.variable.of(path), [nonlinear[q] for q in term.shape.parameters])
+        made = made * term.variable.times(path)[:, None]
         if not np.all(np.isfinite(made)):
-            raise FrictrackError(f"{self.term.shape.name} is no number along every run")
+            raise FrictrackError(f"{term.shape.name} is no number along every run")
         return made
 
-
-@dataclass(frozen=True)
-class _SingleValueScan:
-    """A scan of one value."""
-
-    value: float
-
-    def __call__(self, span: Any) -> Array:
-        return np.array([self.value])
+    effect = effects.formula(name, study_file_text(term), bounds=parameter_bounds(term, 10.0, 3.0))
+    scans = {
+        q: {"scan": lambda span, value=value: np.array([value])}
+        for q, value in zip(term.shape.parameters, term.parameters, strict=True)
+    }
+    return replace(effect, columns=columns).adjusted(**scans)
 
 
 def parameter_bounds(term: Term, factor: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
-    """Bounds of the parameters: a width within a factor, a place or frequency within some resolution cells.
-
-    Parameters
-    ----------
-    term
-        The term.
-    factor
-        Factor for widths and scales.
-    cells
-        Number of resolution cells for places, periods and rates.
-    suffix
-        Suffix of the names.
-
-    Returns
-    -------
-    dict
-        Lower and upper bound by name.
-
-    """
+    """Bounds of the parameters by name: a width within a factor, a place or frequency within some resolution cells."""
     low, high = term.ends
-    span = high - low
     out = {}
-    for letter, kind, value in zip(parameter_names(term, suffix), term.shape.kinds, term.parameters, strict=True):
+    for q, kind, value in zip(term.shape.parameters, term.shape.kinds, term.parameters, strict=True):
+        cell, _ = _cell_and_range(term, kind)
+        a, b = value - cells * cell, value + cells * cell
         if kind in ("width", "scale"):
-            least, most = MIN_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span
-            sign, size = (-1.0, -value) if value < 0 else (1.0, value)
-            ends = sign * float(np.clip(size / factor, least, most)), sign * float(np.clip(size * factor, least, most))
+            least, most = MIN_WIDTH_RATIO * (high - low), MAX_WIDTH_RATIO * (high - low)
+            sizes = np.clip([abs(value) / factor, abs(value) * factor], least, most)
+            a, b = sorted((np.sign(value) * sizes).tolist())
         elif kind == "share":
-            ends = MIN_SHARE, MAX_SHARE
-        else:
-            period = term.parameters[1] if kind in ("offset", "period") else span
-            cell = {"place": 0.05 * span, "offset": 0.25 * period, "period": 0.5 * period**2 / span}
-            reach = cells * (cell | {"rate": 0.5 / span, "sweep": 0.5 / span**2})[kind]
-            ends = value - reach, value + reach
-            ends = (max(ends[0], low), min(ends[1], high)) if kind == "place" else ends
-        out[letter] = min(ends), max(ends)
+            a, b = MIN_SHARE, MAX_SHARE
+        out[q + suffix] = (max(a, low), min(b, high)) if kind == "place" else (a, b)
     return out
 
 
 def parameter_ranges(term: Term) -> tuple[Array, Mask]:
-    """Prior ranges of the parameters, over which their prior is constant.
+    """Widths (q,) of the constant priors of the parameters, and whether they are those of the logarithm."""
+    ranges = [_cell_and_range(term, kind)[1] for kind in term.shape.kinds]
+    return np.array(ranges), np.array([kind in LOGARITHMIC_KINDS for kind in term.shape.kinds], dtype=bool)
 
-    Parameters
-    ----------
-    term
-        The term.
 
-    Returns
-    -------
-    ranges : ndarray, shape (q,)
-        Widths of the ranges; of the logarithm for widths, scales and periods.
-    logarithmic : ndarray of bool, shape (q,)
-        Whether it is the logarithm.
-
-    """
-    span = term.ends[1] - term.ends[0]
+def _cell_and_range(term: Term, kind: str) -> tuple[float, float]:
+    """Resolution cell of a kind of parameter, and width of its prior; of the logarithm for `LOGARITHMIC_KINDS`."""
+    span, kinds = term.ends[1] - term.ends[0], term.shape.kinds
+    period = term.parameters[kinds.index("period")] if "period" in kinds else span
     widths = float(np.log(MAX_WIDTH_RATIO / MIN_WIDTH_RATIO))
-    periods = term.parameters[term.shape.kinds.index("period")] if "period" in term.shape.kinds else span
-    ranges = {
-        "place": span,
-        "offset": periods,
-        "width": widths,
-        "scale": widths + float(np.log(2.0)),  # either sign
-        "period": float(np.log(MAX_PERIODS)),
-        "rate": MAX_PERIODS / span,
-        "sweep": MAX_PERIODS / span**2,
-        "share": MAX_SHARE - MIN_SHARE,
-    }
-    kinds = term.shape.kinds
-    return np.array([ranges[k] for k in kinds]), np.array([k in LOGARITHMIC_KINDS for k in kinds], dtype=bool)
-
-
-def parameter_names(term: Term, suffix: str = "") -> list[str]:
-    """Names of its parameters."""
-    return [q + suffix for q in term.shape.parameters]
+    return {
+        "place": (0.05 * span, span),
+        "offset": (0.25 * period, period),
+        "period": (0.5 * period**2 / span, float(np.log(MAX_PERIODS))),
+        "rate": (0.5 / span, MAX_PERIODS / span),
+        "sweep": (0.5 / span**2, MAX_PERIODS / span**2),
+        "share": (0.0, MAX_SHARE - MIN_SHARE),
+        "width": (0.0, widths),
+        "scale": (0.0, widths + float(np.log(2.0))),  # either sign
+    }[kind]
 
 
 def coefficient_names(term: Term, suffix: str = "") -> list[str]:
     """Names of its coefficients."""
-    many = len(term.shape.columns) > 1
-    return [f"F_{i}{suffix}" if many else f"F{suffix}" for i in range(1, len(term.shape.columns) + 1)]
+    count = len(term.shape.columns)
+    return [f"F_{i}{suffix}" for i in range(1, count + 1)] if count > 1 else [f"F{suffix}"]
 
 
-def study_file_text(term: Term, suffix: str) -> str:
+def with_suffixes(terms: Sequence[Term]) -> list[tuple[Term, str]]:
+    """Terms of a sum with the suffixes of the names of their parameters in a study file."""
+    return list(zip(terms, ["_a", "_b"] if len(terms) > 1 else [""], strict=True))
+
+
+def study_file_text(term: Term, suffix: str = "") -> str:
     """The term as written in a study file."""
     return " + ".join(
-        " * ".join(part for part in (coefficient, term.factor, column_text(column, term, suffix)) if part)
-        for coefficient, column in zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
+        " * ".join(part for part in (name, term.variable.factor, _column_with_names(column, term, suffix)) if part)
+        for name, column in zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
     )
 
 
-def column_text(column: str, term: Term, suffix: str) -> str:
+def _column_with_names(column: str, term: Term, suffix: str) -> str:
     """A column with the names of axis and parameters; empty for a constant."""
-    if column == "1":
-        return ""
-    text = re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][0], column)
+    text = "" if column == "1" else re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][0], column)
     for q in term.shape.parameters:
         text = re.sub(rf"\b{q}\b", q + suffix, text)
     return text
+
+
+def coefficient_unit(column: str, term: Term) -> str:
+    """Unit of the coefficient of a column: newton over the units of the column and of its factors.
+
+    Examples
+    --------
+    >>> from frictrack.diagnose.formulas import SHAPES
+    >>> from frictrack.diagnose.smooth_forces import Axis
+    >>> coefficient_unit("u", Term(SHAPES[0], Axis("v", lambda path: path.speed, "s * t"), (), (0.0, 1.0)))
+    'N/m'
+
+    """
+    powers = term.shape.degree(column) * np.array(DIMENSIONS[term.axis])
+    powers = powers + sum(np.array(DIMENSIONS[one]) for one in term.multipliers)
+    signed = [
+        (symbol, float(p)) for symbol, p in zip(["m", "s", "kg"], powers, strict=True) if abs(p) > POWER_TOLERANCE
+    ]
+    over = "".join(f" {_power(symbol, -p)}" for symbol, p in signed if p < 0)
+    return f"N{over}" + "".join(f"/{_power(symbol, p)}" for symbol, p in signed if p > 0)
+
+
+def _power(symbol: str, power: float) -> str:
+    return symbol if abs(power - 1) < POWER_TOLERANCE else f"{symbol}^{power:.3g}"
+
+
+def _parameter_unit(kind: str, axis: str) -> str:
+    unit = AXES[axis].unit
+    return {"rate": INVERSE_UNITS[unit][0], "sweep": INVERSE_UNITS[unit][1], "share": "1"}.get(kind, unit)
+
+
+def describe_formula(found: FittedFormula, bare: Solution) -> dict[str, Any]:
+    """Return the JSON entry of a formula that was added to a model."""
+    solution = found.solution
+    values = solution.problem.layout.values(solution.p, 0)[0]
+    terms = []
+    for i, term in enumerate(found.terms):
+        own = values[EFFECT_NAME if i == 0 else f"{EFFECT_NAME}_{i + 1}"]
+        terms.append(
+            replace(
+                term,
+                parameters=tuple(own[q] for q in term.shape.parameters),
+                coefficients=tuple(own[c] for c in coefficient_names(term)),
+            )
+        )
+    loads = [float(p.path.load) for p in bare.problem.pieces]
+    added = [n for n in solution.problem.model.names if n not in bare.problem.model and not n.startswith(EFFECT_NAME)]
+    return {
+        "form": found.form,
+        "formula": _formula_text(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
+        "axis": terms[0].axis,
+        "variables": list(dict.fromkeys(name for term in terms for name in term.variables)),
+        "share": found.share,
+        "delta_bic": float(found.delta_bic),
+        "unknowns": sum(t.unknowns for t in terms),
+        "reduced_chi2": solution.chi2 / max(solution.problem.n_frames - len(solution.p), 1),
+        "beside": added,
+        "toml": _toml(terms),
+    }
+
+
+def _formula_text(terms: Sequence[Term], *, with_load: bool) -> str:
+    """The formula with its values, to read; the load is left out if all runs have the same."""
+    out = ""
+    for term in terms:
+        factors = [one for one in term.variable.factor.split(" * ") if one and (with_load or one != "L")]
+        factor = "".join(f"{one} " for one in factors).replace("abs(v)", "|v|").replace("mass", "m")
+        for one, column, value in _merge_sine_pairs(term):
+            sign = ("-" if value < 0 else "") if not out else (" - " if value < 0 else " + ")
+            text = f"{abs(value):.3g} {coefficient_unit(one, term)} {factor}{_column_with_values(column, term)}"
+            out += sign + text.strip()
+    return out
+
+
+def _merge_sine_pairs(term: Term) -> Iterator[tuple[str, str, float]]:
+    """Columns with their text and coefficients; sine and cosine merged to one with a phase."""
+    pairs = list(zip(term.shape.columns, term.coefficients, strict=True))
+    while pairs:
+        column, value = pairs.pop(0)
+        if "sin(" in column and pairs and pairs[0][0] == column.replace("sin(", "cos("):
+            other = pairs.pop(0)[1]
+            yield column, f"{column[:-1]} + {np.arctan2(other, value):.3g} rad)", float(np.hypot(value, other))
+        else:
+            yield column, column, value
+
+
+def _column_with_values(column: str, term: Term) -> str:
+    """A column with its parameters and their units."""
+    text = "" if column == "1" else re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][1], column)
+    for q, kind, number in zip(term.shape.parameters, term.shape.kinds, term.parameters, strict=True):
+        digits = 3 if kind in ("width", "scale", "share") else 4
+        text = re.sub(rf"\b{q}\b", f"{number:.{digits}g} {_parameter_unit(kind, term.axis)}".removesuffix(" 1"), text)
+    return text.replace("2*pi*", "2 pi ").replace("*", " ").replace("- -", "+ ").replace("+ -", "- ")
+
+
+def _toml(terms: Sequence[Term]) -> str:
+    """The formula as a user effect for a study file."""
+    units: dict[str, str] = {}
+    bounds: dict[str, tuple[float, float]] = {}
+    for term, suffix in with_suffixes(terms):
+        columns = zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
+        units |= {name: coefficient_unit(column, term) for name, column in columns}
+        kinds = zip(term.shape.parameters, term.shape.kinds, strict=True)
+        units |= {q + suffix: _parameter_unit(kind, term.axis) for q, kind in kinds}
+        bounds |= parameter_bounds(term, 3.0, 1.0, suffix)
+    text = " + ".join(study_file_text(*pair) for pair in with_suffixes(terms))
+    lines = [
+        "[[effect]]",
+        f'effect = "{EFFECT_NAME}"',
+        f'formula = "{text}"',
+        "units = {" + ", ".join(f'{k} = "{u}"' for k, u in units.items()) + "}",
+    ]
+    if bounds:
+        lines.append("bounds = {" + ", ".join(f"{k} = [{a:.4g}, {b:.4g}]" for k, (a, b) in bounds.items()) + "}")
+    return "\n".join(lines) + "\n"

@@ -14,6 +14,7 @@ import frictrack as ft
 from formulas.causes import CAUSES, normalised
 from formulas.comparison import compared
 from formulas.studies import Sealed, draw
+from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import definitions, read_settings
 
@@ -42,7 +43,7 @@ def hidden_study(seed: int, *, full: bool, gplearn: str | None = None) -> dict[s
         verdict, missing, left = found.verdict, found.missing, found.unexplained
         stated = _stated(sealed, found)
     else:
-        left = unexplained_force(fit.solution).summary
+        left = unexplained_force(FormulaSearch.of(fit.solution)).summary
     seconds = time.process_time() - begin
     formulas = (left or {}).get("formulas") or []
     return {
