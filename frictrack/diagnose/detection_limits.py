@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate
+from frictrack.diagnose.examination import ScannedCandidate
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.distributions import noncentral_chi2_sf
 from frictrack.effects import Effect

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
+from frictrack.diagnose.admissible import is_special_case
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, SHAPES, Shape, formula_axes
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, candidate_axes, smooth_forces
-from frictrack.diagnose.special_cases import is_special_case
 from frictrack.diagnose.unexplained import UnexplainedForce, unexplained_force
 from frictrack.fit.least_squares import Solution
 from frictrack.number_format import format_probability

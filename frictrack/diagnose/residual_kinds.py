@@ -14,7 +14,7 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
 )
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.subsampling import omitted_lines, subsample_frames, subsample_pieces
+from frictrack.diagnose.preparation import omitted_lines, subsample_frames, subsample_pieces
 from frictrack.effects import Effect
 from frictrack.fit import Fit, measured_friction
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, heldout_rms
