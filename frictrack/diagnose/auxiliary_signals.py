@@ -28,6 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
+from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.distributions import normal_sf
 from frictrack.fit.least_squares import PieceResponse, Solution
@@ -36,7 +37,6 @@ from frictrack.records import Array, Displacement, Run
 
 MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach
 COEFFICIENTS_PER_SIGNAL = 2  # the series and its derivative
-MAX_P = 0.01  # significance level of a match
 MIN_KNOWN_SHARE = 0.8  # of frames in which a series must be known
 N_DRAWS = 499
 MAX_HALF_PERIODS = 127  # of the cosines over a run
@@ -204,7 +204,7 @@ def _match_signal(
         drawn = _signal_traces(compressed, solution, paths).values()
         null = np.max([_chi2_gains(c, compressed.residual) for c in drawn], axis=0)
         p = max(p, float((1 + np.sum(null >= best)) / (len(null) + 1)))
-    if p > MAX_P:
+    if p > ALPHA:
         return None
     action = next(one for one in ACTIONS if gains[one] > best - MIN_CHI2_SEPARATED)
     columns = traces[action][:, :, 0]

@@ -25,7 +25,6 @@ ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half 
 COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
 N_DRAWS_FEW = 299  # which show whether a misfit is left, at a level of 0.005
 MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
-ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
 
 
 @dataclass(frozen=True)
@@ -371,4 +370,4 @@ def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
     phased = any(s.parameter == "phase" and s.run is not None for s in slots)
     shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
     more = len(layout.run_names) - 1
-    return float(chi2_isf(ALPHA_LOST, more)) if phased and shared and more else 0.0
+    return float(chi2_isf(ALPHA, more)) if phased and shared and more else 0.0

@@ -23,7 +23,7 @@ from frictrack.diagnose.model_selection import (
     event_penalty,
     expected_separation,
     information_criterion,
-    log_prior_of_set,
+    log_prior_of_effects,
     parameter_penalty,
 )
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
@@ -107,8 +107,8 @@ class Explanation:
 
     @property
     def log_prior(self) -> float:
-        """Logarithm of the prior probability of a set of that size."""
-        return log_prior_of_set(len(self.effects)) if self.effects else 0.0
+        """Logarithm of the prior probability of the set."""
+        return log_prior_of_effects(self.effects)
 
     def evidence(self, before: Explanation) -> float:
         """Fall of BIC from a smaller set, without the priors."""
