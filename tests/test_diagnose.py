@@ -17,9 +17,8 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 from frictrack import effects, models
 from frictrack.diagnose import diagnose, examination
 from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine, examine_again
-from frictrack.diagnose.explanations import Explanation
+from frictrack.diagnose.explanations import Explanation, find_rivals
 from frictrack.diagnose.null_distribution import N_DRAWS
-from frictrack.diagnose.rivals import find_rivals
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.results import to_builtins
@@ -59,7 +58,7 @@ def texture_missing():
 def test_a_later_examination_takes_few_draws_where_these_decide(texture_missing):
     start = texture_missing[0].solution
     first = examine(start, [], np.random.default_rng(0), 0.005)
-    assert first.tests.p["texture"] == 1 / (1 + N_DRAWS)
+    assert first.p["texture"] == 1 / (1 + N_DRAWS)
 
     def examined(solution):
         return examine_again(solution, [], np.random.default_rng(1), first)
@@ -68,13 +67,13 @@ def test_a_later_examination_takes_few_draws_where_these_decide(texture_missing)
     assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
     assert not done.leaves_misfit
     assert not done.something_is_missing
-    assert min(done.tests.p.values()) >= MIN_P_CLEAR
+    assert min(done.p.values()) >= MIN_P_CLEAR
     going_on = examined(start)
     assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
     assert going_on.leaves_misfit
-    assert going_on.tests.scanned == []  # the best set with one effect more is judged by its own gain
-    assert going_on.tests.p_of_gain("texture", 1000.0) == 1 / (1 + N_DRAWS)
-    assert going_on.tests.p_of_gain("texture", 0.0) > 0.5
+    assert going_on.scanned == []  # the best set with one effect more is judged by its own gain
+    assert going_on.p_of_excess("texture", 1000.0) == 1 / (1 + N_DRAWS)
+    assert going_on.p_of_excess("texture", 0.0) > 0.5
 
 
 def test_a_later_examination_takes_all_draws_where_few_do_not_decide(monkeypatch):
@@ -83,7 +82,7 @@ def test_a_later_examination_takes_all_draws_where_few_do_not_decide(monkeypatch
     monkeypatch.setattr(examination, "MIN_P_CLEAR", 2.0)  # no p-value is clear
     again = examine_again(solution, [], np.random.default_rng(1), first)
     assert again.draws.series.residuals.shape[1] == 1 + N_DRAWS
-    assert again.tests.level == first.tests.level
+    assert again.level == first.level
 
 
 @pytest.mark.slow

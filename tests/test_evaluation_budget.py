@@ -13,9 +13,8 @@ from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import effects, models
 from frictrack.cli import main
-from frictrack.diagnose import Diagnosis, diagnose, search_budget
-from frictrack.diagnose.explanations import MAX_SIZE, Explanation
-from frictrack.diagnose.rivals import find_rivals
+from frictrack.diagnose import Diagnosis, diagnose, search
+from frictrack.diagnose.explanations import MAX_SIZE, Explanation, find_rivals
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit import add_effect, fit, refine
 from frictrack.flow import open_study, read_results
@@ -38,7 +37,7 @@ def recorded() -> list[Any]:
 @pytest.fixture
 def granted(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A function that sets how many evaluations a whole search may take."""
-    return lambda n: monkeypatch.setattr(search_budget, "EVALUATIONS_PER_EFFECT", n / MAX_SIZE)
+    return lambda n: monkeypatch.setattr(search, "EVALUATIONS_PER_EFFECT", n / MAX_SIZE)
 
 
 def remark(found: Diagnosis) -> str:

@@ -17,13 +17,11 @@ from frictrack import models
 from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
-from frictrack.diagnose.explanations import Explanation, Explanations
-from frictrack.diagnose.finished_search import FinishedSearch
+from frictrack.diagnose.explanations import Explanation, Explanations, alternatives_of, find_rivals, names_in_place_of
+from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
-from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.rivals import alternatives_of, find_rivals, names_in_place_of
 from frictrack.effects import LIBRARY
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit import Fit, fit
@@ -66,7 +64,7 @@ def begun(few: None, cancelling: Fit) -> Begun:
     """All effects proposed alone beside that law, with its examination and the empty set."""
     examined = examine(cancelling.solution, (), np.random.default_rng(0), LEVEL)
     space = Explanations(cancelling.solution)
-    return space, examined, space.begin(examined, examined.tests.scanned)
+    return space, examined, space.begin(examined, examined.scanned)
 
 
 @pytest.mark.usefixtures("few")
@@ -85,7 +83,7 @@ def test_two_effects_of_which_neither_is_significant_alone_are_named() -> None:
     fitted = fit(LAW, runs_with(drag=DRAG, spring={"k": 2.3, "x_0": -0.1}))
     examined = examine(fitted.solution, (), np.random.default_rng(0), LEVEL)
     assert examined.leaves_misfit
-    assert min(examined.tests.p.values()) > LEVEL
+    assert min(examined.p.values()) > LEVEL
     found = diagnose(fitted, quick=True)
     assert set(found.missing) == PAIR
     assert found.verdict in ("missing", "ambiguous")
@@ -175,7 +173,7 @@ def test_one_effect_more_must_be_significant_beside_the_others(begun: Begun) -> 
     drag, whole = space.known[frozenset({"drag"})], space.known[PAIR]
     examined = examine(drag.law, (), np.random.default_rng(0), LEVEL)
     assert space.better(drag, examined) is whole
-    strict = replace(examined, tests=replace(examined.tests, level=0.0))
+    strict = replace(examined, level=0.0)
     assert whole.criterion < drag.criterion - 20
     assert space.better(drag, strict) is not whole
 
@@ -197,7 +195,7 @@ def test_a_handicap_is_a_part_of_what_a_set_promises_and_of_what_it_explains(few
     )
     drag, spring = frozenset({"drag"}), frozenset({"spring"})
     for space in (plain, other):
-        space.begin(examined, examined.tests.scanned)
+        space.begin(examined, examined.scanned)
     assert other.known[drag].criterion == pytest.approx(plain.known[drag].criterion + 15.0)
     assert other.known[spring].criterion == pytest.approx(plain.known[spring].criterion)
     for space in (plain, other):
@@ -213,7 +211,7 @@ def test_promising_sets_are_marked_where_the_budget_is_spent(
     examined = examine(cancelling.solution, (), np.random.default_rng(0), LEVEL)
     start = replace(cancelling.solution, problem=cancelling.solution.problem.with_budget(EvaluationBudget(granted)))
     space = Explanations(start)
-    space.begin(examined, examined.tests.scanned)
+    space.begin(examined, examined.scanned)
     space.refine(1)
     marked = {next(iter(one.names)) for one in space.of_size(1) if one.is_unrefined}
     assert ("drag" in marked) is unrefined
@@ -240,7 +238,7 @@ def made(cancelling: Fit) -> tuple[Explanations, Made]:
 def nothing_passes(cancelling: Fit) -> Examination:
     """An examination in which no further effect is significant."""
     examined = examine(cancelling.solution, (), np.random.default_rng(0), LEVEL)
-    return replace(examined, tests=replace(examined.tests, level=0.0))
+    return replace(examined, level=0.0)
 
 
 @pytest.mark.parametrize(("behind", "is_needless"), [(-1.0, True), (0.0, True), (3.0, False)])
@@ -290,7 +288,7 @@ def test_a_rival_set_is_named_with_the_effects_in_place_of_each(made: tuple[Expl
     assert names_in_place_of("slope", best, rivals) == ("asymmetry",)
     assert names_in_place_of("drag", best, rivals) == ()
     (other,) = alternatives_of(best, rivals)
-    assert other.summary() == {"effects": ["asymmetry", "drag"], "delta_bic": 5.0}
+    assert other == {"effects": ["asymmetry", "drag"], "delta_bic": 5.0}
     assert alternatives_of(enter(-100.0, "slope"), [enter(-99.0, "asymmetry")]) == []  # named beside it
 
 

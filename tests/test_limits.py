@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import ncx2
 
 from frictrack.diagnose import power
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate
+from frictrack.diagnose.examination import ScannedCandidate
 from frictrack.effects import LIBRARY
 
 

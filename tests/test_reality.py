@@ -16,7 +16,7 @@ from test_series import given, swing, tustin_force
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
-from frictrack.diagnose.subsampling import subsample
+from frictrack.diagnose.preparation import subsample
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise

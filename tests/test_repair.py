@@ -16,7 +16,7 @@ import tifffile
 from film import FULL_WELL, READ_NOISE, Film, block_film, expose, speckle
 
 import frictrack as ft
-from frictrack.diagnose.repaired_frames import chi2_without
+from frictrack.diagnose.data_faults import chi2_without
 from frictrack.export import write as export_tables
 from frictrack.flow import Session, open_study, read_results
 from frictrack.records import Displacement, Motion, Track

@@ -100,8 +100,8 @@ def test_a_fit_that_falls_short_of_the_critical_value_is_not_confirmed(at_the_li
     extra = [parameter_penalty(s.problem.layout, s.problem) for s in (fit.solution, law)]
     fall = information_criterion(fit.solution) - information_criterion(law)
     assert gain == pytest.approx(fall + extra[1] - extra[0])
-    harder = replace(examined.tests, null=examined.tests.null + gain + 40.0)
-    assert not replace(examined, tests=harder).confirms(law, vibration)
+    harder = replace(examined, null=examined.null + gain + 40.0)
+    assert not harder.confirms(law, vibration)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import frictrack as ft
-from frictrack.diagnose.suspect_runs import MAX_FRAMES, suspect_run_remarks
+from frictrack.diagnose.data_faults import MAX_FRAMES, suspect_run_remarks
 
 MU, VISCOUS, SIGMA = 0.26, 0.3, 5e-7  # of the weight; N s/m; m
 

@@ -23,8 +23,7 @@ from frictrack.cli.common import app
 from frictrack.errors import FrictrackError
 from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
 from frictrack.fit.uncertainty import merge_uncertainty
-from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem
-from frictrack.fit.uncertainty.profile_likelihood import ProfileSearch
+from frictrack.fit.uncertainty.profile_likelihood import FixedQuantityProblem, ProfileSearch
 from frictrack.fit.uncertainty.reported_values import parse_quantity
 from frictrack.report import fit_text, tables
 from frictrack.results import ModelResults

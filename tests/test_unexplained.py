@@ -21,7 +21,7 @@ from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.formulas import SHAPES, FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
-from frictrack.diagnose.search import _FormulaInstead
+from frictrack.diagnose.search import _formula_explains_more
 from frictrack.diagnose.smooth_forces import candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import compare_with_formulas, unexplained_force
 from frictrack.effects import definitions, read_settings
@@ -206,15 +206,14 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
 def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
     """A magnet: a few waves in every run imitate it, and any other set of so many effects can only do the same."""
     start = fits["magnet"].solution
-    formula, waves = _FormulaInstead(FormulaSearch.of(start), True), start
+    formulas, waves = FormulaSearch.of(start), start
     for name in ("vibration", "drift", "spring"):
         waves = add_effect(waves, effects.get(name))
     assert waves.objective < start.objective - 1000  # they explain most of it
     imitation = Explanation((), information_criterion(waves))
-    assert formula.explains_more(imitation)
-    best = formula.search.found()[0].solution
-    assert not formula.explains_more(replace(imitation, criterion=information_criterion(best)))
-    assert not _FormulaInstead(formula.search, False).explains_more(imitation)
+    assert _formula_explains_more(formulas, imitation)
+    best = formulas.found()[0].solution
+    assert not _formula_explains_more(formulas, replace(imitation, criterion=information_criterion(best)))
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from frictrack.diagnose.power import Undetermined
-from frictrack.diagnose.verdict_rule import Grounds, judge
+from frictrack.diagnose.verdict import Grounds, judge
 
 COULD_HIDE = Undetermined("drag", "it would not show", "film a faster run", limit=0.3)
 NOT_DETERMINED = Undetermined("stribeck.v_s", "the runs never slow", "film a run to a stop", uncertainty=0.2)
@@ -28,6 +28,8 @@ EXPLAINED = Grounds(something_missing=True, n_found=1, error_ratio=0.5, reduced_
         (replace(EXPLAINED, has_objection=True), "unexplained"),
         (replace(EXPLAINED, misfit_left=True, has_rivals=True), "unexplained"),
         (replace(EXPLAINED, n_found=0), "unexplained"),
+        (replace(EXPLAINED, is_formula=True), "unexplained"),
+        (replace(EXPLAINED, is_formula=True, gaps=[NOT_DETERMINED], error_ratio=0.95), "undetermined"),
         # what the runs leave open counts unless the evidence is decisive
         (replace(EXPLAINED, gaps=[COULD_HIDE]), "missing"),
         (replace(EXPLAINED, gaps=[COULD_HIDE], error_ratio=0.95), "missing"),

@@ -9,7 +9,7 @@ import numpy as np
 from gallery_runs import Example, SimulatedRun, Values, simulate_example
 
 import frictrack as ft
-from frictrack.diagnose.hypothesis_tests import list_candidates
+from frictrack.diagnose.examination import list_candidates
 from frictrack.effects import Effect
 from frictrack.effects.plausibility import oscillates
 from frictrack.fit import Fit

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose.conclusion import diagnose
+from frictrack.diagnose.diagnosis import Candidate, Diagnosis
+from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
-from frictrack.diagnose.search import diagnose
-from frictrack.diagnose.verdict import Candidate, Diagnosis
 
 __all__ = [
     "ALPHA",

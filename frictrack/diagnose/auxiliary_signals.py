@@ -2,13 +2,23 @@
 
 They are compared with the residual displacement, where the noise is white, with the model projected out. A series u
 enters as a force m u'' and m u' that resists motion (a changing load) or pushes, or as a shift u and u' of the picture;
-the first derivative compensates a lag. The p-value comes from random paths (see `surrogates`). A series that explains
-much less than the best candidate is no evidence, unless it explains more beside all that was found.
+the first derivative compensates a lag. A series that explains much less than the best candidate is no evidence, unless
+it explains more than all that was found.
+
+Series that drift resemble each other, so the p-value comes from random paths (surrogate data): sums of cosines with
+random amplitudes and the power of the series in every octave. They are drawn anew for every run, and once for all runs
+along time since release and along place, because whatever repeats with either is equal in all runs.
+
+References
+----------
+Theiler et al. (1992), Physica D 58, 77-94.
+Schreiber & Schmitz (2000), Physica D 142, 346-382.
+
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,8 +28,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
+from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
-from frictrack.diagnose.surrogates import SmoothedSignal, detrend, surrogate_p_value
 from frictrack.distributions import normal_sf
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.motion import derivatives, low_pass, noise_level
@@ -27,19 +37,19 @@ from frictrack.records import Array, Displacement, Run
 
 MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach
 COEFFICIENTS_PER_SIGNAL = 2  # the series and its derivative
-MAX_P = 0.01  # significance level of a match
 MIN_KNOWN_SHARE = 0.8  # of frames in which a series must be known
-MIN_SENSED_SHARE, MIN_SENSED_DIFFERENCE = (
-    0.25,
-    0.3,
-)  # of the residual motion: below is "not sensed"; closer to one is "all sensed"
+N_DRAWS = 499
+MAX_HALF_PERIODS = 127  # of the cosines over a run
+MIN_INDEPENDENT_SHARE = 1e-9  # of a second column's square that is independent of the first
+MIN_SENSED_SHARE = 0.25  # of the residual motion: less is "not sensed"
+MIN_SENSED_DIFFERENCE = 0.3  # closer to one is "all sensed"
 MIN_CHI2_PER_FREQUENCY = 15.0  # mean over three frequencies, above which the residual is clear
 MIN_WEIGHT = 0.1  # of a frequency at which the sensor is informative
 MIN_SIGMAS = 5.0  # standard deviations between "all" and "nothing" for a verdict
 
-AuxiliarySignals = Mapping[
-    str, Mapping[str, Array]
-]  # run -> name -> series at its frames; "accelerometer" in m/s^2, else m
+# run -> name -> series at its frames; "accelerometer" in m/s^2, else m
+AuxiliarySignals = Mapping[str, Mapping[str, Array]]
+Paths = Sequence[Array | None]  # series with two derivatives along every piece, (n, 3, D); None if not measured
 ACTIONS = {  # how a series may act: columns of the force, or of the picture
     "load": "the normal load changes with it",
     "push": "it pushes along the course in either direction of motion",
@@ -98,6 +108,15 @@ class KnownFindings:
     names: Sequence[str] = ()
 
 
+@dataclass(frozen=True)
+class SmoothedSignal:
+    """A series along one piece, without trend: times s, positions m, (n,), and u with two derivatives, (n, 3)."""
+
+    t: Array
+    x: Array
+    u: Array
+
+
 def assess_auxiliary_signals(
     solution: Solution,
     runs: Sequence[Run],
@@ -118,7 +137,7 @@ def assess_auxiliary_signals(
     auxiliary
         Series of further targets (m) and accelerometers (m/s^2), by run and name.
     known
-        What the search found; a series must explain nearly as much, or more beside it.
+        What the search found; a series must explain nearly as much, or some of what that leaves.
 
     Returns
     -------
@@ -128,22 +147,17 @@ def assess_auxiliary_signals(
     """
     known = known or KnownFindings()
     found, conditional = [], []
-    for kind, name, series in _list_signals(runs, auxiliary or {}):
-        if match := _significant_match(solution, runs, series, rng, MIN_GAIN_RATIO * known.delta_bic):
-            found.append(_to_evidence(kind, name, match, "the model leaves"))
-        elif known.law is not None and (match := _significant_match(known.law, runs, series, rng, MIN_CHI2_SEPARATED)):
-            conditional.append(_to_evidence(kind, name, match, f"is left beside {' and '.join(known.names)}"))
+    for signal in _list_signals(runs, auxiliary or {}):
+        match = _match_signal(solution, runs, signal, rng, MIN_GAIN_RATIO * known.delta_bic, "the model leaves")
+        if match is not None:
+            found.append(match)
+        elif known.law is not None:
+            left = f"is left beside {' and '.join(known.names)}"
+            match = _match_signal(known.law, runs, signal, rng, MIN_CHI2_SEPARATED, left)
+            conditional += [match] if match is not None else []
     sensed = assess_accelerometer(solution, runs, auxiliary or {})
     found += [sensed] if sensed else []
     return [*sorted(found, key=lambda e: -e.share), *sorted(conditional, key=lambda e: -e.share)]
-
-
-def _significant_match(
-    solution: Solution, runs: Sequence[Run], series: Sequence[Array], rng: np.random.Generator, min_gain: float
-) -> _SignalMatch | None:
-    """Match of a series with the residual; None if it is not significant or gains too little."""
-    match = _match_signal(solution, runs, series, rng, min_gain)
-    return match if match is not None and match.p <= MAX_P else None
 
 
 def evidence_curves(found: Sequence[Evidence]) -> dict[str, dict[str, Array]]:
@@ -154,72 +168,66 @@ def evidence_curves(found: Sequence[Evidence]) -> dict[str, dict[str, Array]]:
 def _list_signals(runs: Sequence[Run], auxiliary: AuxiliarySignals) -> list[tuple[str, str, list[Array]]]:
     """Kind, name and series (n,) per run of everything that was measured in enough frames."""
     out = [("vertical", "the vertical motion of the mass", [run.displacement.y for run in runs])]
-    names = dict.fromkeys(n for own in auxiliary.values() for n in own if n != "accelerometer")
-    for name in names:
-        none = [np.full(len(run.displacement), np.nan) for run in runs]
-        series = [auxiliary.get(run.name, {}).get(name, n) for run, n in zip(runs, none, strict=True)]
-        out.append(("track", name, series))
+    for name in dict.fromkeys(n for own in auxiliary.values() for n in own if n != "accelerometer"):
+        out.append(("track", name, [_series(run, auxiliary, name) for run in runs]))
     return [(k, n, s) for k, n, s in out if any(np.mean(np.isfinite(u)) > MIN_KNOWN_SHARE for u in s)]
 
 
-@dataclass(frozen=True)
-class _SignalMatch:
-    """Best match of a series with the residual."""
-
-    share: float
-    p: float
-    action: str
-    size: float  # of the load: N per kg and m/s^2
-    frequency: float  # Hz, where it moves most
-    shown: str  # the run in which it shows best
-    curve: dict[str, Array]
+def _series(run: Run, auxiliary: AuxiliarySignals, name: str) -> Array:
+    """A series of a run, (n,); NaN where it was not measured."""
+    series = auxiliary.get(run.name, {}).get(name)
+    return np.full(len(run.displacement), np.nan) if series is None else np.asarray(series, dtype=float)
 
 
 def _match_signal(
-    solution: Solution, runs: Sequence[Run], series: Sequence[Array], rng: np.random.Generator, min_gain: float
-) -> _SignalMatch | None:
-    """Best mode of action of a series and its p-value; None if it gains less than `min_gain`."""
+    solution: Solution,
+    runs: Sequence[Run],
+    signal: tuple[str, str, list[Array]],
+    rng: np.random.Generator,
+    min_gain: float,
+    what: str,
+) -> Evidence | None:
+    """The best mode of action of a series as evidence; None if it gains less than `min_gain` or is insignificant."""
+    kind, name, series = signal
     smooth = [_smooth_signal(r, runs[r.piece.run], series[r.piece.run]) for r in solution.responses]
-    known_series = [s for s in smooth if s is not None]
-    if not known_series:
+    known = [s for s in smooth if s is not None]
+    if not known:
         return None
     compressed = compress_residual(solution)
-
-    def columns(paths: Sequence[Array | None]) -> dict[str, Array]:
-        return _signal_traces(compressed, solution, paths)
-
-    traces = {
-        action: made[:, :, 0]
-        for action, made in columns([None if s is None else s.u[:, :, None] for s in smooth]).items()
-    }
-    gained = {action: _best_gain(compressed, made) for action, made in traces.items()}
-    best = max(gain for gain, _ in gained.values())
+    traces = _signal_traces(compressed, solution, [None if s is None else s.u[:, :, None] for s in smooth])
+    gains = {action: float(_chi2_gains(made, compressed.residual)[0]) for action, made in traces.items()}
+    best = max(gains.values())
     if best - COEFFICIENTS_PER_SIGNAL * np.log(compressed.n_frames) < min_gain:
         return None
-    action = next(w for w in ACTIONS if gained[w][0] > best - MIN_CHI2_SEPARATED)
-    gain, coefficients = gained[action]
-    piece, curve = _largest_piece_curve(compressed, solution, traces[action] @ coefficients)
-    return _SignalMatch(
-        share=float(np.clip(gain / max(compressed.excess, gain, 1e-300), 0.0, 1.0)),
-        p=surrogate_p_value(best, smooth, columns, compressed.residual, rng),
-        action=action,
-        size=float(coefficients[0]),
-        frequency=_dominant_frequency(known_series),
-        shown=runs[solution.responses[piece].piece.run].name,
+    p = 0.0
+    for paths in _random_paths(smooth, rng):  # the largest p-value over the ways of drawing
+        drawn = _signal_traces(compressed, solution, paths).values()
+        null = np.max([_chi2_gains(c, compressed.residual) for c in drawn], axis=0)
+        p = max(p, float((1 + np.sum(null >= best)) / (len(null) + 1)))
+    if p > ALPHA:
+        return None
+    action = next(one for one in ACTIONS if gains[one] > best - MIN_CHI2_SEPARATED)
+    columns = traces[action][:, :, 0]
+    norm = np.linalg.norm(columns, axis=0)
+    norm[norm == 0] = np.inf
+    coefficients = np.linalg.lstsq(columns / norm, compressed.residual, rcond=1e-6)[0] / norm
+    piece, curve = _largest_piece_curve(compressed, solution, columns @ coefficients)
+    share = float(np.clip(gains[action] / max(compressed.excess, gains[action], 1e-300), 0.0, 1.0))
+    words = f"{name} matches {100 * share:.0f} % of what {what} (p = {p:.2g}): {ACTIONS[action]}"
+    if action == "load" and kind == "vertical":
+        words += f", by {abs(coefficients[0]):.2g} of its vertical inertia; measured_load takes it into the law"
+    if (frequency := _dominant_frequency(known)) > 0:
+        words += f"; it moves most near {frequency:.3g} Hz"
+    return Evidence(
+        kind=kind,
+        words=words,
+        share=share,
+        p=p,
+        acts_on="measurement" if action == "picture" else "force",
+        name="" if kind == "vertical" else name,
         curve=curve,
+        shown=runs[solution.responses[piece].piece.run].name,
     )
-
-
-def _largest_piece_curve(
-    compressed: CompressedResidual, solution: Solution, explained: Array
-) -> tuple[int, dict[str, Array]]:
-    """Piece in which a trace (M,) is largest, and its residual and explained displacement, m."""
-    ends = np.cumsum([len(m) for m in compressed.force_maps])[:-1]
-    parts = np.split(explained, ends)
-    k = int(np.argmax([float(part @ part) for part in parts]))
-    piece = solution.responses[k].piece
-    basis = piece.coloured(compressed.components[k])
-    return k, {"t": piece.t, "left": basis @ np.split(compressed.residual, ends)[k], "told": basis @ parts[k]}
 
 
 def _smooth_signal(response: PieceResponse, run: Run, series: Array) -> SmoothedSignal | None:
@@ -233,12 +241,20 @@ def _smooth_signal(response: PieceResponse, run: Run, series: Array) -> Smoothed
     noise = np.full(n, max(float(noise_level(u, known)[0]), 1e-12))
     measured = Displacement(t, np.where(known, u, np.nan), nan, nan, noise, nan, known)
     motion = derivatives(low_pass(measured, method="kalman")).T[rows]
-    return SmoothedSignal(response.piece.t, response.model_y, detrend(response.piece.t, motion))
+    return SmoothedSignal(response.piece.t, response.model_y, _detrend(response.piece.t, motion))
 
 
-def _signal_traces(
-    compressed: CompressedResidual, solution: Solution, series: Sequence[Array | None]
-) -> dict[str, Array]:
+def _detrend(t: Array, u: Array) -> Array:
+    """A series with two derivatives in time, (n, 3, ...), without its mean and linear trend."""
+    out = u.reshape(len(u), 3, -1).copy()
+    line = np.stack([np.ones_like(t), t], axis=1)
+    constant, slope = np.linalg.lstsq(line, out[:, 0], rcond=None)[0]
+    out[:, 0] -= constant + t[:, None] * slope
+    out[:, 1] -= slope
+    return out.reshape(u.shape)
+
+
+def _signal_traces(compressed: CompressedResidual, solution: Solution, series: Paths) -> dict[str, Array]:
     """Traces (M, 2, D) of series (n_i, 3, D) in each mode of action, with the model projected out."""
     count = next(u.shape[2] for u in series if u is not None)
     parts: dict[str, list[Array]] = {action: [] for action in ACTIONS}
@@ -258,14 +274,76 @@ def _signal_traces(
     }
 
 
-def _best_gain(compressed: CompressedResidual, columns: Array) -> tuple[float, Array]:
-    """Fall of chi-squared with the best coefficients, and these coefficients."""
-    norm_ = np.linalg.norm(columns, axis=0)
-    norm_[norm_ == 0] = np.inf
-    solved = np.linalg.lstsq(columns / norm_, compressed.residual, rcond=1e-6)[0]
-    return float(
-        compressed.residual @ compressed.residual - np.sum((compressed.residual - columns / norm_ @ solved) ** 2)
-    ), solved / norm_
+def _chi2_gains(columns: Array, residual: Array) -> Array:
+    """Fall of chi-squared with the best coefficients of pairs of columns (M, 2, D), (D,)."""
+    size = np.linalg.norm(columns, axis=0)
+    first, second = columns.transpose(1, 0, 2) / np.where(size > 0, size, np.inf)[:, None]
+    a, b, correlation = residual @ first, residual @ second, np.sum(first * second, axis=0)
+    free = 1 - correlation**2
+    return np.where(
+        free > MIN_INDEPENDENT_SHARE,
+        a**2 + (b - correlation * a) ** 2 / np.maximum(free, MIN_INDEPENDENT_SHARE),
+        np.maximum(a**2, b**2),
+    )
+
+
+def _random_paths(series: Sequence[SmoothedSignal | None], rng: np.random.Generator) -> Iterator[list[Array | None]]:
+    """Random paths along every piece, (n, 3, D): new for each run, common in time, common in place."""
+    known = [s for s in series if s is not None]
+    for axis, is_common in (("t", False), ("t", True), ("x", True)):
+        whole = np.concatenate([getattr(s, axis) for s in known])
+        longest = max(known, key=lambda s: float(np.ptp(getattr(s, axis))))
+
+        own = [None if s is None else getattr(s, axis) for s in series]
+        places = [None if at is None else _scaled(at, whole if is_common else at) for at in own]
+        common = _amplitudes(_scaled(getattr(longest, axis), whole), longest.u[:, 0], rng) if is_common else None
+        yield [
+            None
+            if s is None or at is None
+            else _random_path(at, s.t, _amplitudes(at, s.u[:, 0], rng) if common is None else common)
+            for s, at in zip(series, places, strict=True)
+        ]
+
+
+def _scaled(values: Array, whole: Array) -> Array:
+    """Values scaled to 0 ... 1 over the whole range."""
+    return (values - whole.min()) / max(float(np.ptp(whole)), 1e-12)
+
+
+def _amplitudes(at: Array, u: Array, rng: np.random.Generator) -> Array:
+    """Random amplitudes of cosines (W, D) with the power of a series in every octave along an axis."""
+    order = np.argsort(at)
+    even = np.interp(np.linspace(at.min(), at.max(), max(len(at), 2 * MAX_HALF_PERIODS)), at[order], u[order])
+    power = dct(even - even.mean(), norm="ortho")[1 : MAX_HALF_PERIODS + 1] ** 2
+    octave = np.log2(np.arange(1, MAX_HALF_PERIODS + 1)).astype(int)
+    mean = np.bincount(octave, power) / np.bincount(octave)
+    return np.sqrt(mean[octave])[:, None] * rng.standard_normal((MAX_HALF_PERIODS, N_DRAWS))
+
+
+def _random_path(at: Array, t: Array, amplitudes: Array) -> Array:
+    """Random paths (n, 3, D) along an axis that a piece passes as `at` (n,), with derivatives in time."""
+    speed = np.gradient(at, t)
+    bend = np.gradient(speed, t)
+    wave = np.pi * np.arange(1, MAX_HALF_PERIODS + 1)
+    cosine, sine = np.cos(np.outer(at, wave)), np.sin(np.outer(at, wave))
+    first = -(sine * wave) @ amplitudes
+    second = -(cosine * wave**2) @ amplitudes
+    u = np.stack(
+        [cosine @ amplitudes, speed[:, None] * first, speed[:, None] ** 2 * second + bend[:, None] * first], axis=1
+    )
+    return _detrend(t, u)
+
+
+def _largest_piece_curve(
+    compressed: CompressedResidual, solution: Solution, explained: Array
+) -> tuple[int, dict[str, Array]]:
+    """Piece in which a trace (M,) is largest, and its residual and explained displacement, m."""
+    ends = np.cumsum([len(m) for m in compressed.force_maps])[:-1]
+    parts = np.split(explained, ends)
+    k = int(np.argmax([float(part @ part) for part in parts]))
+    piece = solution.responses[k].piece
+    basis = piece.coloured(compressed.components[k])
+    return k, {"t": piece.t, "left": basis @ np.split(compressed.residual, ends)[k], "told": basis @ parts[k]}
 
 
 def _dominant_frequency(series: Sequence[SmoothedSignal]) -> float:
@@ -273,25 +351,6 @@ def _dominant_frequency(series: Sequence[SmoothedSignal]) -> float:
     best = max(series, key=lambda m: float(np.sum(m.u[:, 0] ** 2)))
     power = np.abs(np.fft.rfft(best.u[:, 0])) ** 2
     return float(np.fft.rfftfreq(len(best.u), float(np.median(np.diff(best.t))))[int(np.argmax(power))])
-
-
-def _to_evidence(kind: str, name: str, match: _SignalMatch, what: str) -> Evidence:
-    """Describe a match as evidence."""
-    words = f"{name} matches {100 * match.share:.0f} % of what {what} (p = {match.p:.2g}): {ACTIONS[match.action]}"
-    if match.action == "load" and kind == "vertical":
-        words += f", by {abs(match.size):.2g} of its vertical inertia; measured_load takes it into the law"
-    if np.isfinite(match.frequency) and match.frequency > 0:
-        words += f"; it moves most near {match.frequency:.3g} Hz"
-    return Evidence(
-        kind=kind,
-        words=words,
-        share=match.share,
-        p=match.p,
-        acts_on="measurement" if match.action == "picture" else "force",
-        name="" if kind == "vertical" else name,
-        curve=match.curve,
-        shown=match.shown,
-    )
 
 
 def assess_accelerometer(solution: Solution, runs: Sequence[Run], auxiliary: AuxiliarySignals) -> Evidence | None:
@@ -318,8 +377,7 @@ def assess_accelerometer(solution: Solution, runs: Sequence[Run], auxiliary: Aux
     parts, curves, chi2 = [], [], 0.0
     for r in solution.responses:
         run = runs[r.piece.run]
-        none = np.full(len(run.displacement), np.nan)
-        a = np.asarray(auxiliary.get(run.name, {}).get("accelerometer", none), dtype=float)
+        a = _series(run, auxiliary, "accelerometer")
         known = np.isfinite(a)
         if np.mean(known[r.piece.frames]) < MIN_KNOWN_SHARE:
             continue
@@ -375,13 +433,15 @@ def _sensor_columns(response: PieceResponse, a: Array) -> Array:
 
 def _accelerometer_verdict(share: float, sigma: float, of_all: float) -> Evidence | None:
     """Verdict of an accelerometer that measures a share of the residual motion; None if it cannot decide."""
-    sentence = f"the accelerometer measures {share:.2f} ± {sigma:.2g} of the residual motion that the camera shows"
     if sigma * MIN_SIGMAS > 1:
         return None
+    sentence = f"the accelerometer measures {share:.2f} ± {sigma:.2g} of the residual motion that the camera shows"
     if abs(share - 1) < max(MIN_SENSED_DIFFERENCE, 3 * sigma):
-        size, p = float(np.clip(share * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(share) / sigma))
-        return Evidence("accelerometer", f"{sentence}: the mass itself moves, no camera shake", size, p, "force")
-    if abs(share) < max(MIN_SENSED_SHARE, 3 * sigma):
-        size, p = float(np.clip((1 - share) * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(share - 1) / sigma))
-        return Evidence("accelerometer", f"{sentence}: the picture shakes, not the mass", size, p, "measurement")
-    return None
+        meaning, acts_on, explained, departure = "the mass itself moves, no camera shake", "force", share, share
+    elif abs(share) < max(MIN_SENSED_SHARE, 3 * sigma):
+        meaning, acts_on, explained = "the picture shakes, not the mass", "measurement", 1 - share
+        departure = share - 1
+    else:
+        return None
+    size, p = float(np.clip(explained * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(departure) / sigma))
+    return Evidence("accelerometer", f"{sentence}: {meaning}", size, p, acts_on)

@@ -1,4 +1,4 @@
-"""Draw the conclusion of a finished search: first the verdict, then where the model fails and what to do next.
+"""Diagnose a fit: search for missing effects, draw the verdict, then say where the model fails and what to do next.
 
 Everything that can change the verdict is in `Conclusion.verdict`, so that it is never revised: held-out errors,
 objections, what the runs could have shown, and formulas that explain more than the effects found.
@@ -6,7 +6,7 @@ objections, what the runs could have shown, and formulas that explain more than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,25 +21,135 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
-from frictrack.diagnose.examination import Examination
+from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
+from frictrack.diagnose.diagnosis import Diagnosis
+from frictrack.diagnose.examination import ALPHA, Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
-from frictrack.diagnose.finished_search import FinishedSearch
-from frictrack.diagnose.held_parameters import held_remarks
+from frictrack.diagnose.explanations import MAX_SIZE
+from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
+from frictrack.diagnose.formulas import shapes_of_functions
 from frictrack.diagnose.power import detection_limit, find_undetermined
-from frictrack.diagnose.refined_candidates import RefinedCandidate
-from frictrack.diagnose.repaired_frames import rests_on_repairs
+from frictrack.diagnose.preparation import join_segments, subsample, subsample_frames
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
-from frictrack.diagnose.suspect_runs import suspect_run_remarks
+from frictrack.diagnose.search import Progress, SearchSettings, search_effects
 from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
-from frictrack.diagnose.verdict import Candidate, Diagnosis
-from frictrack.diagnose.verdict_rule import Grounds, judge
-from frictrack.fit import Fit
+from frictrack.diagnose.verdict import NOTHING_TO_EXPLAIN, Grounds, judge
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.observations import observation_of
+from frictrack.fit.observations import Observation, observation_of
+from frictrack.fit.stepwise import refine_to_end
+from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
+from frictrack.threads import one_thread
 
-NOTHING_TO_EXPLAIN = ("complete", "undetermined")  # verdicts that name no failure
+
+@accepts_seed
+@one_thread()
+def diagnose(  # noqa: PLR0913 - one function with named settings, all but the fit optional
+    fit: Fit,
+    *,
+    own: Sequence[Effect] = (),
+    functions: Sequence[str] = (),
+    auxiliary: AuxiliarySignals | None = None,
+    rng: RNG = 0,
+    alpha: float = ALPHA,
+    costs: Costs = DEFAULT_COSTS,
+    progress: Progress | None = None,
+    quick: bool = False,
+    on_verdict: Callable[[Diagnosis], None] | None = None,
+) -> Diagnosis:
+    """Search the effect library for what a fitted model lacks.
+
+    The search compares sets of effects, best first: every single effect, then pairs, then sets of three. It ends when a
+    set leaves no misfit, or when no larger set explains more. Validation runs are not used.
+
+    Parameters
+    ----------
+    fit
+        One fit of all runs.
+    own
+        Further effects to try: the user's own, or library effects with bounds, priors or fixed values.
+    functions
+        Further functions of a dimensionless z for formulas of a force that no effect explains, such as "z^2*exp(-z)":
+        tried with z = u/w and z = (u - c)/w over place, time and speed.
+    auxiliary
+        Other measurements, by run and name, one value per frame (n,): displacements of further targets in m, and
+        "accelerometer" in m/s^2. Those that move with the residual are reported as evidence.
+    rng
+        Random numbers of the draws: a generator, a seed, or None for other numbers in every call.
+    alpha
+        Significance level: half for lack of fit, half for all candidates together. It bounds the probability that a
+        complete model is said to lack something; a `Session` lowers it for models that are tried as alternatives.
+    costs
+        Costs of the next experiments, and what the set-up can do: they are rated by evidence over cost.
+    progress
+        Called with the size of the sets that are searched, the largest size, and the current step.
+    quick
+        Return the verdict and the candidates as soon as they are known, with `complete` False.
+    on_verdict
+        Called with that incomplete diagnosis as soon as the verdict is known; the verdict is not revised afterwards.
+
+    Returns
+    -------
+    Diagnosis
+        The verdict, the candidates with their evidence, the detection limits and the next experiment. p-values account
+        for the whole search (999 draws).
+
+    Raises
+    ------
+    FrictrackError
+        If `fit` holds one fit per group, or `alpha` is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> ft.diagnose(ft.fit(["coulomb", "viscous"], ft.samples.runs()[1:2])).missing
+    ['patch']
+
+    """
+    notify = progress or (lambda done, total, what: None)
+    if isinstance(fit, GroupFits):
+        raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
+    _check_fit(fit)
+    if not 0 < alpha < 1:
+        raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
+    settings = SearchSettings(own, auxiliary, rng, alpha / 2, shapes_of_functions(functions), notify)
+    conclusion = replace(_search_and_conclude(fit, settings), costs=costs)
+    if on_verdict is not None:
+        on_verdict(conclusion.verdict)
+    if quick:
+        return conclusion.verdict
+    diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_SIZE, MAX_SIZE, what))
+    notify(MAX_SIZE, MAX_SIZE, "diagnosed")
+    return diagnosis
+
+
+def _check_fit(given: object) -> None:
+    """Raise an error for anything but a fit."""
+    if not isinstance(given, Fit):
+        raise FrictrackError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}", usage=True)
+
+
+def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
+    """Search and conclude; a fit in segments is searched in one piece first, if that explains everything."""
+    joined = join_segments(fit)
+    if joined is not None:
+        joined, remark = subsample_frames(joined)
+        conclusion = _conclude(fit, joined, [remark], settings)
+        if not conclusion.search.last.leaves_misfit and conclusion.verdict.verdict != "unexplained":
+            return conclusion
+    # the tests work on the displacement, whatever domain or search the fit used
+    start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
+    return _conclude(fit, *subsample(start), settings)
+
+
+def _conclude(fit: Fit, start: Solution, remarks: Sequence[str], settings: SearchSettings) -> Conclusion:
+    found = search_effects(fit.runs, start, settings)
+    settings.notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
+    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +177,41 @@ class Conclusion:
     @cached_property
     def verdict(self) -> Diagnosis:
         """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
-        found, search = self._before_formulas, self.search
-        if self._compared is not None:
-            found = self._judge_formulas(found, self._compared.summary)
-        rests = rests_on_repairs(self.fit.runs, found.verdict, search.first, search.last.solution, search.found)
-        return replace(found, rests_on_repairs=rests)
+        first, grounds, formulas = self.search.first, self._grounds, self._formulas
+        compared = {} if formulas is None else formulas.summary
+        is_formula, rival = bool(compared.get("decisive")), compared.get("rival") is not None
+        verdict = judge(replace(grounds, is_formula=is_formula, has_rivals=grounds.has_rivals or rival))
+        keeps_unexplained = self._verdict_of_effects == "unexplained" and not is_formula
+        named = [t.effect.title for t in self._named if not t.objection and not is_formula]
+        in_um = self._observation.unit == "um"
+        noise, misfit = self._noise
+        limits, curves = self._limits
+        remarks = [*_describe_excluded(first.excluded), *self._observation.remarks(self.fit), *self.remarks]
+        if self._named:
+            remarks += held_remarks(self.search.start, self._named[-1].law)
+        return Diagnosis(
+            model=self.fit.model.names,
+            verdict=verdict,
+            missing=[] if verdict == "unexplained" else named,
+            leads=named if verdict == "unexplained" else [],
+            noise_um=1e6 * noise if in_um else None,
+            noise_N=None if in_um else noise,
+            reduced_chi2=misfit,
+            p_lack_of_fit=first.p_lack_of_fit,
+            fails_at=[],
+            candidates=tabulate_candidates(self.search, self._heldout),
+            unexplained=None if keeps_unexplained or formulas is None else formulas.summary,
+            detection_limits=limits,
+            undetermined=list(grounds.gaps) if verdict == "undetermined" else [],
+            alternatives=list(self.search.alternatives) if self._named else [],
+            remarks=remarks,
+            figures=dict(curves),
+            complete=False,
+            alpha=2 * first.level,
+            rests_on_repairs=rests_on_repairs(
+                self.fit.runs, verdict, first, self.search.last.solution, self.search.found
+            ),
+        )
 
     def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
         """Return the whole diagnosis: failure pattern, importance, evidence of other signals, next experiments.
@@ -88,7 +228,7 @@ class Conclusion:
         found = replace(
             self.verdict,
             complete=True,
-            fails_at=[] if self._nothing_missing else self._fails_at,
+            fails_at=self._fails_at if self.search.something_is_missing else [],
             importance=importance_of_effects(self.search, self._named, self.verdict.candidates, self._heldout),
             figures=self.verdict.figures | {"residual": self._residual},
         )
@@ -103,128 +243,89 @@ class Conclusion:
         return replace(found, next_experiment=self._plan_next(found, notify))
 
     @cached_property
-    def _heldout(self) -> HeldOutErrors:
-        return HeldOutErrors(self.search.first.solution)
+    def _grounds(self) -> Grounds:
+        """What the verdict rests on, before the effects are compared with formulas."""
+        search, found = self.search, self.search.found
+        _, curves = self._limits
+        return Grounds(
+            something_missing=search.something_is_missing,
+            n_found=len(found),
+            misfit_left=search.last.leaves_misfit,
+            has_objection=any(t.objection for t in found),
+            has_rivals=any(t.indistinguishable_from for t in found),
+            error_ratio=self._error_ratio,
+            reduced_chi2=self._noise[1],
+            gaps=find_undetermined(self.fit, search.first, curves, found[-1].law if found else None),
+        )
 
     @cached_property
-    def _pattern(self) -> FailurePattern:
-        """What the misfit has in common from run to run."""
-        return find_failure_pattern(self.search.start, self.search.generators[1], self._explained)
+    def _verdict_of_effects(self) -> str:
+        return judge(self._grounds)
 
     @property
-    def _explained(self) -> Solution | None:
-        """The model with the effects, or with the formula, that explain everything; None if none do."""
-        if self.search.found and not self.search.last.leaves_misfit:
-            return self.search.last.solution
-        first = self._compared.formulas[0] if self._compared is not None and self._is_formula else None
-        return None if first is None else first.solution
+    def _error_ratio(self) -> float:
+        """Held-out error with all effects found over that of the model without them; 0 if none was found.
 
-    @property
-    def _is_formula(self) -> bool:
-        """Whether a formula explains far more than the effects found."""
-        return self._compared is not None and bool(self._compared.summary["decisive"])
-
-    @property
-    def _nothing_missing(self) -> bool:
-        return not (self.search.first.leaves_misfit or self.search.passing or self.search.found)
+        An effect alone need not lower the error where others are missing too.
+        """
+        if not self.search.found:
+            return 0.0
+        before, after, _ = self._heldout(self.search.found[-1].law)
+        return after / before
 
     @cached_property
     def _named(self) -> list[RefinedCandidate]:
         """The effects found; none if the runs leave the model itself undetermined."""
-        return [] if self._before_formulas.verdict == "undetermined" else self.search.found
+        return [] if self._verdict_of_effects == "undetermined" else self.search.found
 
     @cached_property
-    def _before_formulas(self) -> Diagnosis:
-        """The verdict from effects alone, with the evidence of every candidate and detection limits."""
-        first, found = self.search.first, self.search.found
-        listed = tabulate_candidates(self.search, self._heldout)
-        limits, curves = _limits(first)
-        observation = observation_of(self.fit.solution.problem)
-        noise, misfit = observation.noise(self.fit.solution, self.fit.reduced_chi2)
-        grown = found[-1].law if found else None
-        gaps = find_undetermined(self.fit, first, curves, grown)
-        verdict = judge(
-            Grounds(
-                something_missing=not self._nothing_missing,
-                n_found=len(found),
-                misfit_left=self.search.last.leaves_misfit,
-                has_objection=any(t.objection for t in found),
-                has_rivals=any(t.indistinguishable_from for t in found),
-                error_ratio=0.0 if self._nothing_missing else self._error_ratio(listed),
-                reduced_chi2=misfit,
-                gaps=gaps,
-            )
-        )
-        named = [] if verdict == "undetermined" else found
-        names = [t.effect.title for t in named if not t.objection]
-        return Diagnosis(
-            model=self.fit.model.names,
-            verdict=verdict,
-            missing=[] if verdict == "unexplained" else names,
-            leads=names if verdict == "unexplained" else [],
-            noise_um=1e6 * noise if observation.unit == "um" else None,
-            noise_N=noise if observation.unit == "N" else None,
-            reduced_chi2=misfit,
-            p_lack_of_fit=first.tests.p_lack_of_fit,
-            fails_at=[],
-            candidates=listed,
-            unexplained=None,
-            detection_limits=limits,
-            undetermined=gaps if verdict == "undetermined" else [],
-            alternatives=[one.summary() for one in self.search.alternatives] if named else [],
-            remarks=[
-                *_remarks(self.fit, first.excluded),
-                *self.remarks,
-                *(held_remarks(self.search.start, grown) if named and grown else []),
-            ],
-            figures=curves,
-            complete=False,
-            alpha=2 * first.tests.level,
-        )
+    def _formulas(self) -> UnexplainedForce | None:
+        """Formulas that explain as much as the effects found; None if there are none.
 
-    def _error_ratio(self, listed: Sequence[Candidate]) -> float:
-        """Held-out error with all effects found over that of the model without them; 0 if it was not computed.
-
-        An effect alone need not lower the error where others are missing too.
+        They are the only other explanation where effects explain everything, or are far behind one of them.
         """
-        found = self.search.found
-        if len(found) == 1:
-            before, after = listed[0].heldout_before, listed[0].heldout_after
-        else:
-            before, after, _ = self._heldout(found[-1].law) if found else (None, None, "")
-        return 0.0 if before is None or after is None else after / before
-
-    @property
-    def _may_be_a_formula(self) -> bool:
-        """Whether effects explain everything, so that a formula is the only other explanation."""
-        explained = bool(self.search.found) and (not self.search.last.leaves_misfit or self.search.is_beaten)
-        return (
-            explained
-            and self._before_formulas.verdict not in NOTHING_TO_EXPLAIN
-            and self.search.start.problem.simulates
-        )
-
-    def _judge_formulas(self, found: Diagnosis, formulas: dict[str, Any]) -> Diagnosis:
-        """Return the verdict after comparing the effects found with formulas that may describe the cause as well."""
-        if found.verdict == "unexplained" and not formulas["decisive"]:
-            return found
-        if formulas["decisive"]:
-            return replace(found, verdict="unexplained", missing=[], leads=[], unexplained=formulas)
-        doubtful = formulas["rival"] is not None and found.verdict == "missing"
-        return replace(found, verdict="ambiguous" if doubtful else found.verdict, unexplained=formulas)
-
-    @cached_property
-    def _compared(self) -> UnexplainedForce | None:
-        """Formulas that explain as much as the effects found; None if there are none."""
-        if not self._may_be_a_formula:
+        search, start = self.search, self.search.start
+        is_explained = bool(search.found) and (not search.last.leaves_misfit or search.is_beaten)
+        if not (is_explained and self._verdict_of_effects not in NOTHING_TO_EXPLAIN and start.problem.simulates):
             return None
-        start, rng = self.search.start, self.search.generators[1]
 
         def repeats() -> Repeatability:
-            pattern = self._pattern if not self.search.last.leaves_misfit else find_failure_pattern(start, rng)
-            return pattern.repeats
+            if not search.last.leaves_misfit:
+                return self._pattern.repeats
+            return find_failure_pattern(start, search.generators[1], None).repeats
 
-        return compare_with_formulas(self.search.formulas, self.search.last.solution, repeats)
+        return compare_with_formulas(search.formulas, search.last.solution, repeats)
+
+    @property
+    def _is_formula(self) -> bool:
+        """Whether a formula explains far more than the effects found."""
+        return self._formulas is not None and bool(self._formulas.summary["decisive"])
+
+    @cached_property
+    def _pattern(self) -> FailurePattern:
+        """What the misfit has in common from run to run, given what explains everything, if anything does."""
+        explained = None
+        if self.search.found and not self.search.last.leaves_misfit:
+            explained = self.search.last.solution
+        elif self._is_formula and self._formulas is not None:
+            explained = self._formulas.formulas[0].solution
+        return find_failure_pattern(self.search.start, self.search.generators[1], explained)
+
+    @cached_property
+    def _observation(self) -> Observation:
+        return observation_of(self.fit.solution.problem)
+
+    @cached_property
+    def _heldout(self) -> HeldOutErrors:
+        return HeldOutErrors(self.search.first.solution)
+
+    @cached_property
+    def _noise(self) -> tuple[float, float]:
+        return self._observation.noise(self.fit.solution, self.fit.reduced_chi2)
+
+    @cached_property
+    def _limits(self) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+        return _limits(self.search.first)
 
     @property
     def _residual(self) -> dict[str, Array]:
@@ -242,12 +343,12 @@ class Conclusion:
 
     def _evidence(self, auxiliary: AuxiliarySignals | None) -> list[Evidence]:
         """Other measurements that match the residual."""
-        search, found = self.search, self._before_formulas
+        search, known = self.search, KnownFindings()
         if not search.start.problem.simulates:
             return []  # there is no motion that signals could be compared with
-        known = KnownFindings()
         if search.found:
-            known = KnownFindings(found.candidates[0].delta_bic, search.last.solution, [*found.missing, *found.leads])
+            names = [t.effect.title for t in self._named if not t.objection]
+            known = KnownFindings(search.found[0].delta_bic, search.last.solution, names)
         return assess_auxiliary_signals(search.start, self.fit.runs, search.generators[0], auxiliary, known)
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
@@ -270,7 +371,7 @@ class Conclusion:
         order = sorted(self.search.passing, key=lambda t: t.effect.title not in best)
         passing = [(t.effect.title, t.law, t.delta_bic) for t in order]
         rivals = effects[0].indistinguishable_from if best else ()
-        compared = self._compared
+        compared = self._formulas
         formula = compared.as_candidate() if compared is not None and compared.summary["rival"] else None
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
             passing, rivals = [*passing, formula], (formula[0], *rivals)
@@ -280,15 +381,15 @@ class Conclusion:
 def _limits(first: Examination) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
     """Return the detection limit of every scanned effect, and its curve over all settings."""
     limits, curves = {}, {}
-    for s in first.tests.scanned:
-        limits[s.effect.title], curve = detection_limit(s, first.draws, first.tests.critical)
+    for s in first.scanned:
+        limits[s.effect.title], curve = detection_limit(s, first.draws, first.critical)
         if len(s.scans) == 1:
             curve["rise"] = s.scans[0].gains
         curves[s.effect.title] = curve
     return limits, curves
 
 
-def _describe_excluded(excluded: dict[str, str]) -> list[str]:
+def _describe_excluded(excluded: Mapping[str, str]) -> list[str]:
     """Say in one sentence which effects could not be tried, grouped by reason."""
     by_reason: dict[str, list[str]] = {}
     for name, why in excluded.items():
@@ -301,8 +402,3 @@ def _plural(why: str, count: int) -> str:
     """Put the reason of one effect into the plural: "needs" becomes "need"."""
     verb, _, rest = why.partition(" ")
     return why if count == 1 else f"{verb.removesuffix('s')} {rest}"
-
-
-def _remarks(fit: Fit, excluded: dict[str, str]) -> list[str]:
-    """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
-    return _describe_excluded(excluded) + observation_of(fit.solution.problem).remarks(fit)

@@ -1,42 +1,81 @@
-"""Examine one model: what a complete model of these runs would leave, and what every effect of the library gains."""
+"""Examine a model: test it for lack of fit and for every effect that it may lack, with draws of the null hypothesis."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.fft import dct
 
-from frictrack.diagnose.hypothesis_tests import (
-    SearchTests,
-    gains_of_library,
-    lack_of_fit,
-    list_candidates,
-    run_tests,
-)
+from frictrack import effects
 from frictrack.diagnose.model_selection import event_penalty, information_criterion, likelihood_gain
 from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import CandidateScan, LinearisedModel, measured_series
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
+from frictrack.models import Model
+from frictrack.records import Array
 
+ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half for candidates
+COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
 N_DRAWS_FEW = 299  # which show whether a misfit is left, at a level of 0.005
 MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
-ALPHA_LOST = 0.01  # probability with which one amplitude for all runs loses more by chance
+
+
+@dataclass(frozen=True)
+class ScannedCandidate:
+    """One candidate effect scanned over data and draws.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    scans
+        Its scans; one per run for events.
+    statistic
+        Best gain of chi-squared for data and draws, (D,).
+    quantile
+        Quantile of its own null distribution, which puts candidates on a common scale.
+
+    """
+
+    effect: Effect
+    scans: list[CandidateScan]
+    statistic: Array
+    quantile: float
+
+    @property
+    def excess(self) -> Array:
+        """Statistic above its own null quantile, (D,)."""
+        return self.statistic - self.quantile
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """One model, with draws of the null hypothesis that it is complete, and the tests of these.
+    """One model, tested for lack of fit and for every candidate, calibrated for the whole search.
 
     Parameters
     ----------
     solution
         The model.
     draws
-        Data and draws of the null hypothesis.
-    tests
-        Lack of fit and candidates.
+        Data and draws of the null hypothesis that it is complete.
+    level
+        Significance level of each of the two tests: lack of fit, and all candidates together.
+    p_lack_of_fit
+        p-value of the lack-of-fit test.
+    scanned
+        The scanned candidates.
+    null
+        Largest excess of any candidate in every draw of the null hypothesis, (D - 1,).
+    quantiles
+        Quantile of every candidate's own null distribution.
+    gains
+        What every candidate gains in its scan.
     excluded
         Effects that could not be tried, with the reason.
 
@@ -44,18 +83,37 @@ class Examination:
 
     solution: Solution
     draws: NullEnsemble
-    tests: SearchTests
-    excluded: dict[str, str]
+    level: float
+    p_lack_of_fit: float
+    scanned: Sequence[ScannedCandidate]
+    null: Array
+    quantiles: Mapping[str, float]
+    gains: Mapping[str, float]
+    excluded: Mapping[str, str]
+
+    @cached_property
+    def p(self) -> dict[str, float]:
+        """p-value of every candidate."""
+        return {name: self.p_of_excess(name, gain) for name, gain in self.gains.items()}
 
     @property
     def leaves_misfit(self) -> bool:
         """Whether the misfit is significant."""
-        return self.tests.p_lack_of_fit < self.tests.level
+        return self.p_lack_of_fit < self.level
 
     @property
     def something_is_missing(self) -> bool:
         """Whether the misfit or the gain of any effect is significant."""
-        return self.tests.something_is_missing
+        return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
+
+    @property
+    def critical(self) -> float:
+        """Excess that a search exceeds by chance with probability `level`."""
+        return float(np.quantile(self.null, 1 - self.level))
+
+    def p_of_excess(self, name: str, gain: float) -> float:
+        """p-value of a gain of chi-squared by an effect; one that was not scanned gains by chance what any does."""
+        return _p_value(self.null, gain - self.quantiles.get(name, max(self.quantiles.values(), default=0.0)))
 
     def p_of_gain(self, effect: Effect, gain: float) -> float:
         """Return the p-value of an effect: of its scan, or of what its fit gains if something is missing.
@@ -69,11 +127,11 @@ class Examination:
         effect
             The effect.
         gain
-            Likelihood ratio of its fit beside the model, less the penalty for its events.
+            Likelihood ratio of the model with it, less the penalty for its events.
 
         """
-        p = self.tests.p.get(effect.title, 1.0)
-        return min(p, self.tests.p_of_gain(effect.title, gain)) if self.something_is_missing else p
+        p = self.p.get(effect.title, 1.0)
+        return min(p, self.p_of_excess(effect.title, gain)) if self.something_is_missing else p
 
     def confirms(self, fitted: Solution, effect: Effect) -> bool:
         """Whether a simulated fit confirms what the scan of an effect promised.
@@ -93,11 +151,11 @@ class Examination:
         """
         if information_criterion(self.solution) > information_criterion(fitted):
             return True
-        needed = self.tests.quantiles.get(effect.title)
+        needed = self.quantiles.get(effect.title)
         if needed is None:
             return False
         gain = likelihood_gain(self.solution, fitted) - event_penalty(fitted.problem, fitted.problem.layout, effect)
-        return gain > needed + self.tests.critical - _loss_by_shared_amplitude(fitted, effect)
+        return gain > needed + self.critical - _loss_by_shared_amplitude(fitted, effect)
 
 
 def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float) -> Examination:
@@ -108,7 +166,7 @@ def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator,
     solution
         The model.
     own
-        Effects beside the library's.
+        Further effects to try.
     rng
         Random generator.
     level
@@ -121,7 +179,24 @@ def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator,
     """
     library, excluded = list_candidates(solution, own)
     draws = draw_null_ensemble(solution, rng, count_draws(level))
-    return Examination(solution, draws, run_tests(solution, draws, library, level), excluded)
+    scanned = []
+    for effect, scans in scan_effects(draws.law, library, draws.series):
+        statistic = _statistic(draws.law, scans)
+        scanned.append(
+            ScannedCandidate(effect, scans, statistic, float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE)))
+        )
+    n_draws = draws.series.residuals.shape[1] - 1
+    return Examination(
+        solution,
+        draws,
+        level,
+        p_lack_of_fit=lack_of_fit(draws),
+        scanned=scanned,
+        null=np.max([s.excess[1:] for s in scanned], axis=0) if scanned else np.zeros(n_draws),
+        quantiles={s.effect.title: s.quantile for s in scanned},
+        gains={s.effect.title: float(s.statistic[0]) for s in scanned},
+        excluded=excluded,
+    )
 
 
 def examine_again(
@@ -137,7 +212,7 @@ def examine_again(
     solution
         The model.
     own
-        Effects beside the library's.
+        Further effects to try.
     rng
         Random generator.
     before
@@ -152,15 +227,139 @@ def examine_again(
     Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
 
     """
-    level, library = before.tests.level, list_candidates(solution, own)[0]
     draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
     p = lack_of_fit(draws)
-    if level <= p < MIN_P_CLEAR:
-        draws = draw_null_ensemble(solution, rng, count_draws(level))
+    if before.level <= p < MIN_P_CLEAR:
+        draws = draw_null_ensemble(solution, rng, count_draws(before.level))
         p = lack_of_fit(draws)
-    gains = {} if p < level else gains_of_library(draws.law, library)
-    tests = replace(before.tests, p_lack_of_fit=p, scanned=[], gains=gains)
-    return replace(before, solution=solution, draws=draws, tests=tests)
+    gains: dict[str, float] = {}
+    if p >= before.level:
+        scanned = scan_effects(draws.law, list_candidates(solution, own)[0], measured_series(draws.law))
+        gains = {effect.title: float(_statistic(draws.law, scans)[0]) for effect, scans in scanned}
+    return replace(before, solution=solution, draws=draws, p_lack_of_fit=p, scanned=[], gains=gains)
+
+
+def lack_of_fit(draws: NullEnsemble) -> float:
+    """Test the residuals for lack of fit against the measured noise.
+
+    The residual of every piece is cosine-transformed. Energies are summed up to growing orders, and the order that
+    deviates most is taken, in data and draws alike.
+
+    Parameters
+    ----------
+    draws
+        Data and draws of the null hypothesis.
+
+    Returns
+    -------
+    float
+        p-value.
+
+    References
+    ----------
+    Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test.
+
+    """
+    longest = max(rows.stop - rows.start for rows in draws.law.rows)
+    orders = [*[2**k for k in range(2, 20) if 2**k < longest], longest]
+    sums = np.zeros((len(orders), draws.series.residuals.shape[1]))
+    for rows in draws.law.rows:
+        energy = dct(draws.series.residuals[rows], axis=0, norm="ortho") ** 2
+        sums += np.stack([energy[:order].sum(axis=0) for order in orders])
+    center, spread = sums[:, 1:].mean(axis=1), sums[:, 1:].std(axis=1)
+    statistic = np.max((sums - center[:, None]) / spread[:, None], axis=0)
+    return _p_value(statistic[1:], float(statistic[0]))
+
+
+def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
+    """List the effects that could enter a model.
+
+    An effect that replaces others, such as LuGre, is another model and no candidate; see `effects.laws_in_place_of`.
+
+    Parameters
+    ----------
+    solution
+        The fitted model.
+    own
+        Further effects to try, or library effects with settings of the study.
+
+    Returns
+    -------
+    found : list of Effect
+        Under the names that they would have in the model.
+    excluded : dict of str
+        Why other effects cannot enter, by name.
+
+    """
+    own = list(own)
+    model, paths = solution.problem.model, [p.path for p in solution.problem.pieces]
+    replaced = frozenset().union(*(e.replaces for e in model.effects))
+    kinds = {e.kind for e in model.effects}
+    found, excluded = [], {}
+    for kind in effects.known(own).values():
+        if kind.name != kind.kind or kind.replaces or kind.kind in replaced:
+            continue
+        if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kinds & kind.modifies):
+            continue
+        if kind.acts_on == "measurement" and not solution.problem.simulates:
+            continue
+        effect = effects.get(model.next_instance(kind.name), own)
+        if why := effect.lacks(paths) or _missing_tie(effect, model) or _needs_reversal(effect, solution):
+            excluded[effect.name] = why
+        else:
+            found.append(effect)
+    return [*found, *_freed(solution)], excluded
+
+
+def _freed(solution: Solution) -> list[Effect]:
+    """The effects of the model with one parameter freed: one that is fixed, or a place that all runs share."""
+    several = len(solution.problem.layout.run_names) > 1
+    return [
+        e.freed(p.name)
+        for e in solution.problem.model.effects
+        for p in e.parameters
+        if (p.fixed is not None and p.known is None)
+        or (several and p.free and p.unit == "m" and not p.per_run and (p.signed or p.linear))
+    ]
+
+
+def _missing_tie(effect: Effect, model: Model) -> str:
+    """Why an effect cannot enter alone: it is tied to one that the model lacks; "" if it can."""
+    if ties_are_resolved(effect, model.effects):
+        return ""
+    return f"{effect.name} follows an effect that the model does not have"
+
+
+def _needs_reversal(effect: Effect, solution: Solution) -> str:
+    """Why an effect with memory is not identifiable: in one direction it equals a spring or running-in; "" if it is."""
+    if effect.modifies or not (effect.memory and effect.turns):
+        return ""
+    pieces = solution.problem.pieces
+    directions = {(p.run, float(s)) for p in pieces for s in np.sign(p.v_hat if p.turns else p.path.s[-1:])}
+    if len({w for w in directions if w[1]}) > len({run for run, s in directions if s}):
+        return ""
+    return f"{effect.name} needs a run that reverses; let the mass swing to and fro"
+
+
+def _can_occur_twice(effect: Effect) -> bool:
+    """Whether a second effect of the kind is a different cause: another line, time or place."""
+    in_place = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
+    per_run = any(p.role == "phase" or p.per_run for p in effect.parameters)
+    return (per_run or in_place) and any(p.scan is not None and p.free for p in effect.parameters)
+
+
+def _statistic(law: LinearisedModel, scans: Sequence[CandidateScan]) -> Array:
+    """Best gain of a candidate for every series, (D,). Events of single runs each pay a penalty."""
+    tops = np.stack([s.max_gains for s in scans])
+    if len(scans) == 1:
+        return np.asarray(tops[0])
+    left = tops - bic_penalty(EVENT_PARAMETERS, law.solution.problem.n_frames)
+    return np.maximum(np.sum(np.maximum(left, 0.0), axis=0), left.max(axis=0))
+
+
+def _p_value(null: Array, value: float) -> float:
+    """Share of the null values, this one included, that reach a value."""
+    return float((1 + np.sum(null >= value)) / (len(null) + 1))
 
 
 def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
@@ -170,4 +369,4 @@ def _loss_by_shared_amplitude(fitted: Solution, effect: Effect) -> float:
     phased = any(s.parameter == "phase" and s.run is not None for s in slots)
     shared = any(s.parameter in ("amplitude", "depth") and s.run is None for s in slots)
     more = len(layout.run_names) - 1
-    return float(chi2_isf(ALPHA_LOST, more)) if phased and shared and more else 0.0
+    return float(chi2_isf(ALPHA, more)) if phased and shared and more else 0.0

@@ -1,4 +1,4 @@
-"""Explanations of a misfit: sets of effects beside one model, compared by one evidence and refined best first.
+"""Explanations of a misfit: sets of effects added to one model, compared by one evidence and refined best first.
 
 A set is proposed by the fit along the measured motion, which takes milliseconds, and refined in simulation. It may be
 left unrefined only if the evidence that it promises, with the error of such promises seen so far, cannot reach that of
@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from frictrack.diagnose.admissible import objection, physical_objection
-from frictrack.diagnose.examination import Examination
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate, list_candidates
+from frictrack.diagnose.examination import Examination, ScannedCandidate, list_candidates
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
+    MAX_BIC_EQUAL,
+    MAX_CHI2_NEAR,
     MIN_CHI2_SEPARATED,
     event_penalty,
+    expected_separation,
     information_criterion,
-    log_prior_of_set,
+    log_prior_of_effects,
     parameter_penalty,
 )
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
@@ -29,12 +32,11 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
 from frictrack.fit.stepwise import (
-    STRONG_MISFIT_CHI2,
     CandidateTrial,
     baseline_misfit,
-    bic_penalty,
     deepen_trials,
     gain_by_smaller_scatter,
+    misfit_left_by_other,
     refine_to_end,
     scan_effects,
     simulate_trial,
@@ -46,14 +48,13 @@ N_CENTRES = 2  # best sets of one size to which every effect is added in turn
 N_PAIRS = 24  # pairs that are fitted, whatever each of their effects explains alone
 MAX_SIZE = 3  # effects in a set
 MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
-MAX_TRIAL_RATIO = 2.0  # of the gain of a fit to the gain of its scan, where the misfit is small
 Names = frozenset[str]
 Scanned = Sequence[tuple[Effect, list[CandidateScan]]]
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A set of effects beside the model that is diagnosed.
+    """A set of effects added to the model that is diagnosed.
 
     Attributes
     ----------
@@ -106,8 +107,8 @@ class Explanation:
 
     @property
     def log_prior(self) -> float:
-        """Logarithm of the prior probability of a set of that size."""
-        return log_prior_of_set(len(self.effects)) if self.effects else 0.0
+        """Logarithm of the prior probability of the set."""
+        return log_prior_of_effects(self.effects)
 
     def evidence(self, before: Explanation) -> float:
         """Fall of BIC from a smaller set, without the priors."""
@@ -122,14 +123,14 @@ class Explanation:
 
 
 class Explanations:
-    """All sets of effects tried beside one model, by the names of their effects.
+    """All sets of effects that were added to one model, by the names of their effects.
 
     Parameters
     ----------
     start
         The model.
     own
-        Effects beside the library's.
+        Further effects to try.
     handicap
         What an effect adds to the criterion, such as one that an accelerometer contradicts.
 
@@ -167,7 +168,7 @@ class Explanations:
         return empty
 
     def grow(self, size: int) -> None:
-        """Propose and refine the sets of a size beside the best that are one effect smaller.
+        """Propose and refine the sets of a size: one effect more than the best that are one effect smaller.
 
         The sets that the best of this size contains are expanded too: each of its effects may give way to another.
         """
@@ -190,7 +191,7 @@ class Explanations:
     def better(self, best: Explanation, examined: Examination) -> Explanation | None:
         """Return the simplest of the sets that explain most, if it explains more than the best so far.
 
-        A set with one effect more must be significant beside the best, in its examination. Any other set must explain
+        A set with one effect more must be significant in the examination of the best. Any other set must explain
         decisively more than the best.
         """
         for size in range(len(best.effects) + 1, MAX_SIZE + 1):
@@ -210,10 +211,10 @@ class Explanations:
         if len(new) > 1 or not one.names > best.names:
             return one.criterion < best.criterion - MIN_CHI2_SEPARATED
         p = examined.p_of_gain(new[0], one.gain(best, new[0]))
-        return p < examined.tests.level and examined.confirms(one.law, new[0])
+        return p < examined.level and examined.confirms(one.law, new[0])
 
     def _without_needless(self, one: Explanation, best: Explanation) -> Explanation:
-        """The set without effects that explain nothing beside the others."""
+        """The set without effects that explain nothing more than the others do."""
         while smaller := [
             rest for rest in self.subsets(one) if rest.effects and rest.is_law and rest.criterion <= one.criterion
         ]:
@@ -253,7 +254,7 @@ class Explanations:
         self._propose(centre, law, scan_effects(law, library, measured_series(law)))
 
     def _exchange_law(self, size: int) -> None:
-        """Try the laws that contain the last effect of the best set and stand in place of others, beside the rest."""
+        """Try the laws that contain the last effect of the best set and stand in place of others, with the rest."""
         best = next(iter(self.laws(size)), None)
         if best is None or best.trial is None or best.centre is None or len(best.centre.effects) < size - 1:
             return
@@ -263,18 +264,17 @@ class Explanations:
             self.refine(size)
 
     def _propose(self, centre: Explanation, law: LinearisedModel, scanned: Scanned) -> None:
-        """Try scanned effects beside a centre along the measured motion, and enter the sets that they make."""
-        misfit = baseline_misfit(law)
-        is_strong = misfit >= STRONG_MISFIT_CHI2 * law.solution.problem.n_frames
-        every = is_strong or not centre.effects
-        trials = _all_trials(law, scanned) if every else _promising_trials(law, scanned, misfit)
+        """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
+        misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
+        trials = [try_effect(law, effect, scans, data) for effect, scans in scanned]
         for t in deepen_trials(law, trials):
             self._enter(centre, law, t, law.solution.objective / misfit)
 
     def _propose_pairs(self) -> None:
-        """Try the pairs of effects that gain most together beside the model, whatever each explains alone."""
+        """Try the pairs of effects that gain most together, whatever each explains alone."""
         empty = self.known[frozenset()]
-        tried = [one.trial for one in self.of_size(1) if one.trial is not None and not _is_impossible(one.trial[1])]
+        tried = [one.trial for one in self.of_size(1) if one.trial is not None]
+        tried = [(law, t) for law, t in tried if not physical_objection(t.layout, t.p, t.effect)]
         if len(tried) < 2:
             return
         law = tried[-1][0]
@@ -291,7 +291,7 @@ class Explanations:
     def _enter(
         self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float, *others: Effect
     ) -> None:
-        """Enter the set that a trial of an effect, and others, beside a centre makes, if it promises more than before.
+        """Enter the set that a trial of an effect, and others, makes of a centre, if it promises more than before.
 
         A trial promises to take the same share of the simulated misfit, from which the misfit along the measured motion
         differs by `scale` where the model is far from the data.
@@ -388,37 +388,6 @@ class Explanations:
         return one
 
 
-def _all_trials(law: LinearisedModel, scanned: Scanned) -> list[CandidateTrial]:
-    """Fit every scanned effect along the measured motion."""
-    data = measured_series(law).coordinates[:, 0]
-    return [try_effect(law, effect, scans, data) for effect, scans in scanned]
-
-
-def _promising_trials(law: LinearisedModel, scanned: Scanned, misfit: float) -> list[CandidateTrial]:
-    """Fit the scanned effects that may be the best, where the misfit is small: a fit gains little more than its scan.
-
-    A scan holds the shape of the law only in linear approximation, and underrates effects that remember or delay.
-    """
-    data, best, found = measured_series(law).coordinates[:, 0], 0.0, []
-    slots, frames = len(law.solution.problem.layout.slots), law.solution.problem.n_frames
-    for effect, scans in sorted(scanned, key=lambda pair: -_scan_gain(pair[1])):
-        is_linear = not effect.memory and (effect.sized or not effect.modifies)
-        if is_linear and MAX_TRIAL_RATIO * _scan_gain(scans) + MIN_CHI2_SEPARATED < best:
-            continue
-        found.append(try_effect(law, effect, scans, data))
-        best = max(best, misfit - found[-1].misfit - bic_penalty(len(found[-1].layout.slots) - slots, frames))
-    return found
-
-
-def _scan_gain(scans: Sequence[CandidateScan]) -> float:
-    return float(sum(s.gains.max() for s in scans))
-
-
-def _is_impossible(trial: CandidateTrial) -> bool:
-    """Whether the fitted values of an effect are no physical ones."""
-    return bool(physical_objection(trial.layout, trial.p, trial.effect))
-
-
 def _excess(one: Explanation) -> float:
     """Misfit above the noise that is left along the measured motion."""
     return 0.0 if one.trial is None else max(one.trial[1].misfit - one.trial[0].solution.problem.n_frames, 0.0)
@@ -437,3 +406,76 @@ def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effec
             values[small.name, pairs[slot.parameter], slot.run] = x
     p = np.array([values[s.effect, s.parameter, s.run] for s in problem.layout.slots])
     return fit_with_scatter(problem, p, found.starts, found.tau or 0.03)
+
+
+def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explanation]:
+    """Find the sets of as many effects that may be the cause in place of the best one.
+
+    They explain the runs about as well (BIC within `MAX_BIC_EQUAL`), or their best fit to the predictions of `best`
+    differs by less than `MIN_CHI2_SEPARATED`. An effect that needs decisively more parameters (an amplitude per run) is
+    no equal explanation. Neither is one that contains the best one as a special case: it predicts the same data
+    whatever these are, with more parameters. A rival need not be significant by itself: the true cause may be less
+    significant than its imitation. A set that was promising but not refined, because the budget was spent, counts as a
+    rival: how much it explains is not known.
+
+    Parameters
+    ----------
+    best
+        The explanation.
+    others
+        Explanations of the same size.
+
+    Returns
+    -------
+    list of Explanation
+        The rivals, best first.
+
+    """
+    unit = dispersion(best.law)
+    near = [one for one in others if one.names != best.names and not one.objection and not _contains(one, best)]
+    near = [one for one in near if one.is_unrefined or one.criterion - best.criterion < MIN_CHI2_SEPARATED * unit]
+    return [
+        one for one in near if one.criterion - best.criterion < MAX_BIC_EQUAL * unit or _would_explain(one, best, unit)
+    ]
+
+
+def names_in_place_of(name: str, best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
+    """Effects that stand in place of one of the best set in its rivals."""
+    others = [e.title for one in rivals if name not in one.names for e in one.effects if e.title not in best.names]
+    return tuple(dict.fromkeys(others))
+
+
+def _contains(other: Explanation, best: Explanation) -> bool:
+    """Whether an effect contains one that it replaces as a special case: it fits whatever the data are."""
+    replaced = {e.kind for e in best.effects if e.title not in other.names}
+    return any(replaced & set(e.special_cases) for e in other.effects if e.title not in best.names)
+
+
+def _would_explain(other: Explanation, best: Explanation, unit: float) -> bool:
+    """Whether a set explains what the best one does, and would if that were true.
+
+    `unit` is the dispersion in which chi-squared is counted: above one while misfit remains.
+    """
+    if other.is_unrefined:
+        return True
+    if other.solution is not None:
+        near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
+        unknown = unit > 1 or other.law.problem.budget.is_spent
+        return near and (unknown or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
+    if best.trial is None or other.trial is None or best.trial[0] is not other.trial[0]:
+        return False
+    (law, true), rival = best.trial, other.trial[1]
+    return rival.misfit - true.misfit < MAX_CHI2_NEAR * unit and (
+        unit > 1 or misfit_left_by_other(law, true, rival) < MIN_CHI2_SEPARATED
+    )
+
+
+def alternatives_of(best: Explanation, rivals: Sequence[Explanation]) -> list[dict[str, Any]]:
+    """Return the sets that stand in place of several effects; another single effect is named with the one found."""
+    if len(best.effects) < 2:
+        return []
+    return [
+        {"effects": sorted(one.names), "delta_bic": one.criterion - best.criterion}
+        for one in rivals
+        if one.solution is not None
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import comb, log
 
@@ -109,6 +110,16 @@ def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect:
         return 0.0
     events = sum((effect.name, run) not in layout.absent for run in {p.run for p in problem.pieces})
     return bic_penalty(events * EVENT_PARAMETERS, problem.n_frames)
+
+
+def log_prior_of_effects(effects: Sequence[Effect]) -> float:
+    """Logarithm of the prior probability of one set of effects, over that of any one effect.
+
+    An origin that runs share is an assumption, not a law: every record may be set up anew. Its own value in every run
+    is as likely as all causes of the library together.
+    """
+    origins = sum(bool(e.frees) and e.parameter(e.frees).per_run for e in effects)
+    return (log_prior_of_set(len(effects)) if effects else 0.0) + origins * log(len(LIBRARY))
 
 
 def log_prior_of_set(count: int) -> float:

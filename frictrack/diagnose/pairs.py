@@ -1,6 +1,6 @@
 """Propose pairs of effects: which two together may explain what neither does alone.
 
-Beside the linearised model every effect spans its columns at its own best setting, and how they change with that
+With the linearised model every effect spans its columns at its own best setting, and how they change with that
 setting. What two effects gain together follows from the products of these columns, so all pairs take milliseconds; the
 best are fitted along the measured motion.
 """
@@ -19,7 +19,7 @@ from frictrack.fit.stepwise import CandidateTrial, effect_for_scan, try_together
 from frictrack.records import Array
 
 RELATIVE_STEP = 1e-3  # of a setting, over which the change of columns is taken
-MIN_SQUARE_LEFT = 1e-9  # of a column, beside the model or the others of a pair; less is rounding
+MIN_SQUARE_LEFT = 1e-9  # of a column that the model and the others of a pair leave; less is rounding
 
 
 def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> dict[tuple[str, str], float]:
@@ -30,7 +30,7 @@ def gains_of_pairs(law: LinearisedModel, trials: Sequence[CandidateTrial]) -> di
     law
         The model, linearised.
     trials
-        Effects beside it, each fitted along the measured motion.
+        Effects added to it one by one, each fitted along the measured motion.
 
     Returns
     -------

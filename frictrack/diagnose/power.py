@@ -15,8 +15,7 @@ import numpy as np
 from scipy.special import chndtrinc
 
 from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
-from frictrack.diagnose.examination import Examination
-from frictrack.diagnose.hypothesis_tests import ScannedCandidate
+from frictrack.diagnose.examination import Examination, ScannedCandidate
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit import Fit
@@ -174,7 +173,7 @@ def find_undetermined(
         beside = {u.what for u in _uncertain_coefficients(linear_estimates(grown).parameters, first, friction)}
         uncertain = [u for u in uncertain if u.what in beside]
     found = [*_undetermined_parameters(fit), *uncertain]
-    for scanned in first.tests.scanned:
+    for scanned in first.scanned:
         name = scanned.effect.title
         if scanned.effect.basic and name == scanned.effect.kind and len(scanned.scans) == 1:
             limit = limit_as_force(first, scanned, curves[name]["limit"]) / friction

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
+from frictrack.diagnose.admissible import is_special_case
 from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -28,7 +29,6 @@ from frictrack.diagnose.formulas import (
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import candidate_axes, forces_of, smooth_forces
-from frictrack.diagnose.special_cases import is_special_case
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.observations import keep_compared_frames
 from frictrack.number_format import format_probability

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup
 from frictrack.diagnose.experiments.evidence import (
     MEASUREMENT_NOISE_RATIO,
@@ -17,7 +18,6 @@ from frictrack.diagnose.experiments.evidence import (
     tabulate_evidence,
 )
 from frictrack.diagnose.experiments.rating import settled_by
-from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality
 from frictrack.distributions import chi2_isf

@@ -2,12 +2,17 @@
 
 from frictrack.fit.uncertainty.agreement import PriorAgreement, prior_agreement
 from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
-from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimate_parameters, with_misfit
-from frictrack.fit.uncertainty.level_outliers import level_remarks
-from frictrack.fit.uncertainty.linear import linear_estimates
+from frictrack.fit.uncertainty.estimates import (
+    Estimate,
+    Estimates,
+    estimate_parameters,
+    linear_estimates,
+    with_misfit,
+)
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
+from frictrack.fit.uncertainty.remarks import level_remarks
 from frictrack.fit.uncertainty.reported_values import (
     reported_by_address,
     reported_slots,

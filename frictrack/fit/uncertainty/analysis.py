@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.errors import FrictrackError
-from frictrack.fit.uncertainty.fitted_model import FittedModel
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
+from frictrack.fit.uncertainty.reported_values import FittedModel, require_one_fit
 from frictrack.randomness import RNG
 from frictrack.threads import one_thread
 
@@ -75,8 +74,7 @@ def analyse_uncertainty(
         (usage) For fits of groups.
 
     """
-    if not hasattr(result, "solution"):
-        raise FrictrackError("expected the fit of one group for its profiles; leave out --per group", usage=True)
+    require_one_fit(result)
     slots = result.solution.problem.layout.slots if profiles else ()
     addresses = [f"{s.effect}.{s.parameter}" for s in slots if s.run is None]
     profile_list = []

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from frictrack.fit.least_squares import Solution, covariance_of
-from frictrack.fit.parameters import MASS
-from frictrack.fit.uncertainty.identifiability import correlated_partners, identifiability_remarks, undetermined_reasons
-from frictrack.fit.uncertainty.reported_values import reported_gradient, reported_slots, reported_values_and_jacobian
+from frictrack.fit.uncertainty.identifiability import undetermined_reasons, unseen_reasons
+from frictrack.fit.uncertainty.remarks import correlated_noise_remark, identifiability_remarks, negative_force_remark
+from frictrack.fit.uncertainty.reported_values import (
+    reported_slots,
+    reported_values_and_jacobian,
+    standard_deviations,
+)
 from frictrack.number_format import format_plus_minus
 from frictrack.records import Array
 
-NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
 MIN_CORRELATION = 0.95  # stronger correlations are reported
 
 
@@ -77,6 +79,50 @@ class Estimates:
         return replace(self, parameters=parameters)
 
 
+def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
+    """Compute estimates from a fit. Parameters that the data do not determine get no value, but a reason.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    profile : bool
+        Whether to test that the profiles of the non-linear parameters are bounded, which needs further fits.
+
+    Returns
+    -------
+    Estimates
+        Reported values with standard deviations.
+
+    """
+    covariance, unseen = covariance_of(solution)
+    reasons = undetermined_reasons(solution, covariance, profiles=True) if profile else {}
+    return _estimates(solution, covariance, unseen_reasons(solution, unseen) | reasons)
+
+
+def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
+    """Compute estimates from the model linearised where it stands, whether or not that is the optimum.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit, in the displacement or the force domain.
+    covariance : array of shape (P, P), optional
+        Replaces the covariance of the domain.
+
+    Returns
+    -------
+    Estimates
+        Reported values with standard deviations.
+
+    """
+    own, unseen = covariance_of(solution)
+    if covariance is None:
+        covariance = own
+    reasons = unseen_reasons(solution, unseen) | undetermined_reasons(solution, covariance, profiles=False)
+    return _estimates(solution, covariance, reasons)
+
+
 def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
     """Add the effect of a missing force to the standard deviations.
 
@@ -95,60 +141,20 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
         The same with `std_misfit`. Fixed, tied and undetermined parameters are unchanged.
 
     """
-    layout = solution.problem.layout
+    layout, parameters = solution.problem.layout, dict(found.parameters)
     _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
-    added_variance = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
-    parameters = dict(found.parameters)
-    for i, added in zip(reported_slots(layout), added_variance, strict=True):
+    for i, added in zip(reported_slots(layout), standard_deviations(jacobian, covariance), strict=True):
         old = parameters[layout.names[i]]
         if old.std is not None:
-            std = float(np.sqrt(old.std**2 + max(added, 0.0)))
-            parameters[layout.names[i]] = replace(old, std_misfit=std)
+            parameters[layout.names[i]] = replace(old, std_misfit=float(np.hypot(old.std, added)))
     return replace(found, parameters=parameters)
 
 
-def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
-    """Compute estimates from a fit. Parameters that the data do not determine get no value, but a reason.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    profile : bool
-        Whether to test that the profiles of the non-linear parameters are bounded, which needs further fits.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
-    covariance, unseen = covariance_of(solution)
-    reasons = _unseen_reasons(solution, unseen) | (undetermined_reasons(solution, covariance) if profile else {})
-    return estimates_from_covariance(solution, covariance, reasons)
-
-
-def estimates_from_covariance(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
-    """Compute estimates from a given covariance of the unknowns.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        Covariance of the unknowns.
-    reasons : dict
-        Address to the reason why no value is given.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
+def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
+    """Estimates of fitted, fixed and tied parameters; those with a reason (by address) get no value."""
     layout, names, p = solution.problem.layout, solution.problem.layout.names, solution.p
     values, jacobian = reported_values_and_jacobian(solution.problem, p)
-    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
+    std = standard_deviations(jacobian, covariance)
     low, high = layout.bounds
     tolerance = 1e-6 * np.maximum(1.0, np.abs(p))
     at_bound = (p <= low + tolerance) | (p >= high - tolerance)
@@ -162,66 +168,26 @@ def estimates_from_covariance(solution: Solution, covariance: Array, reasons: di
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied_estimates(solution, covariance, out)
     correlated = correlations(names, reported_slots(layout), covariance)
-    remarks = identifiability_remarks(solution, correlated, list(reasons))
-    return Estimates(
-        out,
-        covariance,
-        correlated,
-        [*remarks, *negative_force_remark(solution, out), *correlated_noise_remark(solution)],
-    )
-
-
-def correlated_noise_remark(solution: Solution) -> Iterator[str]:
-    """State that the noise of neighbouring frames is correlated, how strongly, and over how many frames."""
-    pieces = [p for p in solution.problem.pieces if p.correlated]
-    if pieces:
-        rms, time = pieces[0].correlated
-        frames = time / float(np.median(np.diff(pieces[0].t)))
-        share = rms**2 / float(np.mean(pieces[0].noise ** 2))
-        yield (
-            f"the noise is not white: {100 * share:.0f} % of its variance is correlated over {frames:.2g} frames "
-            f"({1e3 * time:.2g} ms), as a filter in a sensor, mains or air leave it; deviations and tests take it into "
-            "account"
-        )
-
-
-def negative_force_remark(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
-    """State which coefficients of passive forces are significantly negative, and what may cause that."""
-    for effect in solution.problem.model.effects:
-        for p in effect.parameters:
-            e = found.get(f"{effect.name}.{p.name}") if p.passive else None
-            if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE_STD * e.std:
-                yield (
-                    f"{effect.name}.{p.name} = {e.value:.3g} {e.unit} is negative: this force would drive the mass. "
-                    "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a "
-                    "drive that was not given"
-                )
+    remarks = [
+        *identifiability_remarks(solution, correlated, list(reasons)),
+        *negative_force_remark(solution, {name: (e.value, e.std) for name, e in out.items()}),
+        *correlated_noise_remark(solution),
+    ]
+    return Estimates(out, covariance, correlated, remarks)
 
 
 def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
     """Estimates of tied parameters, from those that they follow."""
-    layout = solution.problem.layout
+    tied = solution.problem.layout.tied_parameters()
+    values, jacobian = reported_values_and_jacobian(solution.problem, solution.p, [address for address, *_ in tied])
     out: dict[str, Estimate] = {}
-    for address, tie, unit in layout.tied_parameters():
-        value, gradient = reported_gradient(solution.problem, solution.p, address)
+    for (address, tie, unit), value, std in zip(tied, values, standard_deviations(jacobian, covariance), strict=True):
         leader = known.get(f"{tie.effect}.{tie.parameter}")
-        is_undetermined = leader is not None and leader.value is None
-        std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
-        why = f"tied to {tie}" if not is_undetermined else f"tied to {tie}, which these runs do not determine"
-        out[address] = Estimate(None if is_undetermined else value, None if is_undetermined else std, unit, False, why)
+        if leader is not None and leader.value is None:
+            out[address] = Estimate(None, None, unit, False, f"tied to {tie}, which these runs do not determine")
+        else:
+            out[address] = Estimate(float(value), float(std), unit, False, f"tied to {tie}")
     return out
-
-
-def _unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
-    """Reasons for unknowns that the linearised model does not respond to."""
-    layout, names = solution.problem.layout, solution.problem.layout.names
-    mass_undetermined = MASS in layout.model and unseen[layout.index(MASS, "m")]
-    out = {
-        names[i]: "these runs do not determine the mass, and no force without it"
-        for i in reported_slots(layout)
-        if mass_undetermined and layout.slots[i].linear
-    }
-    return out | {names[i]: correlated_partners(solution, i) for i in reported_slots(layout) if unseen[i]}
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:

@@ -32,8 +32,13 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
-from frictrack.fit.uncertainty.fitted_model import FittedModel
-from frictrack.fit.uncertainty.reported_values import reported_slots, reported_values_and_jacobian
+from frictrack.fit.uncertainty.reported_values import (
+    FittedModel,
+    reported_slots,
+    reported_values_and_jacobian,
+    require_one_fit,
+    standard_deviations,
+)
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
 from frictrack.threads import one_thread
@@ -83,35 +88,33 @@ class Bootstrap:
     @property
     def std(self) -> dict[str, float]:
         """Standard deviation of the draws."""
-        return self._each(np.std(self.values, axis=0, ddof=1))
+        return self._by_name(np.std(self.values, axis=0, ddof=1))
 
     @property
     def bias(self) -> dict[str, float]:
         """Mean of the draws minus the fitted value."""
-        return self._each(np.mean(self.values, axis=0) - self.fitted)
+        return self._by_name(np.mean(self.values, axis=0) - self.fitted)
 
     @property
     def percentiles(self) -> dict[str, tuple[float, float]]:
         """Central interval of the draws."""
-        return self._pairs(np.quantile(self.values, self._tails, axis=0, method="weibull"))
+        return self._by_name(self._central(self.values).T)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Studentised intervals."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.nan_to_num((self.values - self.fitted) / self.stds)
-        low, high = np.quantile(t, self._tails, axis=0, method="weibull")  # as many beyond as stated
-        return self._pairs(np.array([self.fitted - high * self.std_fitted, self.fitted - low * self.std_fitted]))
+            low, high = self._central(np.nan_to_num((self.values - self.fitted) / self.stds))
+        return self._by_name((self.fitted - np.array([high, low]) * self.std_fitted).T)
 
-    @property
-    def _tails(self) -> list[float]:
-        return [0.5 - self.level / 2, 0.5 + self.level / 2]
+    def _central(self, drawn: Array) -> Array:
+        """Both ends (2, A) between which the draws (D, A) lie with the stated probability."""
+        return np.quantile(drawn, [0.5 - self.level / 2, 0.5 + self.level / 2], axis=0, method="weibull")
 
-    def _each(self, numbers: Array) -> dict[str, float]:
-        return dict(zip(self.names, map(float, numbers), strict=True))
-
-    def _pairs(self, ends: Array) -> dict[str, tuple[float, float]]:
-        return {n: (float(a), float(b)) for n, a, b in zip(self.names, *ends, strict=True)}
+    def _by_name(self, numbers: Array) -> dict[str, Any]:
+        """One number, or a tuple of several, by address."""
+        each = (tuple(one) if isinstance(one, list) else one for one in numbers.tolist())
+        return dict(zip(self.names, each, strict=True))
 
     def summary(self) -> dict[str, Any]:
         """Return JSON."""
@@ -182,8 +185,7 @@ def bootstrap(
     """
     if draws < MIN_DRAWS:
         raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
-    if not hasattr(result, "solution"):
-        raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
+    require_one_fit(result)
     if scratch and not result.is_default_route:
         how = f"{result.domain} domain, {result.search}"
         raise FrictrackError(
@@ -191,14 +193,14 @@ def bootstrap(
             usage=True,
         )
     generator = np.random.default_rng(rng)
-    solution, compared = result.solution, result.compared
+    solution, layout = result.solution, result.solution.problem.layout
     blocks = [_block_length(r) for r in solution.responses]
     found: list[tuple[Array, Array, float]] = []
     reasons: list[str] = []
     for k in range(draws):
         try:
             drawn = _drawn_problem(solution, blocks, generator)
-            found.append(_quoted_with_std(_refit(compared, drawn, scratch=scratch)))
+            found.append(_reported_with_std(_refit(result.compared, drawn, scratch=scratch)))
         except (FrictrackError, np.linalg.LinAlgError) as e:
             reasons.append(str(e))
         if progress is not None:
@@ -206,13 +208,10 @@ def bootstrap(
     if len(found) < MIN_DRAWS:
         raise FrictrackError(f"only {len(found)} of {draws} draws gave a law; the first failed because {reasons[0]}")
     values, stds, scatter = (np.array(column) for column in zip(*found, strict=True))
-    fitted, std, _ = _quoted_with_std(compared)
-    names = solution.problem.layout.names
-    runs = [
-        solution.problem.layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b
-    ]
+    fitted, std, _ = _reported_with_std(result.compared)
+    in_blocks = [layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b]
     return Bootstrap(
-        names=[names[i] for i in reported_slots(solution.problem.layout)],
+        names=[layout.names[i] for i in reported_slots(layout)],
         fitted=fitted,
         std_fitted=std,
         values=values,
@@ -221,34 +220,27 @@ def bootstrap(
         level=level,
         failed=len(reasons),
         reasons=sorted(set(reasons)),
-        correlated=list(dict.fromkeys(runs)),
+        correlated=list(dict.fromkeys(in_blocks)),
     )
 
 
-def _quoted_with_std(solution: Solution) -> tuple[Array, Array, float]:
+def _reported_with_std(solution: Solution) -> tuple[Array, Array, float]:
     """Reported parameters (A,), their standard deviations (A,), and the scatter of the levels."""
     values, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
     covariance, _ = white_noise_covariance(solution)
-    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
-    return values, std, solution.tau
+    return values, standard_deviations(jacobian, covariance), solution.tau
 
 
 def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> LeastSquaresProblem:
     """The problem with new data from the fitted model."""
-    problem, layout = solution.problem, solution.problem.layout
-    p = solution.p.copy()
+    layout, responses = solution.problem.layout, solution.responses
     if len(layout.levels) >= MIN_RUNS_FOR_SCATTER:
+        p = solution.p.copy()
         p[layout.levels] = 1 + solution.tau * rng.standard_normal(len(layout.levels))
-        p = np.clip(p, *layout.bounds)
-        responses = problem.evaluate(p, solution.starts)
-    else:
-        responses = solution.responses
+        responses = solution.problem.evaluate(np.clip(p, *layout.bounds), solution.starts)
     noise = _noise(solution, blocks, rng)
-    pieces = [
-        replace(old.piece, y=new.model_y + old.piece.coloured(e))
-        for old, new, e in zip(solution.responses, responses, noise, strict=True)
-    ]
-    return problem.rebuild(layout, pieces)
+    pieces = [replace(r.piece, y=r.model_y + r.piece.coloured(e)) for r, e in zip(responses, noise, strict=True)]
+    return solution.problem.rebuild(layout, pieces)
 
 
 def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solution:

@@ -17,19 +17,24 @@ Applied Statistics 37, 87-94.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from frictrack.distributions import normal_ppf
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import MIN_CHI2_FALL, Solution, refine, white_noise_covariance
-from frictrack.fit.uncertainty.fitted_model import FittedModel
-from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem, pivot_of
-from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
-from frictrack.records import Array
+from frictrack.fit.least_squares import (
+    MIN_CHI2_FALL,
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    refine,
+    white_noise_covariance,
+)
+from frictrack.fit.uncertainty.reported_values import FittedModel, Quantity, parse_quantity, require_one_fit
+from frictrack.records import Array, Mask
 from frictrack.threads import one_thread
 
 QUANTILE_TOLERANCE = 5e-3  # share of the quantile: accuracy of an end
@@ -41,8 +46,9 @@ PROBE_MIN_FALL = 0.05  # of chi-squared: fits that only test whether a profile h
 PROBE_STD = 4.0  # standard deviations at which a bounded profile has passed the quantile
 SAME_VALUE_STD = 1e-3  # standard deviations; closer values count as equal
 UNLIMITED_RATIO = 1e6  # times the larger of value and standard deviation: unbounded
-
-Progress = Callable[[int, int, str], None]
+MAX_NEWTON_STEPS = 12  # for the pivot; one suffices where the quantity is linear in it
+MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest; smaller derivatives are rounding errors
+MIN_DISTANCE_TO_BOUNDS_STD = 20.0  # a pivot should be at least this far from its bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +149,115 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
     """
     if not 0 < level < 1:
         raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
-    if not hasattr(result, "solution"):
-        raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
+    require_one_fit(result)
     solution = result.compared
     if not result.is_default_route:  # a global search may not have reached the optimum
         solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
     wanted = parse_quantity(solution.problem.layout, address)
     return ProfileSearch(solution, wanted, result.covariance, level).profile()
+
+
+class FixedQuantityProblem(LeastSquaresProblem):
+    """The same problem with one unknown (the pivot) chosen so that a quantity has a given value.
+
+    Parameters
+    ----------
+    inner : LeastSquaresProblem
+        The problem without the condition.
+    quantity : Quantity
+        The reported quantity.
+    value : float
+        Its value.
+    pivot : int
+        The unknown that follows from the others.
+
+    """
+
+    def __init__(self, inner: LeastSquaresProblem, quantity: Quantity, value: float, pivot: int) -> None:
+        super().__init__(inner.model, inner.layout, inner.pieces)
+        self.inner, self.quantity, self.value, self.pivot = inner, quantity, value, pivot
+
+    @property
+    def free(self) -> Mask:
+        """Which unknowns may change, (P,)."""
+        return np.arange(len(self.layout.slots)) != self.pivot
+
+    def law(self, p: Array) -> Array:
+        """Compute all unknowns (P,) with the pivot solved for.
+
+        Raises
+        ------
+        FrictrackError
+            If the pivot would leave its bounds.
+
+        """
+        p = np.array(p, dtype=float)
+        tolerance = 1e-12 * max(abs(self.value), 1e-3)
+        for _ in range(MAX_NEWTON_STEPS):
+            error = self.quantity.value(self.inner, p) - self.value
+            if abs(error) <= tolerance:
+                break
+            p[self.pivot] -= error / self.quantity.gradient(self.inner, p)[self.pivot]
+        low, high = self.layout.slots[self.pivot].bounds
+        if not (np.isfinite(p[self.pivot]) and low <= p[self.pivot] <= high):
+            raise FrictrackError(f"no law within the bounds has {self.quantity.address} = {self.value:g}")
+        return p
+
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
+        """Simulate and linearise every piece; the sensitivities include the response of the pivot."""
+        law = self.law(p)
+        gradient = self.quantity.gradient(self.inner, law)
+        derivative = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
+        derivative[self.pivot] = -1.0  # so that its own column vanishes
+        return [self._with_pivot_derivative(r, derivative) for r in self.inner.evaluate(law, starts)]
+
+    def _with_pivot_derivative(self, r: PieceResponse, derivative: Array) -> PieceResponse:
+        """The response of a piece with the pivot following the other unknowns."""
+        if self.pivot not in r.active:
+            return r
+        at, share = r.active.index(self.pivot), derivative[r.active]
+        changed: dict[str, Any] = {
+            name: getattr(r, name) + np.outer(getattr(r, name)[:, at], share) for name in ("jac", "on_start")
+        }
+        if (displacement := getattr(r, "plain", None)) is not None:  # behind an acceleration chain
+            changed["plain"] = self._with_pivot_derivative(displacement, derivative)
+        return replace(r, **changed)
+
+
+def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int:
+    """Choose the pivot: the reported unknown, unless it is close to a bound and another one is not.
+
+    Parameters
+    ----------
+    quantity : Quantity
+        The reported quantity.
+    solution : Solution
+        The fit.
+    std : array of shape (P,)
+        Standard deviations of the unknowns.
+
+    """
+    p, layout, own = solution.p, solution.problem.layout, quantity.slot
+    low, high = layout.bounds
+    matters = _depends_on(quantity, solution, std)
+    matters[[q.slot for q in layout.priors if q.slot not in (None, own)]] = False  # a prior holds its unknown
+    distance = np.where(matters, np.minimum(p - low, high - p) / np.maximum(std, 1e-300), -1.0)
+    if quantity.is_unknown or distance[own] >= min(MIN_DISTANCE_TO_BOUNDS_STD, distance.max()):
+        return own
+    return int(np.argmax(distance))
+
+
+def _depends_on(quantity: Quantity, solution: Solution, std: Array) -> Mask:
+    """Unknowns that a quantity depends on, (P,)."""
+    influence = np.abs(quantity.gradient(solution.problem, solution.p)) * np.maximum(std, 1e-12)
+    return np.asarray(influence > MIN_DERIVATIVE_SHARE * influence.max())
+
+
+def _is_unknown(quantity: Quantity, solution: Solution, std: Array) -> bool:
+    """Whether a quantity is an unknown itself, as F_s - F_c is."""
+    matters, value = _depends_on(quantity, solution, std), quantity.value(solution.problem, solution.p)
+    is_same = np.isclose(value, solution.p[quantity.slot], rtol=1e-9, atol=1e-12)
+    return bool(is_same and matters[quantity.slot] and np.count_nonzero(matters) == 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +284,12 @@ class ProfileSearch:
         Covariance of the unknowns.
     level : float
         Confidence level.
+    min_fall : float
+        Predicted fall of the objective below which the fits of points end.
     points : list of ProfilePoint
         Points computed so far.
     better : float
         How far the objective fell below that of the best fit.
-    min_fall : float
-        Predicted fall of the objective below which the fits of points end.
 
     """
 
@@ -189,66 +297,31 @@ class ProfileSearch:
     quantity: Quantity
     covariance: Array
     level: float = 0.95
+    min_fall: float = MIN_CHI2_FALL
     points: list[ProfilePoint] = field(default_factory=list)
     better: float = 0.0
-    min_fall: float = MIN_CHI2_FALL
 
     def __post_init__(self) -> None:
         s = self.solution
         white_noise, _ = white_noise_covariance(s)
-        g = self.quantity.gradient(s.problem, s.p)
+        std = np.sqrt(np.diag(white_noise))
+        self.quantity = quantity = replace(self.quantity, is_unknown=_is_unknown(self.quantity, s, std))
+        g = quantity.gradient(s.problem, s.p)
         white_noise_variance, stated_variance = float(g @ white_noise @ g), float(g @ self.covariance @ g)
-        self.scale = (
-            stated_variance / white_noise_variance if white_noise_variance > 0 and stated_variance > 0 else 1.0
-        )  # of the rise
-        self.direction = white_noise @ g / white_noise_variance if white_noise_variance > 0 else np.zeros(len(s.p))
-        self.best = ProfilePoint(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
+        seen = white_noise_variance > 0
+        self.scale = stated_variance / white_noise_variance if seen and stated_variance > 0 else 1.0  # of the rise
+        self.direction = white_noise @ g / white_noise_variance if seen else np.zeros(len(s.p))
+        self.best = ProfilePoint(quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
         self.std = float(np.sqrt(stated_variance)) if stated_variance > 0 else 0.1 * max(abs(self.best.c), 1e-3)
         self.target = float(normal_ppf(0.5 + self.level / 2))
-        self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(white_noise)))
-        self.phases = np.array([_is_phase(s, i) for i in range(len(s.p))])
+        self.pivot = pivot_of(quantity, s, std)
+        roles = {(e.name, p.name): p.role for e in s.problem.model.effects for p in e.parameters}
+        slots = s.problem.layout.slots
+        self.phases = np.array([roles.get((q.effect, q.parameter)) == "phase" for q in slots])
+        self.bounds = slots[quantity.slot].bounds if quantity.is_unknown else (-np.inf, np.inf)
+        if self.phases[quantity.slot]:
+            self.bounds = self.best.c - np.pi, self.best.c + np.pi
         self.points.append(self.best)
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Bounds of the quantity if it is an unknown itself; otherwise infinite."""
-        slot = self.solution.problem.layout.slots[self.quantity.slot]
-        if self.phases[self.quantity.slot]:
-            return self.best.c - np.pi, self.best.c + np.pi
-        return slot.bounds if self.pivot is None else (-np.inf, np.inf)
-
-    def at(self, c: float) -> ProfilePoint:
-        """Fit all other unknowns with the quantity held at c, from the nearest points.
-
-        Raises
-        ------
-        FrictrackError
-            If no such fit exists.
-
-        """
-        s = self.solution
-        held = FixedQuantityProblem(s.problem, self.quantity, c, self.pivot)
-        p, starts = self._predicted(c)
-        low, high = s.problem.layout.bounds
-        p = held.law(np.clip(p, low, high))
-        found = refine(held, p, starts, tau=s.tau, free=held.free, min_fall=self.min_fall)
-        rise = (found.objective - s.objective) / self.scale
-        self.better = max(self.better, -rise if rise < -MIN_BETTER_CHI2 else 0.0)
-        point = ProfilePoint(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)
-        self.points.append(point)
-        return point
-
-    def _predicted(self, c: float) -> tuple[Array, list[Array]]:
-        """Unknowns and starts extrapolated from the two nearest points of this side, or along the covariance."""
-        side = [q for q in self.points if (q.c - self.best.c) * (c - self.best.c) >= 0]
-        near, *more = sorted(side, key=lambda q: abs(q.c - c))
-        more = [q for q in more if q.c != near.c]
-        if not more:
-            return near.p + self.direction * (c - near.c), near.starts
-        share = (c - near.c) / (near.c - more[0].c)
-        change = near.p - more[0].p
-        change[self.phases] = (change[self.phases] + np.pi) % (2 * np.pi) - np.pi
-        return near.p + share * change, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
 
     def profile(self) -> Profile:
         """Compute both sides, and a point beyond either end for the plot."""
@@ -272,8 +345,20 @@ class ProfileSearch:
             refinements=len(self.points) - 1,
         )
 
+    def excluded(self, value: float) -> bool:
+        """Return whether the interval excludes a value."""
+        point = self._try(value)
+        return point is not None and point.z >= self.target
+
+    def bounded(self, side: int) -> tuple[bool, str]:
+        """Return whether the profile passes the quantile on one side, without locating it; usually one fit suffices."""
+        if self.excluded(float(np.clip(self.best.c + side * PROBE_STD * self.std, *self.bounds))):
+            return True, ""
+        end, why = self.end(side, MAX_PROBES)
+        return end is not None, why
+
     def end(self, side: int, max_refinements: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
-        """Find where the profile passes the quantile on one side.
+        """Find where the profile passes the quantile on one side, beyond the points that do not reach it.
 
         Parameters
         ----------
@@ -290,10 +375,11 @@ class ProfileSearch:
             Why there is no end; empty if there is one.
 
         """
-        last = inner = self.best
         outer, failed_at, bound = None, side * np.inf, self.bounds[side > 0]
+        known = sorted((q for q in self.points if side * (q.c - self.best.c) > 0), key=lambda q: abs(q.c - self.best.c))
+        last, inner = [self.best, self.best, *(q for q in known if q.z < self.target)][-2:]
         for _ in range(max_refinements):
-            c = self._next_outward(side, last, inner) if outer is None else _between(inner, outer, self.target)
+            c = self._next_outward(side, last, inner) if outer is None else self._between(inner, outer)
             c = side * min(side * c, side * bound, 0.5 * side * (inner.c + failed_at))
             if abs(c - inner.c) < SAME_VALUE_STD * min(self.std, abs((outer or inner).c - self.best.c) or self.std):
                 break
@@ -304,27 +390,35 @@ class ProfileSearch:
                 outer = point
             else:
                 last, inner = inner, point
-            if self._has_converged(inner, outer) or self._is_unlimited(inner.c):
+            distance = min(self.target - inner.z, np.inf if outer is None else outer.z - self.target)
+            unlimited = UNLIMITED_RATIO * max(abs(self.best.c), self.std, 1e-12)
+            if distance < QUANTILE_TOLERANCE * self.target or abs(inner.c - self.best.c) > unlimited:
                 break
         if outer is not None or inner.z > (1 - QUANTILE_TOLERANCE) * self.target:
-            return self._interpolated_end(inner, outer or inner), ""
+            outer = outer or inner
+            share = (self.target - inner.z) / (outer.z - inner.z) if outer.z != inner.z else 1.0
+            return inner.c + share * (outer.c - inner.c), ""
         return None, self._reason_open(inner, bound, failed_at)
 
-    def excluded(self, value: float) -> bool:
-        """Return whether the interval excludes a value."""
-        point = self._try(value)
-        return point is not None and point.z >= self.target
+    def at(self, c: float) -> ProfilePoint:
+        """Fit all other unknowns with the quantity held at c, from the nearest points.
 
-    def bounded(self, side: int) -> tuple[bool, str]:
-        """Return whether the profile passes the quantile on one side, without locating it; usually one fit suffices."""
-        probe, bound = self.best.c + side * PROBE_STD * self.std, self.bounds[side > 0]
-        point = self._try(side * min(side * probe, side * bound))
-        if point is not None and point.z >= self.target:
-            return True, ""
-        if point is not None and point.c == bound:
-            return False, self._reason_open(point, bound, side * np.inf)
-        end, why = self.end(side, MAX_PROBES)
-        return end is not None, why
+        Raises
+        ------
+        FrictrackError
+            If no such fit exists.
+
+        """
+        s = self.solution
+        held = FixedQuantityProblem(s.problem, self.quantity, c, self.pivot)
+        p, starts = self._predicted(c)
+        p = held.law(np.clip(p, *s.problem.layout.bounds))
+        found = refine(held, p, starts, tau=s.tau, free=held.free, min_fall=self.min_fall)
+        rise = (found.objective - s.objective) / self.scale
+        self.better = max(self.better, -rise if rise < -MIN_BETTER_CHI2 else 0.0)
+        point = ProfilePoint(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)
+        self.points.append(point)
+        return point
 
     def _try(self, c: float) -> ProfilePoint | None:
         """A point at c, or None if no fit exists there."""
@@ -333,47 +427,39 @@ class ProfileSearch:
         except (FrictrackError, np.linalg.LinAlgError):
             return None
 
-    def _has_converged(self, inner: ProfilePoint, outer: ProfilePoint | None) -> bool:
-        near = QUANTILE_TOLERANCE * self.target
-        return self.target - inner.z < near or (outer is not None and outer.z - self.target < near)
+    def _predicted(self, c: float) -> tuple[Array, list[Array]]:
+        """Unknowns and starts extrapolated from the two nearest points of this side, or along the covariance."""
+        side = [q for q in self.points if (q.c - self.best.c) * (c - self.best.c) >= 0]
+        near, *more = sorted(side, key=lambda q: abs(q.c - c))
+        more = [q for q in more if q.c != near.c]
+        if not more:
+            return near.p + self.direction * (c - near.c), near.starts
+        share = (c - near.c) / (near.c - more[0].c)
+        change = near.p - more[0].p
+        change[self.phases] = (change[self.phases] + np.pi) % (2 * np.pi) - np.pi
+        return near.p + share * change, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
 
     def _next_outward(self, side: int, last: ProfilePoint, current: ProfilePoint) -> float:
         """Where the quantile is expected, from the two outermost points; the first step is one standard deviation."""
         if current is self.best:
             return current.c + side * self.std
         slope = (current.z - last.z) / abs(current.c - last.c)
-        distance = abs(current.c - self.best.c)
         step = (1.02 * self.target - current.z) / slope if slope > 0 else np.inf
-        return current.c + side * min(step, (MAX_STEP_FACTOR - 1) * distance)
+        return current.c + side * min(step, (MAX_STEP_FACTOR - 1) * abs(current.c - self.best.c))
 
-    def _interpolated_end(self, inner: ProfilePoint, outer: ProfilePoint) -> float:
-        share = (self.target - inner.z) / (outer.z - inner.z) if outer.z != inner.z else 1.0
-        return inner.c + share * (outer.c - inner.c)
-
-    def _is_unlimited(self, c: float) -> bool:
-        return abs(c - self.best.c) > UNLIMITED_RATIO * max(abs(self.best.c), self.std, 1e-12)
+    def _between(self, inner: ProfilePoint, outer: ProfilePoint) -> float:
+        """Where z is expected to pass the target between two points, kept away from both."""
+        share = (self.target - inner.z) / max(outer.z - inner.z, 1e-300)
+        return inner.c + min(max(share, 0.02), 0.95) * (outer.c - inner.c)
 
     def _reason_open(self, reached: ProfilePoint, bound: float, failed_at: float) -> str:
         """Why the profile has no end on this side."""
-        unit = self.quantity.unit
         at_bound = abs(reached.c - bound) < SAME_VALUE_STD * self.std
-        points = f"{bound if at_bound else reached.c:.4g} {unit}".removesuffix(" 1")
+        reach = f"{bound if at_bound else reached.c:.4g} {self.quantity.unit}".removesuffix(" 1")
         rise = f"the misfit rises by {reached.z**2:.2g} only"
         if self.phases[self.quantity.slot]:
             return f"at the opposite phase {rise}"
         if at_bound:
-            return f"up to its bound {points} {rise}"
+            return f"up to its bound {reach} {rise}"
         stopped = " and no law beyond can be integrated" if np.isfinite(failed_at) else ""
-        return f"up to {points} {rise}{stopped}"
-
-
-def _between(inner: ProfilePoint, outer: ProfilePoint, target: float) -> float:
-    """Where z is expected to pass the target between two points, kept away from both."""
-    share = (target - inner.z) / max(outer.z - inner.z, 1e-300)
-    return inner.c + min(max(share, 0.02), 0.95) * (outer.c - inner.c)
-
-
-def _is_phase(solution: Solution, i: int) -> bool:
-    slot = solution.problem.layout.slots[i]
-    effect = next((e for e in solution.problem.model.effects if e.name == slot.effect), None)
-    return effect is not None and effect.parameter(slot.parameter).role == "phase"
+        return f"up to {reach} {rise}{stopped}"

@@ -1,4 +1,4 @@
-"""Limit the time of a search in long records: use some of the segments, and every few of the frames."""
+"""Prepare a fit for the search: whole runs in one piece, some of the segments and of the frames of long records."""
 
 from __future__ import annotations
 
@@ -8,15 +8,49 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.observations import observation_of
-from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.pieces import Piece, has_known_history
+from frictrack.fit.parameters import MASS, ParameterLayout
+from frictrack.fit.pieces import Piece, has_known_history, pieces_of
 
+MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 MAX_PIECES = 32  # of a long record that are searched, unless there are more runs
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
 MAX_FRAMES = 12_000  # over all pieces, in records that are not long; the time of a search is proportional to them
 MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
+
+
+def join_segments(fit: Fit) -> Solution | None:
+    """Refit a model to whole runs.
+
+    A fit divides driven runs into segments so that it forgets unmodelled forces; a search for these must not. A long
+    record that is followed through its reversals stays divided: its segments hold many of them.
+
+    Parameters
+    ----------
+    fit
+        The fit.
+
+    Returns
+    -------
+    Solution or None
+        None if no run was divided, or if the model cannot be followed that far.
+
+    """
+    old = fit.solution.problem
+    if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):
+        return None
+    fine = max(e.fine for e in old.model.effects)
+    whole = pieces_of(fit.runs, fit.reference, through_reversals=old.model.turns)
+    pieces = [p.refined(fine) for own in whole for p in own]
+    problem = old.rebuild(old.layout, pieces)
+    try:
+        solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
+    except FrictrackError:
+        return None
+    return solution if solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None
 
 
 def subsample(solution: Solution) -> tuple[Solution, list[str]]:

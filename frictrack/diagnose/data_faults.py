@@ -1,0 +1,261 @@
+"""Find what else than a missing effect may be at fault: repaired frames, one run or its mass, or a bound of the model.
+
+Leaving rows out of a linear least-squares fit is exact and cheap when the whitened Jacobian is at hand: the remaining
+rows are fitted again, with the start of every piece free. Nonlinear parameters move along their tangents only.
+
+Where one run is at fault, the model explains all others without it; only the mass of such a run is fitted. Dry friction
+decelerates all masses alike, so a wrong mass shows only in the forces that do not grow with the load. What it leaves is
+small, and fits no effect. Often several masses would explain it; all are named.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from frictrack.diagnose.examination import Examination, lack_of_fit
+from frictrack.diagnose.finished_search import RefinedCandidate
+from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit, fit
+from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.models import Model
+from frictrack.number_format import format_number
+from frictrack.records import Mask, Run
+from frictrack.repairs import TRACKED_AGAIN
+
+MIN_EXCESS_SIGMAS = 4.0  # of chi-squared above its expectation, for a misfit to stand without the repaired frames
+MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames
+ADVICE = 'look at them in the film, or repair them with how = "leave_out", and diagnose again'
+MIN_RUNS = 3  # two others show that they agree
+MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together; a mass takes about ten fits
+N_DRAWS = 199
+MIN_P_EXPLAINED = 0.05  # of the lack of fit
+MAX_LOG_FACTOR = float(np.log(5.0))  # of a mass
+MIN_LOG_FACTOR = 0.05  # a smaller change is no mistake of a person
+LOG_TOLERANCE = 0.02
+MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
+Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
+
+
+def rests_on_repairs(
+    runs: Sequence[Run], verdict: str, first: Examination, last: Solution, found: Sequence[RefinedCandidate]
+) -> str | None:
+    """Return a sentence if the verdict would change without the frames that were tracked again.
+
+    For every effect found, the fall of chi-squared without these frames is compared with what the search demands of it;
+    for a misfit that nothing explains, the misfit that is left.
+
+    Parameters
+    ----------
+    runs
+        The fitted runs.
+    verdict
+        The verdict.
+    first
+        Examination of the model that is diagnosed.
+    last
+        The model with all effects found.
+    found
+        The effects found, in order.
+
+    Returns
+    -------
+    str or None
+        None if no frame was tracked again, or if the verdict stands without them.
+
+    """
+    if verdict not in ("missing", "ambiguous", "unexplained") or not first.solution.problem.simulates:
+        return None
+    repaired = [run.motion.repaired for run in runs]
+    counts: Counter[str] = Counter()
+    for response in first.solution.responses:
+        counts[runs[response.piece.run].name] += int(np.count_nonzero(~_kept(response, repaired)))
+    if not counts.total():
+        return None
+    if verdict == "unexplained":
+        change = _misfit_without(first.solution, last, repaired)
+    else:
+        change = _effects_without(first, found, repaired)
+    frames = " and ".join(f'{n} frame{"s" * (n > 1)} of run "{name}"' for name, n in counts.items() if n)
+    return change and f"this verdict rests on {frames} that were tracked again: without them {change}; {ADVICE}"
+
+
+def _kept(response: PieceResponse, repaired: Repaired) -> Mask:
+    """Frames of a piece that were not tracked again."""
+    codes = repaired[response.piece.run]
+    n = len(response.r_full)
+    return np.ones(n, np.bool_) if codes is None else np.asarray(codes[response.piece.frames] != TRACKED_AGAIN)
+
+
+def _effects_without(first: Examination, found: Sequence[RefinedCandidate], repaired: Repaired) -> str | None:
+    """Name the first effect whose evidence is too small without the repaired frames."""
+    before = first.solution
+    for t in found:
+        if t.solution is None or t.objection:
+            continue
+        if set(t.law.problem.model.names) - set(before.problem.model.names) != {t.effect.name}:
+            before = first.solution  # the review has removed an effect that was found before
+        gain = before.chi2 - t.law.chi2
+        left = chi2_without(before, repaired) - chi2_without(t.law, repaired)
+        quantile = first.quantiles.get(t.effect.title)
+        needed = max(gain - t.delta_bic, 0.0 if quantile is None else quantile + first.critical)
+        if left < min(needed, gain):
+            return (
+                f"chi-squared falls by {format_number(max(left, 0.0), 2)} with {t.effect.title} instead of "
+                f"{format_number(gain, 2)}, and {format_number(needed, 2)} is needed"
+            )
+        before = t.law
+    return None
+
+
+def _misfit_without(first: Solution, last: Solution, repaired: Repaired) -> str | None:
+    """Say that the misfit is insignificant without the repaired frames: of the model, or with the effects found."""
+    if _is_misfit_gone(first, repaired):
+        return "the model agrees with the data"
+    if last is not first and _is_misfit_gone(last, repaired):
+        return "the effects found explain the misfit"
+    return None
+
+
+def _is_misfit_gone(solution: Solution, repaired: Repaired) -> bool:
+    """Whether most of the misfit, and what is significant of it, goes with the repaired frames."""
+    n_kept = sum(int(np.count_nonzero(_kept(r, repaired))) for r in solution.responses)
+    left, excess = chi2_without(solution, repaired) - n_kept, solution.chi2 - solution.problem.n_frames
+    return left <= min(MAX_SHARE_LEFT * excess, MIN_EXCESS_SIGMAS * float(np.sqrt(2.0 * n_kept)))
+
+
+def chi2_without(solution: Solution, repaired: Repaired) -> float:
+    """Chi-squared of a model fitted again, in linear approximation, without the frames that were tracked again."""
+    residuals, rows = [], []
+    for response in solution.responses:
+        kept = _kept(response, repaired)
+        q, _ = np.linalg.qr(response.q[kept])  # what another start explains
+        jac = np.zeros((int(np.count_nonzero(kept)), len(solution.p)))
+        jac[:, response.active] = response.jac[kept]
+        residuals.append(response.r_full[kept] - q @ (q.T @ response.r_full[kept]))
+        rows.append(jac - q @ (q.T @ jac))
+    residual, jac = np.concatenate(residuals), np.vstack(rows)
+    scale = np.linalg.norm(jac, axis=0)
+    jac /= np.where(scale > 0, scale, 1.0)
+    step = np.linalg.lstsq(jac, residual, rcond=1e-8)[0]
+    return float(np.sum((residual - jac @ step) ** 2))
+
+
+def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[str]:
+    """Describe what may be wrong with one run: masses that would explain what is left, or the run that disagrees.
+
+    Parameters
+    ----------
+    last
+        The model with the effects found, which leaves a significant misfit.
+    runs
+        The fitted runs.
+    rng
+        Random generator of the tests.
+
+    Returns
+    -------
+    list of str
+        At most one sentence. Empty for fewer than three runs, or where many runs or frames would make it slow.
+
+    """
+    fitted = [run for run in runs if run.role != "validation"]
+    frames = sum(len(run.motion) for run in fitted)
+    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
+        return []
+    odd = [run for run in fitted if _explains(_without(last, run.name), rng)]
+    masses = _masses_that_explain(last.problem.model, fitted, odd, rng)
+    if masses:
+        each = [f"{format_number(m)} kg instead of {format_number(run.mass)} kg for {run.name}" for run, m in masses]
+        return [f"one wrong mass would explain what the effects leave: {', or '.join(each)}; check the masses"]
+    if len(odd) != 1:
+        return []
+    check = "check its mass, frame rate and scale, and whether its surface was the same"
+    return [f"without {odd[0].name} the model with the effects found explains all other runs: {check}"]
+
+
+def _without(last: Solution, run: str) -> Solution | None:
+    """The same model refined for all runs but one; the unknowns of that run keep their values."""
+    problem = last.problem
+    kept = [i for i, piece in enumerate(problem.pieces) if problem.layout.run_names[piece.run] != run]
+    fewer = problem.rebuild(problem.layout, [problem.pieces[i] for i in kept])
+    fewer = fewer.beginning_at([last.responses[i] for i in kept])
+    try:
+        return fit_with_scatter(fewer, last.p, [last.starts[i] for i in kept], last.tau)
+    except FrictrackError:
+        return None
+
+
+def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
+    """Whether a model leaves no significant misfit."""
+    return found is not None and lack_of_fit(draw_null_ensemble(found, rng, N_DRAWS)) >= MIN_P_EXPLAINED
+
+
+def _masses_that_explain(
+    model: Model, runs: Sequence[Run], odd: Sequence[Run], rng: np.random.Generator
+) -> list[tuple[Run, float]]:
+    """The odd ones among the runs with a mass that would explain what is left, kg; the best first."""
+    found = []
+    for run in odd:
+        if run.mass is not None and run.normal_load is None and run.drive is None:
+            mass, best = _best_mass(model, runs, run, run.mass)
+            if best is not None and MIN_LOG_FACTOR < abs(np.log(mass / run.mass)) < 0.98 * MAX_LOG_FACTOR:
+                found.append((best.reduced_chi2, run, mass, best))
+    found.sort(key=lambda one: one[0])
+    return [(run, mass) for _, run, mass, best in found if _explains(best.solution, rng)]
+
+
+def _best_mass(model: Model, runs: Sequence[Run], run: Run, stated: float) -> tuple[float, Fit | None]:
+    """The mass of one run with the smallest misfit, kg, and the fit with it."""
+
+    def fitted(log_factor: float) -> Fit | None:
+        mass = float(np.exp(log_factor)) * stated
+        try:
+            return fit(model, [replace(one, mass=mass) if one is run else one for one in runs])
+        except FrictrackError:
+            return None
+
+    def misfit(log_factor: float) -> float:
+        found = fitted(log_factor)
+        return np.inf if found is None else found.reduced_chi2
+
+    bounds = (-MAX_LOG_FACTOR, MAX_LOG_FACTOR)
+    best = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": LOG_TOLERANCE})
+    return float(np.exp(best.x)) * stated, fitted(best.x)
+
+
+def held_remarks(model: Solution, grown: Solution) -> list[str]:
+    """Return one remark if bounds hold parameters of a model that would explain much of the misfit beyond them.
+
+    Linear coefficients are not named, because another sign of them is no law.
+
+    Parameters
+    ----------
+    model
+        The model that is diagnosed.
+    grown
+        The model with the effects found.
+
+    """
+    slots = model.problem.layout.slots
+    named = [i for i, held in enumerate(model.held) if held and not slots[i].linear]
+    if not named:
+        return []
+    rows, right = model.penalised_rows_and_residual
+    step = np.linalg.lstsq(rows, right, rcond=None)[0]  # of all unknowns, whatever their bounds
+    fall = float(right @ right - np.sum((right - rows @ step) ** 2))
+    if fall < MIN_SHARE_OF_FALL * (model.objective - grown.objective):
+        return []
+    names = " and ".join(f"{slots[i].effect}.{slots[i].parameter}" for i in named)
+    values = " and ".join(f"{model.p[i]:.3g} {slots[i].unit}".removesuffix(" 1") for i in named)
+    are, its_bound, it = ("is", "its bound", "it") if len(named) == 1 else ("are", "their bounds", "them")
+    return [
+        f"{names} {are} held by {its_bound}, {values}; beyond {it} the model alone would explain much of the misfit: "
+        f"where such a value is possible, give {names} wider bounds and fit again"
+    ]
