@@ -7,29 +7,110 @@ every run has its own pair, and their common amplitude is left to the refinement
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie, is_library
 from frictrack.fit.parameters import ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.groups import (
-    QUADRATURES,
-    Coefficient,
-    EffectGroup,
-    FreeValue,
-    Indices,
-    Segment,
-    Values,
-    coupled_effects,
-    is_depth,
-)
 from frictrack.fit.separable.stacks import BlockStack
 from frictrack.models import Model
 from frictrack.records import Array, Mask
+
+Indices = NDArray[np.int_]
+Values = dict[str, dict[str, Any]]
+QUADRATURES = (0.0, np.pi / 2)
+NO_INDICES: Indices = np.zeros(0, dtype=int)
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One linear coefficient: a parameter of an effect, shared (run None) or of one run.
+
+    Of a sinusoid it is one quadrature.
+    """
+
+    effect: str
+    parameter: str
+    run: int | None
+    bounds: tuple[float, float]
+    quadrature: int | None = None
+    loaded: bool = False
+
+
+@dataclass(frozen=True)
+class EffectGroup:
+    """Effects that are evaluated together.
+
+    `nonlinear_slots` are the positions in the layout of the parameters that their columns depend on. The phases of a
+    sinusoid (`phase_slots`) are separate, because its quadratures do not depend on them.
+    """
+
+    model: Model
+    is_sinusoid: bool
+    is_measurement: bool
+    nonlinear_slots: tuple[int, ...]
+    phase_slots: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its effects."""
+        return self.model.names
+
+    def columns(self, path: Path, values: Values) -> Array:
+        """Compute all columns of the group, (n, k)."""
+        if len(self.model.effects) == 1:
+            effect = self.model.effects[0]
+            return effect.columns(path, values[effect.name])
+        return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a stack with one set of coefficients.
+
+    `at` (k,) are the coefficients of the columns, -1 for none; `inside` is the part among the data of the stack, `cut`
+    the same among all data, `members` its blocks.
+    """
+
+    at: Indices
+    inside: slice
+    cut: slice
+    members: tuple[int, ...]
+
+    @cached_property
+    def kept(self) -> Indices:
+        """Which of the columns have a coefficient."""
+        return np.flatnonzero(self.at >= 0)
+
+
+@dataclass(frozen=True)
+class FreeValue:
+    """A free non-linear parameter along a stack: positions in the layout, each with the members that it holds for."""
+
+    effect: str
+    parameter: str
+    is_depth: bool
+    places: list[tuple[int, list[int]]]
+
+
+def is_depth(model: Model, effect: str, parameter: str) -> bool:
+    """Return whether a parameter of a model scales what a modifier changes."""
+    return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
+
+
+def coupled_effects(model: Model) -> list[list[Effect]]:
+    """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
+    kinds = {k for e in model.effects for k in e.modifies}
+    joined = [e for e in model.effects if e.modifies or e.kind in kinds]
+    out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]
+    return [joined, *out] if joined else out
 
 
 @dataclass(eq=False)
@@ -200,11 +281,7 @@ class SeparableModel:
             Data per unit coefficient, in standard deviations.
 
         """
-        return _joined(list(self.parts(g, b, nonlinear_values, level)))
-
-    def parts(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Iterator[Array]:
-        """Yield the same rows part by part: one quadrature of a sinusoid after the other."""
-        return self._parts(g, self._single_blocks[b], nonlinear_values[:, None], level)
+        return self._rows_at_once(g, self._single_blocks[b], nonlinear_values[:, None], level)
 
     def stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, levels: Array) -> Array:
         """Compute the forwarded rows of one group in all blocks of a stack.
@@ -234,71 +311,24 @@ class SeparableModel:
             rows *= np.where(loaded[:, None], np.repeat(scale, stack.lengths), 1.0)
         return rows
 
-    def load_factors(self, g: int, stack: BlockStack) -> Array:
-        """Return the loads that the joined path of a stack leaves out of the columns of a group, (B, k).
-
-        A sinusoid has one column here, at its phase.
-        """
-        loaded = self._loaded_columns(g)
-        return np.where(loaded[: len(loaded) // self._quadratures(g)], np.array(stack.loads)[:, None], 1.0)
-
-    def _quadratures(self, g: int) -> int:
-        """Rows of a group per linear parameter."""
-        return len(QUADRATURES) if self.groups[g].is_sinusoid else 1
-
     def _loaded_columns(self, g: int) -> Mask:
         """Which columns of a group carry the normal load of the run."""
         columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
-        return np.array(columns * self._quadratures(g), dtype=bool)
-
-    def _parts(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Iterator[Array]:
-        group = self.groups[g]
-        forward = stack.picture if group.is_measurement else stack.forward
-        if not group.is_sinusoid:
-            yield forward(self.unit_rows(g, stack, nonlinear_values, level))
-            return
-        p = len(nonlinear_values) if group.nonlinear_slots else 1
-        effect = group.model.effects[0]
-        phase = self._phase_name(g)
-        own, path = self._values(g, stack, nonlinear_values[:p])[effect.name], self._path(g, stack, p, level)
-        for q in QUADRATURES:
-            yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
+        return np.array(columns * (2 if self.groups[g].is_sinusoid else 1), dtype=bool)
 
     def _rows_at_once(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
-        """The rows of `_parts`, both quadratures of a sinusoid in one evaluation."""
+        """Rows (Q, k, m) of a group along a stack, those of a sinusoid at both quadratures."""
         group = self.groups[g]
-        if not group.is_sinusoid:
-            return next(self._parts(g, stack, nonlinear_values, level))
         p = len(nonlinear_values) if group.nonlinear_slots else 1
+        forward = stack.picture if group.is_measurement else stack.forward
+        if not group.is_sinusoid:
+            columns = group.columns(self._path(g, stack, p, level), self._values(g, stack, nonlinear_values[:p]))
+            return forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
         effect, path = group.model.effects[0], self._path(g, stack, 2 * p, level)
         own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
-        own[self._phase_name(g)] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
-        forward = stack.picture if group.is_measurement else stack.forward
+        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        own[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
         return forward(effect.columns(path, own).reshape(p, 2, -1))
-
-    def _phase_name(self, g: int) -> str:
-        """Name of the phase of a sinusoid."""
-        return next(q.name for q in self.groups[g].model.effects[0].nonlinear if q.role == "phase")
-
-    def unit_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Compute rows (Q, k, n) along a stack per unit of every linear parameter, N or m; sinusoids at their phase.
-
-        Parameters
-        ----------
-        g : int
-            Index of the group.
-        stack : BlockStack
-            B blocks.
-        nonlinear_values : array of shape (Q, B, P)
-            Parameter vectors of Q individuals in every block.
-        level : float
-            Friction level.
-
-        """
-        group = self.groups[g]
-        p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
-        values = self._values(g, stack, nonlinear_values[:p])
-        return _by_individual(group.columns(self._path(g, stack, p, level), values), p)
 
     def _path(self, g: int, stack: BlockStack, p: int, level: float) -> Path:
         path = stack.population_path(self.groups[g].model.memory, p)
@@ -395,12 +425,3 @@ class SeparableModel:
         for i, each in estimates_by_slot.items():
             p[i] = np.mean(each)
         return canonical_form(self.layout, p)
-
-
-def _joined(parts: list[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-
-def _by_individual(columns: Array, p: int) -> Array:
-    """Columns (Q n, k) of individuals laid end to end as rows (Q, k, n)."""
-    return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
