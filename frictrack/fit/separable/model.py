@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie, is_library
-from frictrack.fit.parameters import ParameterLayout, apply_constraints, canonical_form
+from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.stacks import BlockStack
 from frictrack.models import Model
@@ -90,21 +90,6 @@ class Segment:
         return np.flatnonzero(self.at >= 0)
 
 
-@dataclass(frozen=True)
-class FreeValue:
-    """A free non-linear parameter along a stack: positions in the layout, each with the members that it holds for."""
-
-    effect: str
-    parameter: str
-    is_depth: bool
-    places: list[tuple[int, list[int]]]
-
-
-def is_depth(model: Model, effect: str, parameter: str) -> bool:
-    """Return whether a parameter of a model scales what a modifier changes."""
-    return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
-
-
 def coupled_effects(model: Model) -> list[list[Effect]]:
     """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
     kinds = {k for e in model.effects for k in e.modifies}
@@ -162,7 +147,7 @@ class SeparableModel:
         ]
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
         self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
-        self._fixed_and_free_cache: dict[tuple[int, tuple[int, ...]], tuple[Values, list[FreeValue]]] = {}
+        self._places_cache: dict[tuple[int, tuple[int, ...]], list[tuple[str, str, int, list[int]]]] = {}
 
     # --- positions of parameters
 
@@ -336,57 +321,37 @@ class SeparableModel:
 
     def _values(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Values:
         """Non-linear values of a group along a stack: one number, or one per sample where they differ."""
-        n = len(nonlinear_values) * len(stack.evaluation_path(self.groups[g].model.memory).t)
-        samples = n // len(nonlinear_values)
-        if self.layout.constraints:
-            return self._constrained_values(g, stack, nonlinear_values, samples)
-        fixed, free = self._fixed_and_free(g, stack.runs)
-        values = {name: own.copy() for name, own in fixed.items()}
-        for one in free:
-            each = np.ones(nonlinear_values.shape[:2])
-            for i, members in one.places:
-                each[:, members] = nonlinear_values[:, members, i]
-            values[one.effect][one.parameter] = stack.repeat_values(each, samples, one.is_depth)
-        return values
-
-    def _fixed_and_free(self, g: int, runs: tuple[int, ...]) -> tuple[Values, list[FreeValue]]:
-        """Fixed values of a group and positions of its free ones, for blocks of some runs."""
-        if (g, runs) not in self._fixed_and_free_cache:
-            group, layout = self.groups[g], self.layout
-            fixed: Values = {e.name: {} for e in group.model.effects}
-            for e in group.model.effects:
-                for q in e.nonlinear:
-                    fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
-            places: dict[tuple[str, str], list[tuple[int, list[int]]]] = {}
-            for i in (*group.nonlinear_slots, *group.phase_slots):
-                slot = layout.slots[i]
-                members = [m for m, run in enumerate(runs) if slot.run in (None, run)]
-                if members:
-                    places.setdefault((slot.effect, slot.parameter), []).append((i, members))
-            free = [FreeValue(*name, is_depth(group.model, *name), each) for name, each in places.items()]
-            self._fixed_and_free_cache[g, runs] = fixed, free
-        return self._fixed_and_free_cache[g, runs]
-
-    def _constrained_values(self, g: int, stack: BlockStack, nonlinear_values: Array, samples: int) -> Values:
-        """The same where parameters are tied: all values first, then the constraints."""
-        model, shape = self.layout.model, nonlinear_values.shape[:2]
-        all_values: Values = {e.name: {q.name: np.ones(shape) for q in e.parameters} for e in model.effects}
-        for (effect, name), value in self.layout.fixed.items():
-            all_values[effect][name] = np.full(shape, value)
-        for i, s in enumerate(self.layout.slots):
-            members = [m for m, run in enumerate(stack.runs) if s.run in (None, run)]
-            if s.effect in all_values and not s.linear and members:
-                all_values[s.effect][s.parameter][:, members] = nonlinear_values[:, members, i]
-        apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), all_values)
+        layout, model, shape = self.layout, self.groups[g].model, nonlinear_values.shape[:2]
+        known = layout.model if layout.constraints else model  # ties may lead to any effect
+        values: Values = {
+            e.name: {q.name: layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters} for e in known.effects
+        }
+        for effect, name, i, members in self._places(g, stack.runs):
+            if not isinstance(values[effect][name], np.ndarray):
+                values[effect][name] = np.ones(shape)
+            values[effect][name][:, members] = nonlinear_values[:, members, i]
+        apply_constraints(known, tuple(r for r in layout.constraints if not r.parameter.linear), values)
+        samples = len(stack.evaluation_path(model.memory).t)
         return {
             e.name: {
-                q.name: stack.repeat_values(
-                    np.broadcast_to(all_values[e.name][q.name], shape), samples, q.role == "depth"
-                )
+                q.name: value
+                if isinstance(value := values[e.name][q.name], float)
+                else stack.repeat_values(np.broadcast_to(value, shape), samples, q.role == "depth")
                 for q in e.nonlinear
             }
-            for e in self.groups[g].model.effects
+            for e in model.effects
         }
+
+    def _places(self, g: int, runs: tuple[int, ...]) -> list[tuple[str, str, int, list[int]]]:
+        """Effect, parameter, position and members of the values that a group depends on, for blocks of some runs."""
+        if (g, runs) not in self._places_cache:
+            slots = [(i, s) for i, s in enumerate(self.layout.slots) if not s.linear and s.effect != LEVEL]
+            if not self.layout.constraints:
+                mine = {*self.groups[g].nonlinear_slots, *self.groups[g].phase_slots}
+                slots = [(i, s) for i, s in slots if i in mine]
+            each = [(s, i, [m for m, run in enumerate(runs) if s.run in (None, run)]) for i, s in slots]
+            self._places_cache[g, runs] = [(s.effect, s.parameter, i, members) for s, i, members in each if members]
+        return self._places_cache[g, runs]
 
     # --- conversion to the unknowns of the layout
 
