@@ -300,7 +300,7 @@ class _RunSearch:
         self.slow_rows = [np.concatenate([self._wave_rows(w, f) for f in own], axis=1) for w, own in pairs]
         self.other_rows = [self._rows(g, {}) for g in self.other_parts]  # (S, k, M) each, like those of slow waves
 
-    def directions_beside(self, waves: Sequence[Wave]) -> list[Array]:
+    def directions_without(self, waves: Sequence[Wave]) -> list[Array]:
         """Directions (D, m) in every block that span the other parts, and the slow waves if these are not searched."""
         slow = [own for w, own in zip(self.slow, self.slow_rows, strict=True) if w not in waves]
         rows = np.concatenate([r.reshape(-1, self.separable.size) for r in (*slow, *self.other_rows)])
@@ -382,7 +382,7 @@ class _FreeWaves:
         self.run, self.waves, self.shared_value = run, waves, shared_value
         known = {run.shared: {"fixed": shared_value}} if run.shared else {}
         parts = [e for e in _parts(run.effect.adjusted(**known)) if e.name in {w.part for w in waves}]
-        self.spans = run.directions_beside(waves)
+        self.spans = run.directions_without(waves)
         blocks = [_without(block, span) for block, span in zip(run.separable.blocks, self.spans, strict=True)]
         self.separable = SeparableModel(run.layout_with(parts), blocks)
         self.addresses = run.addresses_of(self.separable)

@@ -149,7 +149,7 @@ class PopulationMisfit(_SearchMisfit):
         }
         columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
         force, shift = np.zeros((2, 2, count, len(path.t) // count))
-        for e in model.effects:
+        for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
             total = force if e.acts_on == "force" else shift
             for column, q in zip(columns[e.name].T, e.linear, strict=True):
                 follows_level = q.loaded and bool(self.layout.levels)
