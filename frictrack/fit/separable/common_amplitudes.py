@@ -168,7 +168,7 @@ class _RunSearch:
         if tried and self._is_ambiguous(best):
             best = self._with_waves_reassigned(problem, best, tried)
         if all(w.misses_wave for w in tried):  # perhaps no wave is slow
-            start = problem.at(self._free_waves(self._place_of(best), self.waves).found(data, exchange=True).p)
+            start = problem.at(self._free_waves(self._place_of(best), self.waves).found(data).p)
             best = min(best, problem.refine(start, steps=MAX_STEPS, below=best.misfit), key=lambda s: s.misfit)
         return problem.refine(best, steps=LAST_STEPS, enough=LAST_MIN_FALL)
 
@@ -388,10 +388,10 @@ class _FreeWaves:
         self.addresses = run.addresses_of(self.separable)
         self.search = VariableProjection(self.separable)
 
-    def found(self, data: Array, *, exchange: bool = False) -> WaveSet:
-        """Return the waves for data (M,) as found one after the other, or with their positions exchanged too."""
+    def found(self, data: Array) -> WaveSet:
+        """Return the best waves for data (M,)."""
         problem = self.search.problem(self._outside(data))
-        state = self.search(problem.data) if exchange else self.search.start_solution(problem)
+        state = self.search(problem.data)
         return replace(self._wave_set(state), misses_wave=self.search.misses_effect(problem, state))
 
     def refined(self, periods: Array, data: Array) -> WaveSet:
