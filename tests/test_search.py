@@ -12,17 +12,19 @@ from scipy.optimize import brentq
 
 from frictrack.errors import FrictrackError
 from frictrack.search import METHODS, SearchResult, code_length, code_length_as_printed, minimise
-from frictrack.search.coding import decode, encode, random_genes
+from frictrack.search.evaluator import distinct_optima
 from frictrack.search.mga import crossover_probability, mutation_as_printed, mutation_probability
 from frictrack.search.operators import (
+    decode,
+    encode,
     flip_bits,
     geometric_cooling,
     metropolis,
     one_point_crossover,
+    random_genes,
     rank_fitness,
     universal_sampling,
 )
-from frictrack.search.optima import distinct_optima
 
 Array = np.ndarray
 

@@ -9,9 +9,16 @@ import numpy as np
 
 from frictrack.errors import raise_faults
 from frictrack.records import Array, Mask
-from frictrack.search.coding import decode, encode, random_genes
 from frictrack.search.evaluator import CostEvaluator
-from frictrack.search.operators import flip_bits, one_point_crossover, rank_fitness, universal_sampling
+from frictrack.search.operators import (
+    decode,
+    encode,
+    flip_bits,
+    one_point_crossover,
+    random_genes,
+    rank_fitness,
+    universal_sampling,
+)
 
 
 @dataclass(frozen=True)

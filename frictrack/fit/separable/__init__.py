@@ -24,7 +24,7 @@ from frictrack.fit.separable.blocks import (
     path_at_compared,
     rows_at_compared,
 )
-from frictrack.fit.separable.constrained import ConstrainedVariableProjection, variable_projection
+from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit

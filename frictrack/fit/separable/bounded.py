@@ -1,17 +1,28 @@
-"""Solve small systems: positive definite ones, and least squares and Gauss-Newton steps within bounds."""
+"""Solve small quadratic problems within bounds, one at a time or for a population at once.
+
+References
+----------
+Portugal, L. F., Judice, J. J. & Vicente, L. N. (1994). A comparison of block pivoting and interior-point algorithms.
+Mathematics of Computation 63, 625-643.
+
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg.lapack import dposv
-from scipy.optimize import lsq_linear
 
 from frictrack.records import Array, Mask
 
 RIDGE = 1e-12  # relative; keeps nearly equal columns solvable
+POPULATION_RIDGE = 1e-9  # the same for a population, whose members may be far from any solution
+MAX_BLOCK_ROUNDS, MAX_ROUNDS = 6, 60  # rounds of pivoting: in blocks, and in all
+PULL_PRECISION = 1e-12  # relative; a smaller pull does not release a coefficient from its bound
 
 
-def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
+def bounded_coefficients(
+    gram: Array, right: Array, low: Array, high: Array, *, damping: float = 0.0
+) -> tuple[Array, Mask]:
     """Minimise c' G c - 2 c' u within bounds.
 
     Parameters
@@ -22,6 +33,8 @@ def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> 
         u.
     low, high : array of shape (K,)
         Bounds; equal bounds fix a coefficient.
+    damping : float
+        Share of the diagonal of G that is added to it.
 
     Returns
     -------
@@ -37,30 +50,53 @@ def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> 
     ([1.0, 0.0], [True, False])
 
     """
-    size = np.sqrt(gram.diagonal())
+    size = np.sqrt(np.maximum(gram.diagonal(), 0.0))
     dead = size == 0
     size[dead] = 1.0
     unit = gram / (size * size[:, None])
-    unit.flat[:: len(size) + 1] += RIDGE + dead
+    unit.flat[:: len(size) + 1] += RIDGE + damping + dead
     if not (low == high).any():
         c = solve_positive(unit, right / size) / size
         if not ((c < low) | (c > high)).any():
             return c, (c > low) & (c < high) & ~dead
-    c = _bounded_solution((unit, size), gram, right, (low, high))
+    c = _pivoted(unit[None], right[None] / size, (low * size)[None], (high * size)[None])[0] / size
+    c = np.clip(c, low, high)
     return c, (c > low) & (c < high) & ~dead
 
 
-def _bounded_solution(scaled: tuple[Array, Array], gram: Array, right: Array, box: tuple[Array, Array]) -> Array:
-    """The minimum within bounds; `scaled` are the Gram matrix of unit diagonal and the sizes of the rows."""
-    (unit, size), (low, high) = scaled, box
+def bounded_population(gram: Array, right: Array, low: Array, high: Array) -> Array:
+    """Minimise c' G c - 2 c' u within bounds (K,) for all G (Q, K, K) and u (Q, K) at once; gives c (Q, K)."""
+    size = np.sqrt(np.einsum("qkk->qk", gram))
+    size[size == 0] = 1.0
+    unit = gram / size[:, :, None] / size[:, None, :] + POPULATION_RIDGE * np.eye(len(low))
+    c = np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size
+    bad = np.flatnonzero(np.any((c < low) | (c > high), axis=1))
+    if len(bad):
+        c[bad] = _pivoted(unit[bad], right[bad] / size[bad], low * size[bad], high * size[bad]) / size[bad]
+    return np.clip(c, low, high)
+
+
+def _pivoted(unit: Array, right: Array, low: Array, high: Array) -> Array:
+    """Block pivoting: set coefficients (Q, K) on their bounds and release them until none changes."""
     fixed = low == high
-    free = ~fixed
-    c = np.where(fixed, low, 0.0)
-    root = np.linalg.cholesky(unit[np.ix_(free, free)]).T
-    target = np.linalg.solve(root.T, (right[free] - gram[np.ix_(free, fixed)] @ low[fixed]) / size[free])
-    limits = low[free] * size[free], high[free] * size[free]
-    c[free] = np.clip(lsq_linear(root, target, limits, method="bvls").x / size[free], low[free], high[free])
-    return c
+    value = np.where(fixed, low, 0.0)
+    k, least_pull = np.arange(right.shape[1]), PULL_PRECISION * np.abs(right).max(initial=0.0)
+    for number in range(MAX_ROUNDS):
+        system = np.where(fixed[:, :, None] | fixed[:, None, :], 0.0, unit)
+        system[:, k, k] = np.where(fixed, 1.0, unit[:, k, k])
+        rest = np.where(fixed, value, right - np.einsum("qkj,qj->qk", unit, np.where(fixed, value, 0.0)))
+        c = np.linalg.solve(system, rest[:, :, None])[:, :, 0]
+        pull = right - np.einsum("qkj,qj->qk", unit, c)
+        leaving = ~fixed & ((c < low) | (c > high))
+        inward = ((c <= low) & (pull > least_pull)) | ((c >= high) & (pull < -least_pull))
+        changed = leaving | (fixed & (low < high) & inward)
+        if not changed.any():
+            break
+        if number >= MAX_BLOCK_ROUNDS:  # the first alone, which always ends (Murty 1974)
+            changed &= np.cumsum(changed, axis=1) == 1
+        value = np.where(leaving & changed, np.clip(c, low, high), value)
+        fixed ^= changed
+    return np.clip(c, low, high)
 
 
 def solve_positive(matrix: Array, right: Array) -> Array:
@@ -74,20 +110,3 @@ def solve_positive(matrix: Array, right: Array) -> Array:
     """
     _, solution, info = dposv(matrix, right)
     return np.asarray(solution if info == 0 else np.linalg.solve(matrix, right))
-
-
-def bounded_step(unit: Array, gradient: Array, bounds: tuple[Array, Array], fixed_steps: Mask) -> Array:
-    """The step of scaled equations: the first parameter to leave its bounds is set there, the others solved again."""
-    low, high = bounds
-    fixed_steps, step = fixed_steps.copy(), np.clip(0.0, low, high)
-    while not fixed_steps.all():
-        movable = ~fixed_steps
-        target = gradient[movable] - unit[np.ix_(movable, fixed_steps)] @ step[fixed_steps]
-        step[movable] = solve_positive(unit[np.ix_(movable, movable)], target)
-        outside = movable & ((step < low) | (step > high))
-        if not outside.any():
-            break
-        side = np.where(step < low, low, high)
-        first = int(np.argmin(np.where(outside, side / np.where(outside, step, 1.0), np.inf)))
-        step[first], fixed_steps[first] = side[first], True
-    return step

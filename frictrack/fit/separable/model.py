@@ -7,29 +7,95 @@ every run has its own pair, and their common amplitude is left to the refinement
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie, is_library
-from frictrack.fit.parameters import ParameterLayout, apply_constraints, canonical_form
+from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.groups import (
-    QUADRATURES,
-    Coefficient,
-    EffectGroup,
-    FreeValue,
-    Indices,
-    Segment,
-    Values,
-    coupled_effects,
-    is_depth,
-)
 from frictrack.fit.separable.stacks import BlockStack
 from frictrack.models import Model
 from frictrack.records import Array, Mask
+
+Indices = NDArray[np.int_]
+Values = dict[str, dict[str, Any]]
+QUADRATURES = (0.0, np.pi / 2)
+NO_INDICES: Indices = np.zeros(0, dtype=int)
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One linear coefficient: a parameter of an effect, shared (run None) or of one run.
+
+    Of a sinusoid it is one quadrature.
+    """
+
+    effect: str
+    parameter: str
+    run: int | None
+    bounds: tuple[float, float]
+    quadrature: int | None = None
+    loaded: bool = False
+
+
+@dataclass(frozen=True)
+class EffectGroup:
+    """Effects that are evaluated together.
+
+    `nonlinear_slots` are the positions in the layout of the parameters that their columns depend on. The phases of a
+    sinusoid (`phase_slots`) are separate, because its quadratures do not depend on them.
+    """
+
+    model: Model
+    is_sinusoid: bool
+    is_measurement: bool
+    nonlinear_slots: tuple[int, ...]
+    phase_slots: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its effects."""
+        return self.model.names
+
+    def columns(self, path: Path, values: Values) -> Array:
+        """Compute all columns of the group, (n, k)."""
+        if len(self.model.effects) == 1:
+            effect = self.model.effects[0]
+            return effect.columns(path, values[effect.name])
+        return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a stack with one set of coefficients.
+
+    `at` (k,) are the coefficients of the columns, -1 for none; `inside` is the part among the data of the stack, `cut`
+    the same among all data, `members` its blocks.
+    """
+
+    at: Indices
+    inside: slice
+    cut: slice
+    members: tuple[int, ...]
+
+    @cached_property
+    def kept(self) -> Indices:
+        """Which of the columns have a coefficient."""
+        return np.flatnonzero(self.at >= 0)
+
+
+def coupled_effects(model: Model) -> list[list[Effect]]:
+    """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
+    kinds = {k for e in model.effects for k in e.modifies}
+    joined = [e for e in model.effects if e.modifies or e.kind in kinds]
+    out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]
+    return [joined, *out] if joined else out
 
 
 @dataclass(eq=False)
@@ -81,7 +147,7 @@ class SeparableModel:
         ]
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
         self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
-        self._fixed_and_free_cache: dict[tuple[int, tuple[int, ...]], tuple[Values, list[FreeValue]]] = {}
+        self._places_cache: dict[tuple[int, tuple[int, ...]], list[tuple[str, str, int, list[int]]]] = {}
 
     # --- positions of parameters
 
@@ -200,11 +266,7 @@ class SeparableModel:
             Data per unit coefficient, in standard deviations.
 
         """
-        return _joined(list(self.parts(g, b, nonlinear_values, level)))
-
-    def parts(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Iterator[Array]:
-        """Yield the same rows part by part: one quadrature of a sinusoid after the other."""
-        return self._parts(g, self._single_blocks[b], nonlinear_values[:, None], level)
+        return self._rows_at_once(g, self._single_blocks[b], nonlinear_values[:, None], level)
 
     def stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, levels: Array) -> Array:
         """Compute the forwarded rows of one group in all blocks of a stack.
@@ -234,71 +296,24 @@ class SeparableModel:
             rows *= np.where(loaded[:, None], np.repeat(scale, stack.lengths), 1.0)
         return rows
 
-    def load_factors(self, g: int, stack: BlockStack) -> Array:
-        """Return the loads that the joined path of a stack leaves out of the columns of a group, (B, k).
-
-        A sinusoid has one column here, at its phase.
-        """
-        loaded = self._loaded_columns(g)
-        return np.where(loaded[: len(loaded) // self._quadratures(g)], np.array(stack.loads)[:, None], 1.0)
-
-    def _quadratures(self, g: int) -> int:
-        """Rows of a group per linear parameter."""
-        return len(QUADRATURES) if self.groups[g].is_sinusoid else 1
-
     def _loaded_columns(self, g: int) -> Mask:
         """Which columns of a group carry the normal load of the run."""
         columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
-        return np.array(columns * self._quadratures(g), dtype=bool)
-
-    def _parts(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Iterator[Array]:
-        group = self.groups[g]
-        forward = stack.picture if group.is_measurement else stack.forward
-        if not group.is_sinusoid:
-            yield forward(self.unit_rows(g, stack, nonlinear_values, level))
-            return
-        p = len(nonlinear_values) if group.nonlinear_slots else 1
-        effect = group.model.effects[0]
-        phase = self._phase_name(g)
-        own, path = self._values(g, stack, nonlinear_values[:p])[effect.name], self._path(g, stack, p, level)
-        for q in QUADRATURES:
-            yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
+        return np.array(columns * (2 if self.groups[g].is_sinusoid else 1), dtype=bool)
 
     def _rows_at_once(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
-        """The rows of `_parts`, both quadratures of a sinusoid in one evaluation."""
+        """Rows (Q, k, m) of a group along a stack, those of a sinusoid at both quadratures."""
         group = self.groups[g]
-        if not group.is_sinusoid:
-            return next(self._parts(g, stack, nonlinear_values, level))
         p = len(nonlinear_values) if group.nonlinear_slots else 1
+        forward = stack.picture if group.is_measurement else stack.forward
+        if not group.is_sinusoid:
+            columns = group.columns(self._path(g, stack, p, level), self._values(g, stack, nonlinear_values[:p]))
+            return forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
         effect, path = group.model.effects[0], self._path(g, stack, 2 * p, level)
         own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
-        own[self._phase_name(g)] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
-        forward = stack.picture if group.is_measurement else stack.forward
+        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        own[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
         return forward(effect.columns(path, own).reshape(p, 2, -1))
-
-    def _phase_name(self, g: int) -> str:
-        """Name of the phase of a sinusoid."""
-        return next(q.name for q in self.groups[g].model.effects[0].nonlinear if q.role == "phase")
-
-    def unit_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Compute rows (Q, k, n) along a stack per unit of every linear parameter, N or m; sinusoids at their phase.
-
-        Parameters
-        ----------
-        g : int
-            Index of the group.
-        stack : BlockStack
-            B blocks.
-        nonlinear_values : array of shape (Q, B, P)
-            Parameter vectors of Q individuals in every block.
-        level : float
-            Friction level.
-
-        """
-        group = self.groups[g]
-        p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
-        values = self._values(g, stack, nonlinear_values[:p])
-        return _by_individual(group.columns(self._path(g, stack, p, level), values), p)
 
     def _path(self, g: int, stack: BlockStack, p: int, level: float) -> Path:
         path = stack.population_path(self.groups[g].model.memory, p)
@@ -306,57 +321,37 @@ class SeparableModel:
 
     def _values(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Values:
         """Non-linear values of a group along a stack: one number, or one per sample where they differ."""
-        n = len(nonlinear_values) * len(stack.evaluation_path(self.groups[g].model.memory).t)
-        samples = n // len(nonlinear_values)
-        if self.layout.constraints:
-            return self._constrained_values(g, stack, nonlinear_values, samples)
-        fixed, free = self._fixed_and_free(g, stack.runs)
-        values = {name: own.copy() for name, own in fixed.items()}
-        for one in free:
-            each = np.ones(nonlinear_values.shape[:2])
-            for i, members in one.places:
-                each[:, members] = nonlinear_values[:, members, i]
-            values[one.effect][one.parameter] = stack.repeat_values(each, samples, one.is_depth)
-        return values
-
-    def _fixed_and_free(self, g: int, runs: tuple[int, ...]) -> tuple[Values, list[FreeValue]]:
-        """Fixed values of a group and positions of its free ones, for blocks of some runs."""
-        if (g, runs) not in self._fixed_and_free_cache:
-            group, layout = self.groups[g], self.layout
-            fixed: Values = {e.name: {} for e in group.model.effects}
-            for e in group.model.effects:
-                for q in e.nonlinear:
-                    fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
-            places: dict[tuple[str, str], list[tuple[int, list[int]]]] = {}
-            for i in (*group.nonlinear_slots, *group.phase_slots):
-                slot = layout.slots[i]
-                members = [m for m, run in enumerate(runs) if slot.run in (None, run)]
-                if members:
-                    places.setdefault((slot.effect, slot.parameter), []).append((i, members))
-            free = [FreeValue(*name, is_depth(group.model, *name), each) for name, each in places.items()]
-            self._fixed_and_free_cache[g, runs] = fixed, free
-        return self._fixed_and_free_cache[g, runs]
-
-    def _constrained_values(self, g: int, stack: BlockStack, nonlinear_values: Array, samples: int) -> Values:
-        """The same where parameters are tied: all values first, then the constraints."""
-        model, shape = self.layout.model, nonlinear_values.shape[:2]
-        all_values: Values = {e.name: {q.name: np.ones(shape) for q in e.parameters} for e in model.effects}
-        for (effect, name), value in self.layout.fixed.items():
-            all_values[effect][name] = np.full(shape, value)
-        for i, s in enumerate(self.layout.slots):
-            members = [m for m, run in enumerate(stack.runs) if s.run in (None, run)]
-            if s.effect in all_values and not s.linear and members:
-                all_values[s.effect][s.parameter][:, members] = nonlinear_values[:, members, i]
-        apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), all_values)
+        layout, model, shape = self.layout, self.groups[g].model, nonlinear_values.shape[:2]
+        known = layout.model if layout.constraints else model  # ties may lead to any effect
+        values: Values = {
+            e.name: {q.name: layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters} for e in known.effects
+        }
+        for effect, name, i, members in self._places(g, stack.runs):
+            if not isinstance(values[effect][name], np.ndarray):
+                values[effect][name] = np.ones(shape)
+            values[effect][name][:, members] = nonlinear_values[:, members, i]
+        apply_constraints(known, tuple(r for r in layout.constraints if not r.parameter.linear), values)
+        samples = len(stack.evaluation_path(model.memory).t)
         return {
             e.name: {
-                q.name: stack.repeat_values(
-                    np.broadcast_to(all_values[e.name][q.name], shape), samples, q.role == "depth"
-                )
+                q.name: value
+                if isinstance(value := values[e.name][q.name], float)
+                else stack.repeat_values(np.broadcast_to(value, shape), samples, q.role == "depth")
                 for q in e.nonlinear
             }
-            for e in self.groups[g].model.effects
+            for e in model.effects
         }
+
+    def _places(self, g: int, runs: tuple[int, ...]) -> list[tuple[str, str, int, list[int]]]:
+        """Effect, parameter, position and members of the values that a group depends on, for blocks of some runs."""
+        if (g, runs) not in self._places_cache:
+            slots = [(i, s) for i, s in enumerate(self.layout.slots) if not s.linear and s.effect != LEVEL]
+            if not self.layout.constraints:
+                mine = {*self.groups[g].nonlinear_slots, *self.groups[g].phase_slots}
+                slots = [(i, s) for i, s in slots if i in mine]
+            each = [(s, i, [m for m, run in enumerate(runs) if s.run in (None, run)]) for i, s in slots]
+            self._places_cache[g, runs] = [(s.effect, s.parameter, i, members) for s, i, members in each if members]
+        return self._places_cache[g, runs]
 
     # --- conversion to the unknowns of the layout
 
@@ -395,12 +390,3 @@ class SeparableModel:
         for i, each in estimates_by_slot.items():
             p[i] = np.mean(each)
         return canonical_form(self.layout, p)
-
-
-def _joined(parts: list[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-
-def _by_individual(columns: Array, p: int) -> Array:
-    """Columns (Q n, k) of individuals laid end to end as rows (Q, k, n)."""
-    return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)

@@ -23,11 +23,9 @@ import numpy as np
 
 from frictrack.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
 from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
-from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, bounded_step, solve_positive
-from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator
-from frictrack.fit.separable.groups import NO_INDICES, Indices
-from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.tangent import Tangent
+from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, solve_positive
+from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator, Tangent
+from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
 from frictrack.records import Array, Mask
 
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
@@ -356,17 +354,7 @@ class ProjectedProblem:
 
     def _step(self, state: SeparableSolution, tangent: Tangent, normal: Array, damping: float) -> tuple[Array, float]:
         """Damped step (R,) within the bounds, and the predicted fall of the misfit."""
-        gradient, own = tangent.gradient, normal.diagonal()
         values = state.nonlinear_values[tangent.positions]
         low, high = self.low[tangent.positions] - values, self.high[tangent.positions] - values
-        fixed_steps = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
-        size = np.sqrt(np.where(own > 0, own, 1.0))
-        unit = normal / (size * size[:, None])
-        unit.flat[:: len(size) + 1] += damping + RIDGE
-        step, beyond = np.clip(0.0, low, high), fixed_steps
-        if not fixed_steps.any():
-            step = solve_positive(unit, gradient / size) / size
-            beyond = (step < low) | (step > high)
-        if beyond.any():
-            step = bounded_step(unit, gradient / size, (low * size, high * size), fixed_steps) / size
-        return step, float(2 * gradient @ step - step @ normal @ step)
+        step, _ = bounded_coefficients(normal, tangent.gradient, low, high, damping=damping)
+        return step, float(2 * tangent.gradient @ step - step @ normal @ step)

@@ -7,25 +7,25 @@ least-squares value, with a penalty about one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from frictrack.fit.parameters import LEVEL, ParameterLayout, prior_misfit
+from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, prior_misfit
 from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.groups import NO_INDICES, Indices
+from frictrack.fit.separable.bounded import bounded_population
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.population_forces import PopulationForces
+from frictrack.fit.separable.stacks import BlockStack
 from frictrack.records import Array
 
 MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
 MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in the cache of the processor
-RIDGE = 1e-9  # relative; keeps nearly equal columns solvable
-MAX_PIVOT_ROUNDS = 6  # rounds of block pivoting
 
 
-class PopulationMisfit:
-    """Misfit over all unknowns but the friction levels. Called with points (Q, d), it returns misfits (Q,).
+class _SearchMisfit(ABC):
+    """Misfit of points of a search. Called with points (Q, d), it returns misfits (Q,).
 
     Parameters
     ----------
@@ -45,27 +45,32 @@ class PopulationMisfit:
 
     """
 
+    searched: list[int]
+
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
     ) -> None:
-        self.layout, self.tau, self.unit = layout, tau, unit
-        self._forces = PopulationForces(layout, blocks)
-        self.separable = self._forces.separable
-        runs = {None, *self.separable.runs}
-        self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
-        self._by_run = _RunSums(self.separable.run_of_datum)
+        self.layout, self.blocks, self.tau, self.unit = layout, list(blocks), tau, unit
+        self.separable = SeparableModel(layout, blocks)
 
-    @property
-    def blocks(self) -> list[DataBlock]:
-        """The data that are compared."""
-        return list(self.separable.blocks)
+    @abstractmethod
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        """Modelled data at level one, (Q, M) each: the part that follows the level of the run, and the rest."""
+
+    @abstractmethod
+    def law(self, points: Array) -> Array:
+        """Return parameter vectors (Q, P) of points (Q, d), with levels one."""
 
     def __call__(self, points: Array) -> Array:
         """Compute the misfits (Q,) of points (Q, d)."""
-        return _in_chunks(points, lambda some: self.evaluate(some)[0], self.separable.size)
+        at_once = min(MAX_AT_ONCE, max(1, MAX_VALUES_AT_ONCE // self.separable.size))
+        parts = np.array_split(points, max(1, -(-len(points) // at_once)))
+        return np.concatenate([self.evaluate(part)[0] for part in parts])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Compute misfits and friction levels.
+
+        A level is 1 + d; d has mean zero and standard deviation tau.
 
         Parameters
         ----------
@@ -80,22 +85,20 @@ class PopulationMisfit:
             Friction levels of the R runs.
 
         """
-        full_vectors = self.full_vectors(points)
         levels = np.ones((len(points), len(self.layout.run_names)))
+        misfits = np.full(len(points), sum(b.rest for b in self.blocks))
         with np.errstate(over="ignore", invalid="ignore"):
-            dry, other = self._forces.explained_data(full_vectors)
+            dry, other = self._explained(points)
             residual = self.separable.data - dry - other
-            cost, levels[:, self.separable.runs] = self._by_run.with_best_levels(
-                residual, dry, self.tau if self.layout.levels else None
-            )
-        total = cost + sum(b.rest for b in self.separable.blocks)
-        if self.layout.priors:
-            total += prior_misfit(self.layout, full_vectors)
-        return total * self.unit, levels
-
-    def law(self, points: Array) -> Array:
-        """Return parameter vectors (Q, P) of points (Q, d), as far as these determine them."""
-        return self.full_vectors(points)
+            for run in self.separable.runs if self.layout.levels else ():
+                mine = self.separable.run_of_datum == run
+                own = dry[:, mine]
+                d = np.einsum("qm,qm->q", own, residual[:, mine]) / (np.einsum("qm,qm->q", own, own) + self.tau**-2)
+                residual[:, mine] -= d[:, None] * own
+                misfits += (d / self.tau) ** 2
+                levels[:, run] += d
+            misfits += np.einsum("qm,qm->q", residual, residual)
+        return misfits * self.unit, levels
 
     def full_vectors(self, points: Array) -> Array:
         """Insert points (Q, d) into parameter vectors (Q, P); the other entries are one."""
@@ -104,60 +107,75 @@ class PopulationMisfit:
         return out
 
 
-class ReducedPopulationMisfit:
-    """Misfit over the non-linear parameters. Called with points (Q, d), it returns misfits (Q,).
+class PopulationMisfit(_SearchMisfit):
+    """Misfit over all unknowns but the friction levels."""
+
+    def __init__(
+        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
+    ) -> None:
+        super().__init__(layout, blocks, tau=tau, unit=unit)
+        runs = {None, *self.separable.runs}
+        self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
+        self._stacks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
+
+    def evaluate(self, points: Array) -> tuple[Array, Array]:
+        """Compute misfits (Q,), with those of the priors, and friction levels (Q, R) of points (Q, d)."""
+        misfits, levels = super().evaluate(points)
+        if self.layout.priors:
+            misfits += prior_misfit(self.layout, self.full_vectors(points)) * self.unit
+        return misfits, levels
+
+    def law(self, points: Array) -> Array:
+        """Return parameter vectors (Q, P) of points (Q, d), as far as these determine them."""
+        return self.full_vectors(points)
+
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        vectors = self.full_vectors(points)
+        parts = [self._explained_in(stack, vectors) for stack in self._stacks]
+        dry, other = np.concatenate(parts, axis=2)
+        return dry, other
+
+    def _explained_in(self, stack: BlockStack, vectors: Array) -> Array:
+        """Both parts of the modelled data of one block, (2, Q, m)."""
+        model, count = self.layout.model, len(vectors)
+        path = stack.population_path(model.memory, count)
+        values = _values_in_run(self.layout, stack.runs[0], vectors)
+        nonlinear = {
+            e.name: {
+                q.name: stack.repeat_values(values[e.name][q.name][:, None], len(path.t) // count, q.role == "depth")
+                for q in e.nonlinear
+            }
+            for e in model.effects
+        }
+        columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
+        force, shift = np.zeros((2, 2, count, len(path.t) // count))
+        for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
+            total = force if e.acts_on == "force" else shift
+            for column, q in zip(columns[e.name].T, e.linear, strict=True):
+                follows_level = q.loaded and bool(self.layout.levels)
+                total[0 if follows_level else 1] += values[e.name][q.name][:, None] * column.reshape(count, -1)
+        data = stack.forward(force)
+        return data + stack.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
+
+
+class ReducedPopulationMisfit(_SearchMisfit):
+    """Misfit over the non-linear parameters, with the best coefficients of every individual.
 
     The phase of a sinusoid is not searched, because its two quadratures are linear. If the phase belongs to the runs,
-    the amplitude is free in every run here. Parameters are those of `PopulationMisfit`.
+    the amplitude is free in every run here.
     """
 
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
     ) -> None:
-        self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
-        separable = self.separable
-        self._by_run = _RunSums(separable.run_of_datum)
-        self.searched = separable.free
-        self._varying_groups = [g for g, group in enumerate(separable.groups) if group.nonlinear_slots]
-        constant = [
-            i
-            for g in range(len(separable.groups))
-            if g not in self._varying_groups
-            for i in separable.coefficients_of(g)
-        ]
-        self._constant_groups = np.array(constant, dtype=int)
-        rows = np.zeros((len(separable.coefficients), separable.size))
-        for g in set(range(len(separable.groups))) - set(self._varying_groups):
-            for b, block in enumerate(separable.blocks):
-                at = separable.column_positions[g][block.run]
-                rows[at[at >= 0], separable.slices[b]] = separable.rows(g, b, np.ones((1, len(layout.slots))))[
-                    0, at >= 0
-                ]
-        self._rows = rows
-        self._gram, self._right = rows @ rows.T, rows @ separable.data
-        self._square = float(separable.data @ separable.data) + sum(b.rest for b in separable.blocks)
-
-    @property
-    def blocks(self) -> list[DataBlock]:
-        """The data that are compared."""
-        return list(self.separable.blocks)
-
-    def __call__(self, points: Array) -> Array:
-        """Compute the misfits (Q,) of points (Q, d)."""
-        return _in_chunks(points, lambda some: self.evaluate(some)[0], self.separable.size)
-
-    def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Compute misfits (Q,) and friction levels (Q, R) of points (Q, d)."""
-        c, gram, right, varying_rows = self._solved(points)
-        levels = np.ones((len(points), len(self.layout.run_names)))
-        if not self.layout.levels:
-            gram_times_c = (gram @ c[:, :, None])[:, :, 0]
-            cost = self._square - 2 * np.einsum("pk,pk->p", c, right) + np.einsum("pk,pk->p", c, gram_times_c)
-            return np.maximum(cost, 0.0) * self.unit, levels
-        dry, other = self._explained_data(c, varying_rows)
-        residual = self.separable.data - dry - other
-        cost, levels[:, self.separable.runs] = self._by_run.with_best_levels(residual, dry, self.tau)
-        return (cost + sum(b.rest for b in self.separable.blocks)) * self.unit, levels
+        super().__init__(layout, blocks, tau=tau, unit=unit)
+        self.searched = self.separable.free
+        self._loaded = np.array([k.loaded for k in self.separable.coefficients], dtype=float)
+        groups = self.separable.groups
+        self._varying = [g for g, group in enumerate(groups) if group.nonlinear_slots]
+        constant = [g for g in range(len(groups)) if g not in self._varying]
+        self._constant_rows = np.zeros((1, len(self.separable.coefficients), self.separable.size))
+        self._write_rows(constant, np.ones((1, len(layout.slots))), self._constant_rows)
 
     def coefficients(self, points: Array) -> Array:
         """Compute the coefficients (Q, K) of points (Q, d)."""
@@ -165,146 +183,41 @@ class ReducedPopulationMisfit:
 
     def law(self, points: Array) -> Array:
         """Compute parameter vectors (Q, P) of points (Q, d), with levels one."""
-        nonlinear_values = self._numbers(points)
-        pairs = zip(nonlinear_values, self.coefficients(points), strict=True)
+        pairs = zip(self.full_vectors(points), self.coefficients(points), strict=True)
         return np.array([self.separable.law(p, c) for p, c in pairs])
 
-    def _numbers(self, points: Array) -> Array:
-        out = np.ones((len(points), len(self.layout.slots)))
-        out[:, self.searched] = points
-        return out
-
-    def _solved(self, points: Array) -> tuple[Array, Array, Array, list[tuple[Array, Indices]]]:
-        """Coefficients (Q, K), Gram matrices (Q, K, K), products with the data (Q, K), and the rows that vary."""
-        separable, nonlinear_values = self.separable, self._numbers(points)
-        gram = np.repeat(self._gram[None], len(points), axis=0)
-        right = np.repeat(self._right[None], len(points), axis=0)
-        varying_rows: list[tuple[Array, Indices]] = []
-        for b, block in enumerate(separable.blocks):
-            places = [separable.column_positions[g][block.run] for g in self._varying_groups]
-            at = np.concatenate([NO_INDICES, *places])
-            rows = np.empty((len(points), len(at), len(block.data)))
-            j = 0
-            for g in self._varying_groups:
-                for part in separable.parts(g, b, nonlinear_values):
-                    rows[:, j : j + part.shape[1]] = part
-                    j += part.shape[1]
-            present = at >= 0
-            varying_rows.append((rows, at) if present.all() else (rows[:, present], at[present]))
-            self._add(b, *varying_rows[b], (gram, right))
-        return _bounded(gram, right, separable.low, separable.high), gram, right, varying_rows
-
-    def _add(self, b: int, rows: Array, at: Indices, into: tuple[Array, Array]) -> None:
-        """Add the products of one block; `rows` (Q, k, m) belong to the coefficients `at`."""
-        gram, right = into
-        cut = self.separable.slices[b]
-        other_rows = np.vstack([self._rows[self._constant_groups][:, cut], self.separable.data[cut]])
-        flat = (rows.reshape(-1, rows.shape[2]) @ other_rows.T).reshape(len(rows), rows.shape[1], -1)
-        right[:, at] += flat[:, :, -1]
-        gram[:, at[:, None], self._constant_groups] += flat[:, :, :-1]
-        gram[:, self._constant_groups[:, None], at] += flat[:, :, :-1].transpose(0, 2, 1)
-        gram[:, at[:, None], at] += rows @ rows.transpose(0, 2, 1)
-
-    def _explained_data(self, c: Array, varying_rows: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
-        """Modelled data of all runs, (Q, N) each: the part that follows the level of the run, and the rest."""
-        separable = self.separable
-        loaded = np.array([k.loaded for k in separable.coefficients], dtype=bool)
-        parts = []
-        for b in range(len(separable.blocks)):
-            sides = [
-                c[:, self._constant_groups]
-                * w[self._constant_groups]
-                @ self._rows[self._constant_groups][:, separable.slices[b]]
-                for w in (loaded, ~loaded)
-            ]
-            rows, at = varying_rows[b]
-            for i, w in enumerate((loaded, ~loaded)):
-                sides[i] = sides[i] + np.einsum("pk,pkm->pm", c[:, at] * w[at], rows)
-            parts.append(sides)
-        dry, other = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        c, rows = self._solved(points)
+        if not self.layout.levels:
+            return np.zeros((len(points), 1)), (c[:, None] @ rows)[:, 0]
+        dry, other = (np.stack([c * self._loaded, c * (1 - self._loaded)], axis=1) @ rows).transpose(1, 0, 2)
         return dry, other
 
+    def _solved(self, points: Array) -> tuple[Array, Array]:
+        """Coefficients (Q, K) and rows (Q, K, M)."""
+        rows = np.repeat(self._constant_rows, len(points), axis=0)
+        self._write_rows(self._varying, self.full_vectors(points), rows)
+        gram, right = rows @ rows.transpose(0, 2, 1), rows @ self.separable.data
+        return bounded_population(gram, right, self.separable.low, self.separable.high), rows
 
-class _RunSums:
-    """Sums over the data of every run.
-
-    Parameters
-    ----------
-    run_of_datum : array of int, shape (N,)
-        The run of every datum.
-
-    """
-
-    def __init__(self, run_of_datum: Indices) -> None:
-        self._first = np.flatnonzero(np.diff(run_of_datum, prepend=-1))  # of every stretch of one run
-        _, self._run = np.unique(run_of_datum[self._first], return_inverse=True)
-        self._lengths = np.diff([*self._first, len(run_of_datum)])
-        self._sorted = np.array_equal(self._run, np.arange(len(self._run)))
-
-    def of(self, values: Array) -> Array:
-        """Sum values (Q, N) over every run, (Q, R)."""
-        stretches: Array = np.add.reduceat(values, self._first, axis=1)
-        return stretches if self._sorted else stretches @ (self._run[:, None] == np.arange(self._run.max() + 1))
-
-    def spread(self, values: Array) -> Array:
-        """Repeat values (Q, R) of every run over its data, (Q, N)."""
-        return np.repeat(values[:, self._run], self._lengths, axis=1)
-
-    def with_best_levels(self, residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array | float]:
-        """Sum squared residuals (Q,) with every run at its best level, and return the levels (Q, R).
-
-        A level is 1 + d; d has standard deviation tau. The residuals (Q, N) are those at level one.
-        """
-        if tau is None:
-            return np.einsum("pm,pm->p", residual, residual), 1.0
-        d = self.of(dry * residual) / (self.of(dry * dry) + tau**-2)
-        left = residual - self.spread(d) * dry
-        return np.einsum("pm,pm->p", left, left) + np.sum((d / tau) ** 2, axis=1), 1 + d
+    def _write_rows(self, groups: Sequence[int], vectors: Array, rows: Array) -> None:
+        """Write the rows of some groups at parameter vectors (Q, P) into (Q, K, M)."""
+        for g in groups:
+            for b, block in enumerate(self.blocks):
+                at = self.separable.column_positions[g][block.run]
+                rows[:, at[at >= 0], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, at >= 0]
 
 
-def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
-    """Least-squares coefficients (Q, K) within bounds, all individuals at once.
-
-    References
-    ----------
-    Portugal, L. F., Judice, J. J. & Vicente, L. N. (1994). A comparison of block pivoting and interior-point
-    algorithms. Mathematics of Computation 63, 625-643.
-
-    """
-    size = np.sqrt(np.einsum("pkk->pk", gram))
-    size[size == 0] = 1.0
-    unit = gram / size[:, :, None] / size[:, None, :]
-    diagonal = np.arange(len(low))
-    unit[:, diagonal, diagonal] += RIDGE
-    c = np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size
-    bad = np.flatnonzero(np.any((c < low) | (c > high), axis=1))
-    if len(bad):
-        c[bad] = _pivot_on_bounds(unit[bad], right[bad] / size[bad], low * size[bad], high * size[bad]) / size[bad]
-    return c
-
-
-def _pivot_on_bounds(unit: Array, right: Array, low: Array, high: Array) -> Array:
-    """Block pivoting: set coefficients on their bounds and release them until none changes."""
-    fixed = np.broadcast_to(low == high, right.shape).copy()
-    value = np.where(fixed, low, 0.0)
-    for _ in range(MAX_PIVOT_ROUNDS):
-        system = np.where(fixed[:, :, None] | fixed[:, None, :], 0.0, unit)
-        rest = np.where(fixed, value, right - np.einsum("pkj,pj->pk", unit, np.where(fixed, value, 0.0)))
-        k = np.arange(right.shape[1])
-        system[:, k, k] = np.where(fixed, 1.0, unit[:, k, k])
-        c = np.linalg.solve(system, rest[:, :, None])[:, :, 0]
-        pull = right - np.einsum("pkj,pj->pk", unit, c)
-        leaving = ~fixed & ((c < low) | (c > high))
-        returning = fixed & (low < high) & (((c <= low) & (pull > 0)) | ((c >= high) & (pull < 0)))
-        if not (leaving | returning).any():
-            break
-        value = np.where(leaving, np.clip(c, low, high), value)
-        fixed = (fixed | leaving) & ~returning
-    return np.clip(c, low, high)
-
-
-def _in_chunks(points: Array, cost: Callable[[Array], Array], size: int) -> Array:
-    """Costs of points, as many at once as keep arrays of `size` values each short."""
-    at_once = min(MAX_AT_ONCE, max(1, MAX_VALUES_AT_ONCE // size))
-    parts = np.array_split(points, max(1, -(-len(points) // at_once)))
-    return np.concatenate([cost(part) for part in parts])
+def _values_in_run(layout: ParameterLayout, run: int, vectors: Array) -> dict[str, dict[str, Any]]:
+    """Every parameter in one run, (Q,) each, for parameter vectors (Q, P), constraints applied."""
+    values: dict[str, dict[str, Any]] = {
+        e.name: {q.name: 0.0 if q.linear else 1.0 for q in e.parameters} for e in layout.model.effects
+    }
+    for (effect, name), value in layout.fixed.items():
+        values[effect][name] = value
+    for i in layout.active(run):
+        slot = layout.slots[i]
+        if slot.effect != LEVEL:
+            values[slot.effect][slot.parameter] = vectors[:, i]
+    apply_constraints(layout.model, layout.constraints, values)
+    return {e: {name: np.broadcast_to(v, len(vectors)) for name, v in own.items()} for e, own in values.items()}

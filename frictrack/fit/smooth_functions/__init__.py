@@ -6,14 +6,9 @@ from frictrack.fit.smooth_functions.gaussian_process import (
     matern_root,
     most_likely_process,
 )
-from frictrack.fit.smooth_functions.interpolation import (
-    ChebyshevAxis,
-    correlation_time_frames,
-    linear_interpolation_matrix,
-)
+from frictrack.fit.smooth_functions.interpolation import correlation_time_frames, linear_interpolation_matrix
 
 __all__ = [
-    "ChebyshevAxis",
     "SmoothProcess",
     "correlation_time_frames",
     "linear_interpolation_matrix",
