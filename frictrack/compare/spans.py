@@ -96,6 +96,8 @@ def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan
         for i, rows in enumerate(found.law.rows):
             if bump.acts_in(i):
                 share = float(sizes[k] * (columns[rows, k] @ found.law.r[rows])) / total
+                if share < 0 and not bump.at_place:
+                    continue  # it only makes up for others
                 smear = _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
                 spans.append(FailingSpan(i, np.flatnonzero(_inside(found, likely, i, smear)), share, found.p(bump)))
     return _merge_overlapping(spans)
