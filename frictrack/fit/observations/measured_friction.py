@@ -5,7 +5,7 @@ not to be friction: from the differences between repeated strokes over the same 
 of the instrument. With one record and no repeat, slow misfit counts as misfit.
 
 Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
-time. Every block that is short beside it is one frame, and so is every short block of long series.
+time. Of long series every short block is one frame.
 
 The misfit of a model is mostly far above the white noise and correlated between frames. So the covariance of a fit
 comes from the scatter of blocks of frames that are longer than this correlation.
@@ -75,8 +75,8 @@ class FrictionNoise:
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     """Weight every frame by the noise of the measurement.
 
-    Every block of correlated frames, or of a long series, is one frame. The noise is always that of all frames: a model
-    that was refined on few of them is first refined on all.
+    Of correlated frames only some are kept; of a long series every block is one frame. The noise is always that of all
+    frames: a model that was refined on few of them is first refined on all.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     block = -(-solution.problem.n_frames // MAX_FRAMES)
     step = max(stride, block)
     sigma = noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step))
-    pieces = [_averaged(r, step) for r in solution.responses]
+    pieces = [(_thinned if stride >= block else _averaged)(r, step) for r in solution.responses]
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
@@ -227,6 +227,13 @@ def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Arr
     return np.interp(at, coordinate[order], residual[order])
 
 
+def _thinned(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
+    """Every few of the frames of a piece; those between repeat them, and those at a reversal must stay."""
+    piece = response.piece
+    assert isinstance(piece, MeasuredFrictionPiece)
+    return piece if step == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), step), step)
+
+
 def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
     """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
 
@@ -235,8 +242,6 @@ def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
     """
     piece = response.piece
     assert isinstance(piece, MeasuredFrictionPiece)
-    if step == 1:
-        return piece
     n = len(piece.t) // step * step
     frames = piece.frames[:n].reshape(-1, step)
     direction = piece.path.s[piece.at[:n]].reshape(-1, step)
