@@ -80,13 +80,23 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, spans)
-    found = []
+    _, scanned = entry_order(model)
+    # clock errors are found in simulation, for few runs
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
+    first = Model(tuple(e for e in model.effects if e not in later))
+    found, before = [], np.inf
     with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
-        found.append(_by_variable_projection(model, pieces, names, spans))
+        start = _by_variable_projection(first, pieces, names, spans)
+        before = start.objective
+        found.append(_add_later(start, model, later))
+    if not found:
+        first, later, before = model, [], np.inf
     can_grow = not any(e.relaxed for e in model.effects)  # a relaxed effect has too many parameters for a scan
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         with suppress(FrictrackError) if found else nullcontext():
-            found.append(_from_scratch(model, pieces, names, spans))
+            start = _from_scratch(first, pieces, names, spans, before)
+            if start.objective < before:  # from the worse of two starts the later effects lead nowhere
+                found.append(_add_later(start, model, later))
         for other in reversed_ties(model):
             with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
                 found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
@@ -96,15 +106,8 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 def _by_variable_projection(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
 ) -> Solution:
-    """The fit that variable projection starts; effects that it cannot scan are added afterwards.
-
-    FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
-    """
-    _, scanned = entry_order(model)
-    # clock errors are found in simulation, for few runs
-    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
-    first = Model(tuple(e for e in model.effects if e not in later))
-    problem = LeastSquaresProblem(first, ParameterLayout(first, names, spans), pieces)
+    """The fit that variable projection starts. FrictrackError when nothing is left to start from."""
+    problem = LeastSquaresProblem(model, ParameterLayout(model, names, spans), pieces)
     blocks = [displacement_block(p) for p in problem.pieces]
     separable = SeparableModel(problem.layout, blocks)
     search = variable_projection(separable)
@@ -116,8 +119,7 @@ def _by_variable_projection(
         separable = SeparableModel(problem.layout, blocks)
         projected = ProjectedProblem(separable, separable.data)
         state = projected.refine(projected.at(np.array([start_values[n] for n in problem.layout.names])))
-    solution = _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
-    return _add_later(solution, model, later) if later else solution
+    return _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
 
 
 def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
@@ -176,15 +178,17 @@ def _effect_with_ties(effect: Effect, ties: dict[tuple[str, str], Parameter]) ->
     return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
 
 
-def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """One effect after the other, then all together to convergence."""
+def _from_scratch(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], below: float = np.inf
+) -> Solution:
+    """One effect after the other, then all together to convergence while that may end `below`."""
     plain, scanned = entry_order(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
     layout = ParameterLayout(Model(tuple(plain)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
-    return _add_later(solution, model, scanned)
+    return _add_later(solution, model, scanned, below)
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
@@ -206,14 +210,16 @@ def _fit_through_reversals(
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     guess = shoot_lengthening if any(p.slack for p in pieces) else best_on_grid
     solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
-    return _add_later(solution, model, later) if later else solution
+    return _add_later(solution, model, later)
 
 
-def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
-    """Add the later effects of a model to the fit of the others, and refine to convergence."""
+def _add_later(solution: Solution, model: Model, later: list[Effect], below: float = np.inf) -> Solution:
+    """Add the later effects of a model to the fit of the others, and refine to the end while that may lie `below`."""
+    if not later:
+        return solution
     for effect in later:  # also beside one that it would replace: the model names both
         solution = add_effect(solution, replace(effect, replaces=frozenset()))
-    return refine_to_end(reorder_effects(solution, model))
+    return refine_to_end(reorder_effects(solution, model), below)
 
 
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
