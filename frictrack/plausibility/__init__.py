@@ -6,7 +6,7 @@ finding states what was read, why it is implausible, and what to enter instead. 
 are in `ranges`.
 """
 
-from frictrack.plausibility.clocks import implausible_clocks
+from frictrack.plausibility.clocks import CONTRADICTION, MAX_RELATIVE_DIFFERENCE, implausible_clocks, time_unit
 from frictrack.plausibility.entered_values import EnteredValues, implausible_entries
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
@@ -15,7 +15,9 @@ from frictrack.plausibility.masses import implausible_masses
 from frictrack.plausibility.slide import SlideEstimate, estimate_slide, implausible_slide
 
 __all__ = [
+    "CONTRADICTION",
     "ERROR",
+    "MAX_RELATIVE_DIFFERENCE",
     "WARNING",
     "EnteredValues",
     "Finding",
@@ -28,5 +30,6 @@ __all__ = [
     "implausible_slide",
     "missing_incline",
     "path_angle",
+    "time_unit",
     "wrong_incline",
 ]

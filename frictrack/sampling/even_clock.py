@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.quantisation import quantum
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
-MAX_ROUNDING_STEPS = 1.01  # steps of rounded stamps by which a row may be off the even clock
+MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
+MIN_ROUNDING_RMS = 0.1  # of a step: a few wrong stamps or rows are no rounding, whose error is 0.29 rms
+ROUNDINGS_PER_SPAN = 16  # steps of rounding in the span from whose length an interval is first estimated
+MIN_PART = 32  # rows that show to what stamps are rounded
 MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
 SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
 ROWS_AT_ONCE = 1 << 16  # whose speeds are computed together
@@ -70,35 +74,89 @@ def is_even(t: Array) -> bool:
     return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= MAX_UNEVENNESS)))
 
 
-def rounded_clock(t: Array) -> EvenClock | None:
-    """Compute an even clock through stamps that are rounded so far that they repeat.
+def stamp_rounding(t: Array) -> float:
+    """Compute to what time stamps (n,) are rounded, s; 0 where no step shows.
+
+    A fixed number of digits gives a coarser step later in the record: the coarsest quarter counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stamp_rounding(np.round(np.arange(100) / 300, 3))
+    0.001
+
+    """
+    return max(quantum(part) for part in np.array_split(t, min(max(len(t) // MIN_PART, 1), 4)))
+
+
+def count_intervals(t: Array, rounding: float, interval: float | None = None) -> Ticks:
+    """Count the intervals of an even clock from the first row to each row of rounded stamps.
+
+    A row is one interval after the row before unless the rounding excludes it: then others are missing, or the row is
+    there twice. The interval comes from the whole record.
 
     Parameters
     ----------
     t : array (n,)
-        Time stamps, s.
+        Time stamps, s, rising or equal.
+    rounding : float
+        Step to which they are rounded, s.
+    interval : float, optional
+        Interval of the clock, s, if it is known.
 
-    Returns
-    -------
-    EvenClock or None
-        None where the stamps do not repeat or are not rounded even times.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> count_intervals(np.round(np.array([0, 1, 2, 4, 5, 6]) / 30, 2), 0.01).tolist()
+    [0, 1, 2, 4, 5, 6]
 
     """
-    steps = np.diff(np.unique(t))
-    if len(steps) < 2 or len(steps) > 0.9 * len(t):
-        return None
-    rounding = float(np.min(steps))
-    rows = np.arange(len(t))
-    slope, start = np.polyfit(rows, t, 1)
-    if slope <= 0 or np.max(np.abs(t - start - slope * rows)) > MAX_ROUNDING_STEPS * rounding:
+    span = min(max(round(ROUNDINGS_PER_SPAN * rounding * (len(t) - 1) / float(t[-1] - t[0])), 8), len(t) // 2)
+    spans = t[span:] - t[:-span]
+    complete = (
+        np.abs(spans - np.sort(spans)[len(spans) // 2]) < MAX_ROUNDING_STEPS * rounding
+    )  # no row is missing in it
+    found = interval or float(np.mean(spans[complete])) / span
+    ticks = _count_rows(t, found, 0.49)
+    slope, start = np.polyfit(ticks, t, 1)
+    jitter = np.sqrt(max(float(np.var(t - start - slope * ticks)) - rounding**2 / 12, 0.0))
+    found = interval or float(slope)
+    reach = 0.5 * MAX_ROUNDING_STEPS * rounding + MAX_UNEVENNESS * found + 4 * jitter
+    return _count_rows(t, found, min(reach / found, 0.49)) if found > 0 else ticks
+
+
+def _count_rows(t: Array, interval: float, reach: float) -> Ticks:
+    """Count intervals: a row within `reach` intervals of the phases that all rows before allow is the next one."""
+    low, high, skipped = -np.inf, np.inf, 0
+    ticks = np.arange(len(t))
+    for i, place in enumerate(((t - t[0]) / interval - ticks).tolist()):
+        phase = place - skipped
+        change = max(int(np.ceil(phase - reach - high)), 0) - max(int(np.ceil(low - phase - reach)), 0) if i else 0
+        skipped += change
+        low, high = max(low, phase - change - reach), min(high, phase - change + reach)
+        ticks[i] += skipped
+    return ticks
+
+
+def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | None = None) -> EvenClock | None:
+    """Fit an even clock to rounded stamps (n,) of rows that are `ticks` intervals after the first one.
+
+    Returns None where the rows are not off the line as rounding makes them, uniformly, unless the `interval` is given.
+    """
+    slope = interval or float(np.polyfit(ticks, t, 1)[0])
+    start = float(np.mean(t - slope * ticks))
+    off = t - start - slope * ticks
+    uniform = np.ptp(off) < MAX_ROUNDING_STEPS * rounding and np.std(off) > MIN_ROUNDING_RMS * rounding
+    if not (uniform or interval) or slope <= 0:
         return None
     note = (
-        f"time stamps are rounded to {rounding:.4g} s and repeat: the rows are taken as evenly spaced by {slope:.6g} s"
+        f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
+        f"{'' if interval else ', the slope of the line through all stamps'}"
     )
-    return EvenClock(start + slope * rows, np.zeros(len(t)), (note,))
+    return EvenClock(start + slope * ticks, np.zeros(len(t)), (note,))
 
 
-def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
+def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> EvenClock | None:
     """An even clock for stamps (n,) that jitter about whole frame intervals `ticks` (n,); None where they do not.
 
     The positions x (n,) tell whether stamps or samples are uneven.
@@ -117,7 +175,9 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
     interval, start = np.polyfit(ticks, t, 1)
     even = start + interval * ticks
     late = t - even
-    if interval <= 0 or np.std(late) > MAX_JITTER * interval:
+    if interval <= 0 or not (
+        MIN_ROUNDING_RMS * rounding <= np.std(late) <= np.hypot(MAX_JITTER * interval, rounding / np.sqrt(12.0))
+    ):
         return None
     share = 100 * float(np.std(late)) / interval
     as_even = _noise_level(x, ticks)

@@ -85,7 +85,8 @@ def frame_numbers(t: Array) -> Array:
     [0.0, 1.0, 2.0, 5.0]
 
     """
-    return np.asarray(np.rint((t - t[0]) / float(np.median(np.diff(t)))))
+    steps = np.diff(t)  # one by one: the rounding of their median would add up
+    return np.concatenate(([0.0], np.cumsum(np.maximum(np.rint(steps / float(np.median(steps))), 1.0))))
 
 
 def _outliers_and_step(frames: Array, x: Array, sigma: Array) -> tuple[Outliers, float]:
