@@ -28,6 +28,7 @@ from frictrack.sampling import (
     frame_numbers,
     is_even,
     jittered_clock,
+    moved_to_grid,
     quantum,
     robust_speed,
     rounded_clock,
@@ -48,6 +49,7 @@ DOUBLE_RESOLUTION = 8 * np.finfo(float).eps  # relative error of what a double h
 MIN_JUMP_SIGMAS = 10.0  # a smaller jump of a position, in its noise, is no missing sample
 MAX_GAP_FRAMES = 1000
 MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
+MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
@@ -214,7 +216,8 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     clocked = not is_even(data.t)
     data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
     data, more = _at_rate(data, fps)
-    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more)
+    data, moved = _on_grid(data)
+    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
     return _without_slips(table, clocked=clocked) if _can_find_slips(data) else table  # else the smoother reports it
 
 
@@ -342,6 +345,17 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
         if column is not None
     }
     return replace(data, t=clock.t, **moved)
+
+
+def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
+    """Return a table with uneven times at the nearest times of an even grid, and a note."""
+    columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
+    moved = None if is_even(data.t) else moved_to_grid(data.t, list(columns.values()))
+    if moved is None:
+        return data, ()
+    found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
+    note = "the times are uneven; the columns are moved along their course to the nearest times of an even grid"
+    return replace(data, t=moved[0], **found), (note,)
 
 
 def _select_rows(data: TableData, rows: Rows) -> TableData:

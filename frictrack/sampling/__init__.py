@@ -3,9 +3,11 @@
 from frictrack.sampling.duplicate_records import copies
 from frictrack.sampling.even_clock import (
     EvenClock,
+    base_interval,
     count_intervals,
     is_even,
     jittered_clock,
+    moved_to_grid,
     robust_speed,
     rounded_clock,
     stamp_rounding,
@@ -21,6 +23,7 @@ __all__ = [
     "Outliers",
     "SampledPath",
     "Slip",
+    "base_interval",
     "common_unevenness",
     "copies",
     "correct_ticks",
@@ -31,6 +34,7 @@ __all__ = [
     "frame_numbers",
     "is_even",
     "jittered_clock",
+    "moved_to_grid",
     "outliers",
     "quantum",
     "robust_speed",

@@ -6,6 +6,7 @@ uneven. The motion decides: with the wrong choice a moving mass shows the jitter
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,9 @@ MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
 MIN_ROUNDING_RMS = 0.1  # of a step: a few wrong stamps or rows are no rounding, whose error is 0.29 rms
 ROUNDINGS_PER_SPAN = 16  # steps of rounding in the span from whose length an interval is first estimated
+MIN_SHORT_SHARE = 0.1  # of intervals that are as short as the smallest, where the rate changes
+MIN_SHORTEST = 0.3  # of the median interval
+CUBIC_ROWS = 9  # through which a cubic is fitted
 MIN_PART = 32  # rows that show to what stamps are rounded
 MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
 SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
@@ -67,11 +71,63 @@ def is_even(t: Array) -> bool:
     (True, False)
 
     """
-    usual = float(np.median(np.diff(t)))
-    if usual <= 0:
-        return False
-    steps = np.diff(t) / usual
-    return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= MAX_UNEVENNESS)))
+    return base_interval(t) > 0
+
+
+def base_interval(t: Array) -> float:
+    """Interval (s) of which those of the stamps (n,) are whole multiples within 1 %; 0 where there is none.
+
+    It is the median one, or the smallest where the rate changes: a tenth of the intervals are then as short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> base_interval(np.array([0.0, 1.0, 2.0, 4.0, 6.0, 8.0]))
+    1.0
+
+    """
+    steps = np.diff(t)
+    smallest = float(np.min(steps))
+    for interval in (float(np.median(steps)), smallest):
+        if interval > 0 and (interval > smallest or np.mean(steps < 1.5 * interval) > MIN_SHORT_SHARE):
+            off = steps / interval - np.rint(steps / interval)
+            if np.all((steps > 0.5 * interval) & (np.abs(off) <= MAX_UNEVENNESS)):
+                return interval
+    return 0.0
+
+
+def moved_to_grid(t: Array, columns: Sequence[Array]) -> tuple[Array, list[Array]] | None:
+    """Times of the nearest points of an even grid, and what columns (n,) are there; None for times that nearly repeat.
+
+    The grid is as fine as the smallest interval, so that every row has its own point. A column moves along a cubic
+    through its neighbours; its noise stays its own, and NaN stays.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.array([0.0, 1.0, 2.2, 3.5, 4.5, 5.9, 7.0, 8.0])
+    >>> grid, (x,) = moved_to_grid(t, [t**2])
+    >>> grid.tolist(), bool(np.allclose(x, grid**2))
+    ([0.0, 1.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.0], True)
+
+    """
+    interval, n = float(np.min(np.diff(t))), len(t)
+    if not MIN_SHORTEST * np.median(np.diff(t)) < interval or n <= CUBIC_ROWS:
+        return None
+    grid = t[0] + interval * np.rint((t - t[0]) / interval)
+    first = np.clip(np.arange(n) - CUBIC_ROWS // 2, 0, n - CUBIC_ROWS)
+    rows = first[:, None] + np.arange(CUBIC_ROWS)
+    powers = np.arange(4)
+    scale = interval * CUBIC_ROWS
+    inverse = np.linalg.pinv(((t[rows] - t[:, None]) / scale)[:, :, None] ** powers)
+    shift = ((grid - t) / scale)[:, None] ** powers - (powers == 0)
+    return grid, [c + np.einsum("nj,nji,ni->n", shift, inverse, _without_nan(t, c)[rows]) for c in columns]
+
+
+def _without_nan(t: Array, column: Array) -> Array:
+    """Interpolate unknown values of a column (n,); zeros where none is known."""
+    known = np.isfinite(column)
+    return np.interp(t, t[known], column[known]) if known.any() else np.zeros(len(t))
 
 
 def stamp_rounding(t: Array) -> float:
