@@ -410,6 +410,24 @@ def test_a_jump_that_is_no_whole_range_stays():
         assert unwrapped(jumped)[1] == ()
 
 
+def test_uneven_times_are_moved_to_an_even_grid():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.7, 1.3, 400)) / FPS
+    even = with_even_clock(table(t, noisy(slide(t), noise=1e-6)))
+    grid = np.diff(even.data.t) / np.min(np.diff(even.data.t))
+    np.testing.assert_allclose(grid, np.rint(grid), atol=1e-6)
+    assert np.std(even.data.x - slide(even.data.t)) < 1.2e-6
+    assert "moved along their course to the nearest times of an even grid" in even.notes[0]
+
+
+@pytest.mark.parametrize("blocks", [(9, 9), (9, 12), (12, 9)])
+def test_a_rate_that_changes_leaves_the_noise_as_it_is(blocks):
+    t = np.cumsum(np.tile(np.repeat([1.0, 2.0], blocks), 12)) / FPS
+    even = displacement_of_table(table(t, noisy(slide(t), noise=1e-6)))
+    np.testing.assert_allclose(even.t, t)
+    assert np.median(even.sigma_x) == pytest.approx(1e-6, rel=0.25)
+
+
 # ---- copies
 
 

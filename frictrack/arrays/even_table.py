@@ -189,7 +189,7 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, displacement.valid)[0]), rounding_noise(displacement.resolution))
+    sigma = max(float(noise_level(x, displacement.valid, t=displacement.t)[0]), rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
@@ -232,7 +232,7 @@ def _rounding(data: TableData) -> float:
         return 0.0
     if not is_even(data.t):
         return rounding
-    intervals = np.rint(steps / np.median(steps))
+    intervals = np.diff(frame_numbers(data.t))
     as_rows, as_gaps = (
         np.abs(_second_differences(moved)),
         intervals[1:-1] * np.abs(_second_differences(moved / intervals)),

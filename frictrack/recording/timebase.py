@@ -347,7 +347,8 @@ def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[A
     if stamps is None:
         return [], []
     if parsed is None:
-        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
+        note = "the time stamps are too few or too coarse: not used, frames are taken as evenly spaced"
+        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], [note]
     missing = int(parsed.ticks.max()) + 1 - len(stamps) + len(parsed.doubled)
     rows, notes = [], []
     found = [

@@ -87,8 +87,9 @@ def unwrapped(x: Array) -> tuple[Array, tuple[str, ...]]:
     Examples
     --------
     >>> import numpy as np
-    >>> unwrapped((250.0 * np.arange(60) + 60000) % 65536)[0][-1]
-    np.float64(74750.0)
+    >>> k = np.arange(60.0)
+    >>> unwrapped((60000 + 250 * k - k**2) % 65536)[0][-1]
+    np.float64(71269.0)
 
     """
     steps, step, span = np.diff(x), quantum(x), float(np.ptp(x))
