@@ -403,6 +403,19 @@ def test_counters_that_roll_over_and_angles_that_wrap(full, step, said):
         assert even.data.notes[0].endswith(": unwrapped")
 
 
+@pytest.mark.parametrize(("rate", "rounding"), [(300, 1e-3), (800, 1e-3), (2000, 1e-2)])
+def test_the_law_of_a_rounded_clock(rate, rounding):
+    """0.35 kg, F = 0.9 N + 0.2 N s/m v from 3 m/s; stamps repeat where they are rounded to more than the interval."""
+    k, a = 0.2 / 0.35, 0.9 / 0.35
+    t = np.arange(0, 0.97 * np.log(1 + 3 * k / a) / k, 1 / rate)
+    x = (3 + a / k) * (1 - np.exp(-k * t)) / k - a / k * t + 5e-6 * np.random.default_rng(0).standard_normal(len(t))
+    run = Run.from_arrays(np.round(t / rounding) * rounding, x, mass=0.35)
+    found = fit("coulomb,viscous", [run]).parameters
+    clock = 2 * rounding / np.sqrt(len(t)) / t[-1]  # relative error of the interval, which goes in twice
+    for name, truth in (("coulomb.F_c", 0.9), ("viscous.F_v", 0.2)):
+        assert abs(found[name].value - truth) < 3 * found[name].std + 2 * clock * truth
+
+
 def test_a_jump_that_is_no_whole_range_stays():
     x = noisy(slide(T))
     for size in (0.7, 3.0):

@@ -34,27 +34,27 @@ def swing_centre(x: Array) -> tuple[float, float] | None:
 
     """
     known = x[np.isfinite(x)]
-    width = max(len(known) // (SMOOTHED_SHARE * max(len(_turning_points(known)), 1)), 1)
-    turns = _turning_points(np.convolve(known, np.ones(width) / width, mode="valid"))[1:-1]  # the ends are none
+    width = max(len(known) // (SMOOTHED_SHARE * max(len(_extremes(known)), 1)), 1)
+    turns = _extremes(np.convolve(known, np.ones(width) / width, mode="valid"))[1:-1]  # the ends are none
     if len(turns) < MIN_TURNS:
         return None
     centres = (turns[:-2] + 2 * turns[1:-1] + turns[2:]) / 4
     return float(np.mean(centres)), float(np.std(centres) / np.sqrt(len(centres) - 1))
 
 
-def _turning_points(x: Array) -> Array:
+def _extremes(x: Array) -> Array:
     """Extremes between which the mass moves by `MIN_SWING_SHARE` of its travel, the ends of the record included."""
     least = MIN_SWING_SHARE * float(np.ptp(x)) if len(x) else 0.0
-    extremes, low, high, rising = [], np.inf, -np.inf, 0
+    found, low, high, rising = [], np.inf, -np.inf, 0
     for one in x.tolist():
         low, high = min(low, one), max(high, one)
         if rising >= 0 and high - one > least:
-            extremes.append(high)
+            found.append(high)
             low, rising = one, -1
         elif rising <= 0 and one - low > least:
-            extremes.append(low)
+            found.append(low)
             high, rising = one, 1
-    return np.array([*extremes, low if rising < 0 else high])
+    return np.array([*found, low if rising < 0 else high])
 
 
 def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, float]]:

@@ -2,8 +2,7 @@
 
 Friction is proportional to the square of the frame rate. The rates of user, header and time stamps are compared, and
 missing, repeated and corrupt stamps are found. Where the stamps allow it, times are whole frame intervals of one rate:
-a
-missing frame becomes a gap, and a corrupt stamp is ignored.
+a missing frame becomes a gap, and a corrupt stamp is ignored.
 """
 
 from __future__ import annotations

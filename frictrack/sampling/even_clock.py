@@ -200,7 +200,7 @@ def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | Non
 
     Returns None where the rows are not off the line as rounding makes them, uniformly, unless the `interval` is given.
     """
-    slope = interval or float(np.polyfit(ticks, t, 1)[0])
+    slope = float(interval or np.polyfit(ticks, t, 1)[0])
     start = float(np.mean(t - slope * ticks))
     off = t - start - slope * ticks
     uniform = np.ptp(off) < MAX_ROUNDING_STEPS * rounding and np.std(off) > MIN_ROUNDING_RMS * rounding
@@ -210,7 +210,7 @@ def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | Non
         f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
         f"{'' if interval else ', the slope of the line through all stamps'}"
     )
-    return EvenClock(start + slope * ticks, np.zeros(len(t)), (note,))
+    return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,))
 
 
 def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> EvenClock | None:
