@@ -20,6 +20,7 @@ from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
+from frictrack.flow.new_study import propose_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.plausibility import (
     ERROR,
@@ -32,6 +33,7 @@ from frictrack.plausibility import (
     implausible_slide,
     missing_incline,
     path_angle,
+    shifted_swings,
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
@@ -648,3 +650,22 @@ def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, u
     assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t_s ({unit})"}}')
     (finding,) = implausible_clocks({"a": run, "b": run}, {"a": 4000.0, "b": 4000.0})
     assert finding.run == ""  # said once of all runs
+
+
+def test_swings_of_one_mass_with_other_origins(tmp_path):
+    """0.1 kg on 1.39 N/m with dry friction, 0.02 N: the centre of its linear decay moves to and fro by 14 mm."""
+    t, rng = np.arange(480) / 30, np.random.default_rng(1)
+    half = np.floor(t * np.sqrt(13.9) / np.pi)
+    swing = (0.22 - 2 * 0.02 / 1.39 * half / 4) * np.cos(t * np.sqrt(13.9)) * np.exp(-t / 140)
+    places = {
+        name: swing + at + 1e-3 * rng.standard_normal(480) for name, at in (("a", 0.2), ("b", 0.2), ("c", 0.2123))
+    }
+    ((name, first, shift),) = shifted_swings(places)
+    assert (name, first) == ("c", "a")
+    assert shift == pytest.approx(0.0123, abs=1e-3)
+    assert not list(shifted_swings({"a": t * (2 - t), "b": 1 + t * (2 - t)}))
+    for run, x in places.items():
+        np.savetxt(tmp_path / f"{run}.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
+    said = {one["file"]: one["words"] for one in propose_study(tmp_path, {"mass": "0.1 kg"})["found"]}
+    assert "mm from those of a.csv" in said["c.csv"]
+    assert "from those" not in said["b.csv"]

@@ -98,8 +98,29 @@ def test_stamps_rounded_to_a_quarter_of_the_interval_still_tell_frames_apart():
 
 def test_stamps_too_coarse_to_tell_frames_apart_are_not_used():
     found = judge(stamps_of(np.arange(400), rounded=1e-3))
-    assert found.notes == ()
+    assert found.notes == ("the time stamps are too few or too coarse: not used, frames are taken as evenly spaced",)
     assert row(found, "time stamps") == ("400", "too few or too coarse: not used")
+
+
+@pytest.mark.parametrize("share", [0.22, 0.24, 0.26, 0.28, 0.3, 0.45, 0.7])
+def test_rounding_of_any_share_of_the_interval_tells_frames_apart(share):
+    """The median interval of such stamps is off by up to a seventh."""
+    ticks = np.delete(np.arange(400), [50, 51, 120] if share < 0.5 else [])
+    read = read_stamps(stamps_of(ticks, fps=300.0, rounded=share / 300, start=0))
+    assert read is not None
+    np.testing.assert_array_equal(read.ticks, ticks)
+    assert 1 / read.step == pytest.approx(300.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("blocks", [(9, 9), (9, 12), (12, 9)])
+def test_a_changing_rate_is_the_clock(blocks):
+    """A phone that doubles its interval in the dark: no frame is missing, whichever interval is the more frequent."""
+    ticks = np.concatenate(([0], np.cumsum(np.tile(np.repeat([1, 2], blocks), 3))))
+    average = 120 * (len(ticks) - 1) / ticks[-1]
+    for given in (None, average):
+        found = judge(stamps_of(ticks, fps=120.0, start=0), given=given, header=average, camera=False)
+        np.testing.assert_allclose(found.t, ticks / 120, rtol=1e-9, atol=1e-12)
+        assert found.notes == ("the frame rate changes; each frame has the time of its own stamp",)
 
 
 def test_uneven_frames_have_the_times_of_their_stamps():

@@ -14,7 +14,16 @@ from frictrack.flow import Session, open_study
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
-from frictrack.sampling import common_unevenness, copies, outliers, quantum, rounding_noise, screened, unevenness
+from frictrack.sampling import (
+    common_unevenness,
+    copies,
+    outliers,
+    quantum,
+    rounding_noise,
+    screened,
+    unevenness,
+    unwrapped,
+)
 from frictrack.study import TableData
 from frictrack.tracking.checks import correct_ticks, slips
 from tests.test_timing import a_track
@@ -335,8 +344,101 @@ def test_a_stamp_and_a_row_that_were_written_twice():
 
 def test_a_rate_that_is_given_and_another_one_in_the_stamps():
     assert with_even_clock(table(T, noisy(slide(T))), 4000.0).notes == ()
-    (note,) = with_even_clock(table(T, noisy(slide(T))), 4200.0).notes
-    assert note == "the time stamps say 4000 Hz but fps = 4200 is given; the time stamps are used"
+    even = with_even_clock(table(T, noisy(slide(T))), 4200.0)
+    said = "the time stamps say 4000 Hz but fps = 4200 is given; fps is used; one of the two is wrong and every force"
+    assert even.notes == (f"{said} goes with its square",)
+    np.testing.assert_allclose(np.diff(even.data.t), 1 / 4200, rtol=1e-6)
+
+
+RATES = (30, 240, 300, 480, 700, 800, 960, 2000, 10000)
+ROUNDINGS = (1e-6, 8.64e-6, 1e-4, 1e-3, 1e-2)
+FAULTS = ("none", "missing", "doubled", "jitter", "fps")
+
+
+@pytest.mark.parametrize(
+    ("rate", "rounding", "fault"),
+    [(r, ROUNDINGS[i % 5], FAULTS[(i + j) % 5]) for i, r in enumerate(RATES) for j in range(4)],
+)
+def test_rounded_clocks_whatever_the_rate(rate, rounding, fault):
+    """0.35 kg, F = 0.9 N + 0.2 N s/m v from 3 m/s: the times are those of the samples, up to a shift."""
+    rng, k, a = np.random.default_rng(rate), 0.2 / 0.35, 0.9 / 0.35
+    n = min(int(0.97 * np.log(1 + 3 * k / a) / k * rate), 2000)
+    taken = np.delete(np.arange(n), [9, n // 2]) if fault == "missing" else np.arange(n)
+    taken = np.sort(np.append(taken, [9, n // 2])) if fault == "doubled" else taken
+    t = taken / rate
+    moment = t + (0.05 / rate * rng.standard_normal(len(t)) if fault == "jitter" else 0)
+    x = (3 + a / k) * (1 - np.exp(-k * moment)) / k - a / k * moment
+    x = (
+        (x + 5e-6 * rng.standard_normal(n))[:]
+        if fault not in ("missing", "doubled")
+        else x + 5e-6 * np.sin(7.3 * taken)
+    )
+    stamps = np.maximum.accumulate(np.round(moment / rounding) * rounding)
+    even = with_even_clock(table(stamps, x), rate if fault == "fps" else None)
+    steps = np.diff(even.data.t) / np.median(np.diff(even.data.t))
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6 + 0.01 * (rounding < 0.01 / rate))
+    off = even.data.t - t[even.numbers]
+    error = 4 * max(rounding, 0.2 / rate if fault == "jitter" else 0.0) / np.sqrt(n) / t[-1]
+    assert np.polyfit(t[even.numbers], off, 1)[0] == pytest.approx(0.0, abs=error + 1e-9)
+    assert np.std(off) < 0.02 / rate + error * t[-1]
+
+
+@pytest.mark.parametrize(
+    ("full", "step", "said"),
+    [
+        (65536 * 5e-6, 5e-6, "a counter of 16 bits"),
+        (4096e-4, 1e-4, "12 bits"),
+        (360.0, 0.0, "angle"),
+        (2 * np.pi, 0.0, ""),
+    ],
+)
+def test_counters_that_roll_over_and_angles_that_wrap(full, step, said):
+    t = np.arange(900) / 1000
+    for course in (2.8 * full * t - 0.8 * full * t**2, 1.3 * full * np.sin(7 * t) * np.exp(-t)):
+        x = noisy(course, noise=1e-4 * full)
+        x = np.round(x / step) * step if step else x
+        even = with_even_clock(table(t, (x + 0.3 * full) % full))
+        np.testing.assert_allclose(np.diff(even.data.x), np.diff(x), atol=1e-9 * full)
+        assert said in even.data.notes[0]
+        assert even.data.notes[0].endswith(": unwrapped")
+
+
+@pytest.mark.parametrize(("rate", "rounding"), [(300, 1e-3), (800, 1e-3), (2000, 1e-2)])
+def test_the_law_of_a_rounded_clock(rate, rounding):
+    """0.35 kg, F = 0.9 N + 0.2 N s/m v from 3 m/s; stamps repeat where they are rounded to more than the interval."""
+    k, a = 0.2 / 0.35, 0.9 / 0.35
+    t = np.arange(0, 0.97 * np.log(1 + 3 * k / a) / k, 1 / rate)
+    x = (3 + a / k) * (1 - np.exp(-k * t)) / k - a / k * t + 5e-6 * np.random.default_rng(0).standard_normal(len(t))
+    run = Run.from_arrays(np.round(t / rounding) * rounding, x, mass=0.35)
+    found = fit("coulomb,viscous", [run]).parameters
+    clock = 2 * rounding / np.sqrt(len(t)) / t[-1]  # relative error of the interval, which goes in twice
+    for name, truth in (("coulomb.F_c", 0.9), ("viscous.F_v", 0.2)):
+        assert abs(found[name].value - truth) < 3 * found[name].std + 2 * clock * truth
+
+
+def test_a_jump_that_is_no_whole_range_stays():
+    x = noisy(slide(T))
+    for size in (0.7, 3.0):
+        jumped = np.round((x + size * np.ptp(x) * (np.arange(N) > 200)) / 1e-6) * 1e-6
+        assert unwrapped(jumped)[1] == ()
+
+
+def test_uneven_times_are_moved_to_an_even_grid():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.7, 1.3, 400)) / FPS
+    even = with_even_clock(table(t, noisy(slide(t), noise=1e-6)))
+    grid = np.diff(even.data.t) / np.min(np.diff(even.data.t))
+    np.testing.assert_allclose(grid, np.rint(grid), atol=1e-6)
+    assert np.std(even.data.x - slide(even.data.t)) < 1.2e-6
+    assert "moved along their course to the nearest times of an even grid" in even.notes[0]
+
+
+@pytest.mark.parametrize("blocks", [(9, 9), (9, 12), (12, 9)])
+def test_a_rate_that_changes_leaves_the_noise_as_it_is(blocks):
+    t = np.cumsum(np.tile(np.repeat([1.0, 2.0], blocks), 12)) / FPS
+    even = displacement_of_table(table(t, noisy(slide(t), noise=1e-6)))
+    np.testing.assert_allclose(even.t, t)
+    assert np.median(even.sigma_x) == pytest.approx(1e-6, rel=0.25)
 
 
 # ---- copies

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.calibration import parse_scale
+from frictrack.errors import FrictrackError
 from frictrack.motion import noise_level
+from frictrack.plausibility import CONTRADICTION, MAX_RELATIVE_DIFFERENCE, time_unit
 from frictrack.records import Array, Displacement, Mask
 from frictrack.sampling import (
     EvenClock,
@@ -18,18 +21,22 @@ from frictrack.sampling import (
     Slip,
     common_unevenness,
     correct_ticks,
+    count_intervals,
     describe_frames,
     describe_length,
     find_slips,
     frame_numbers,
     is_even,
     jittered_clock,
+    moved_to_grid,
     quantum,
     robust_speed,
     rounded_clock,
     rounding_noise,
     screened,
+    stamp_rounding,
     unevenness,
+    unwrapped,
 )
 from frictrack.study import TableData
 
@@ -42,6 +49,10 @@ DOUBLE_RESOLUTION = 8 * np.finfo(float).eps  # relative error of what a double h
 MIN_JUMP_SIGMAS = 10.0  # a smaller jump of a position, in its noise, is no missing sample
 MAX_GAP_FRAMES = 1000
 MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
+MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
+MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
+MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
+MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -81,7 +92,7 @@ def displacement_of_table(
     data
         Columns in SI units, with `x`.
     fps
-        Frame rate to be compared with the time stamps, Hz.
+        Frame rate, Hz; it decides where the time stamps say another.
     scale
         Size of a pixel, if the positions come from a film, such as ``"0.5 mm/px"``.
     x_offset
@@ -178,31 +189,96 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, displacement.valid)[0]), rounding_noise(displacement.resolution))
+    sigma = max(float(noise_level(x, displacement.valid, t=displacement.t)[0]), rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
-    """Return the rows of a table on an even clock; a table without faults is not changed.
+    """Return the rows of a table, unwrapped, on an even clock; a table without faults is not changed.
 
     Parameters
     ----------
     data
         The table, as read.
     fps
-        Frame rate of the study file, Hz, to be compared with the time stamps.
+        Frame rate of the study file, Hz; it decides where the time stamps say another.
 
     """
     n = len(data.t)
     rows = np.arange(n)
+    if data.x is not None:
+        x, turned = unwrapped(data.x)
+        data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
     if data.x is None or n < MIN_ROWS:
         return EvenTable(data, np.ones(n, dtype=bool), rows)
+    if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
+        return table
     clocked = not is_even(data.t)
     data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
-    notes += _rate_note(data.t, fps)
-    if not _can_find_slips(data):  # the smoother reports what is wrong
-        return EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes)
-    return _without_slips(EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes), clocked=clocked)
+    data, more = _at_rate(data, fps)
+    data, moved = _on_grid(data)
+    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
+    return _without_slips(table, clocked=clocked) if _can_find_slips(data) else table  # else the smoother reports it
+
+
+def _rounding(data: TableData) -> float:
+    """Return to what the time stamps are rounded, s; 0 where that leaves them even, or the motion confirms all gaps."""
+    assert data.x is not None
+    steps, moved = np.diff(data.t), np.diff(data.x)
+    twice = (steps == 0) & (moved == 0)  # rows that were written twice
+    own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
+    rounding = stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
+    if rounding < MIN_ROUNDING * float(np.mean(steps)):
+        return 0.0
+    if not is_even(data.t):
+        return rounding
+    intervals = np.diff(frame_numbers(data.t))
+    as_rows, as_gaps = (
+        np.abs(_second_differences(moved)),
+        intervals[1:-1] * np.abs(_second_differences(moved / intervals)),
+    )
+    wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
+    return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
+
+
+def _second_differences(steps: Array) -> Array:
+    """Return by how much every step differs from the mean of its neighbours, (n - 2,)."""
+    return steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
+
+
+def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
+    """Return a table with rounded stamps on an even clock; None where the stamps are not rounded even times.
+
+    Raises
+    ------
+    FrictrackError
+        If the motion contradicts stamps that seem even.
+
+    """
+    given = 1 / fps if fps else None
+    every = np.arange(len(data.t))
+    counts = [every]  # the motion shows missing rows, also where stamps are rounded to an interval or more
+    if rounding < MAX_COUNTED_ROUNDING * float(np.ptp(data.t)) / len(data.t):
+        counts = [count_intervals(data.t, rounding, given), every]
+    for interval, ticks in product((None, given) if given else (None,), counts):
+        rows = every[np.diff(ticks, prepend=-1) > 0]
+        if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
+            continue
+        moving = replace(_select_rows(data, rows), t=ticks[rows].astype(float))
+        table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
+        table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
+        stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
+        clock = rounded_clock(stamps, counted, rounding, interval)
+        clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
+        if clock is not None:
+            found, notes = _at_rate(_at_clock(_select_rows(data, table.numbers), clock), fps, rounding)
+            return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
+    if is_even(data.t):
+        raise FrictrackError(
+            f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
+            "contradicts the gaps they leave; give the frame rate as fps in [camera], or stamps with more digits"
+        )
+    return None
 
 
 def _can_find_slips(data: TableData) -> bool:
@@ -217,9 +293,6 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
     from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
     rows = np.arange(len(data.t))
-    rounded = rounded_clock(data.t)
-    if rounded is not None:
-        return _at_clock(data, rounded), rows, rounded.notes
     read = read_stamps(data.t)
     if read is None:
         return data, rows, ()
@@ -245,18 +318,17 @@ def _without_jitter(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str,
 
 def _stamp_notes(read: Stamps) -> tuple[str, ...]:
     """Return notes on repeated and wrong time stamps."""
-    notes: tuple[str, ...] = ()
-    if len(read.doubled):
-        notes += (
-            f"{_count(len(read.doubled))} the time stamp of the row before: {describe_frames(read.doubled)}; left out",
-        )
+    notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {describe_frames(read.corrupt)}; the row stays in its place",)
     return notes
 
 
-def _count(n: int) -> str:
-    return "1 row has" if n == 1 else f"{n} rows have"
+def _doubled_note(rows: Rows) -> tuple[str, ...]:
+    if not len(rows):
+        return ()
+    count = "1 row has" if len(rows) == 1 else f"{len(rows)} rows have"
+    return (f"{count} the time stamp of the row before: {describe_frames(rows)}; left out",)
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
@@ -275,6 +347,17 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
     return replace(data, t=clock.t, **moved)
 
 
+def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
+    """Return a table with uneven times at the nearest times of an even grid, and a note."""
+    columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
+    moved = None if is_even(data.t) else moved_to_grid(data.t, list(columns.values()))
+    if moved is None:
+        return data, ()
+    found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
+    note = "the times are uneven; the columns are moved along their course to the nearest times of an even grid"
+    return replace(data, t=moved[0], **found), (note,)
+
+
 def _select_rows(data: TableData, rows: Rows) -> TableData:
     """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
@@ -282,12 +365,20 @@ def _select_rows(data: TableData, rows: Rows) -> TableData:
     return replace(data, **taken)
 
 
-def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
-    """Return a note if the given frame rate and that of the time stamps differ."""
-    rate = 1.0 / float(np.median(np.diff(t)))
-    if fps is None or abs(rate / fps - 1) <= MIN_RATE_DIFFERENCE:
-        return ()
-    return (f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; the time stamps are used",)
+def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple[TableData, tuple[str, ...]]:
+    """Return a table with the given frame rate, and a note if its stamps contradict it."""
+    if fps is None:
+        return data, ()
+    span = float(data.t[-1] - data.t[0])
+    frames = frame_numbers(data.t) if is_even(data.t) else (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
+    rate = float(frames[-1]) / span
+    note = f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; fps is used"
+    differs = abs(rate / fps - 1) - rounding / span
+    if time_unit(fps / rate):  # the times are in another unit; the check of the clocks says which
+        return data, ()
+    if differs > MAX_RELATIVE_DIFFERENCE:
+        note = f"{note}; {CONTRADICTION}"
+    return replace(data, t=data.t[0] + frames / fps), (note,) if differs > MIN_RATE_DIFFERENCE else ()
 
 
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:

@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.arrays.even_table import displacement_of_even_table, with_even_clock
+from frictrack.arrays.even_table import MIN_ROWS, displacement_of_even_table, with_even_clock
 from frictrack.errors import raise_faults
 from frictrack.motion import differentiate, low_pass
-from frictrack.plausibility import EnteredValues, implausible_clocks, implausible_entries, implausible_slide
+from frictrack.plausibility import EnteredValues, implausible_entries, implausible_slide
 from frictrack.records import Array, Run
 from frictrack.study import TableData, read_frame
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
+
+SMALLEST_STEP_S = np.finfo(float).tiny  # between time stamps that rise
 
 
 def run_of_arrays(
@@ -84,8 +86,8 @@ def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
     if len(bad):
         hint = "; leave the row out where nothing was measured" if name == "x" else ""
         return array, [f"expected finite {name} but got {array[bad[0]]} in row {bad[0]}{hint}"]
-    if name == "t" and np.any(np.diff(array) <= 0):
-        i = int(np.argmax(np.diff(array) <= 0))
+    if name == "t" and np.any(back := np.diff(array) < (0 if n >= MIN_ROWS and np.ptp(array) > 0 else SMALLEST_STEP_S)):
+        i = int(np.argmax(back))
         return array, [f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"]
     return array, []
 
@@ -105,6 +107,6 @@ def _warn_of_other_units(run: Run, *, has_unit: bool) -> None:
     """Warn, once a sentence, of mass, clock and positions that no laboratory has."""
     bare = frozenset() if has_unit else frozenset({"mass"})
     findings = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
-    findings += implausible_clocks({run.name: run}, {run.name: None}) + implausible_slide(run, film=False)
+    findings += implausible_slide(run, film=False)
     for finding in findings:
         warnings.warn(str(replace(finding, run=run.name)), stacklevel=4)

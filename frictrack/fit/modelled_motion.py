@@ -168,7 +168,7 @@ def unmodelled_motion(response: PieceResponse, run: Run, alarms: float) -> Unmod
     z = dct(piece.whitened(piece.y - response.model_y), norm="ortho")
     significant = np.abs(z) > ndtri(1 - alarms / (2 * n))
     power = float(np.mean(z**2))
-    level = noise_level(run.displacement.x, run.displacement.valid)[1]
+    level = noise_level(run.displacement.x, run.displacement.valid, t=run.displacement.t)[1]
     excessive = power > 1 + EXCESS_STD * float(np.sqrt(2 / n + (2 * level) ** 2))
     if not (excessive or np.any(significant)):
         return UnmodelledMotion()

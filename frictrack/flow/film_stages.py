@@ -17,7 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import BACKWARD, RecordingInfo
-from frictrack.sampling import screened
+from frictrack.sampling import is_even, moved_to_grid, screened
 
 if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
@@ -323,12 +323,23 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
         origin_px=run.origin_px,
         x_offset=run.x_offset,
     )
-    displacement = screened(displacement, numbers)
+    displacement = screened(_on_grid(displacement), numbers)
     displacement = displacement.rows(displacement.span)
     residual = residual_shake(tracks.get(REFERENCE), min_shake)
     if residual is None or displacement.pixel_pitch is None:
         return displacement
     return replace(displacement, shake=(residual[0], residual[1] * displacement.pixel_pitch))
+
+
+def _on_grid(displacement: Displacement) -> Displacement:
+    """Return a displacement whose frames have uneven times with the positions at the nearest points of an even grid."""
+    columns = (displacement.x, displacement.y, displacement.angle)
+    moved = None if is_even(displacement.t) else moved_to_grid(displacement.t, columns)
+    if moved is None:
+        return displacement
+    t, (x, y, angle) = moved
+    note = "positions are moved along their course from the uneven times of the frames to the nearest even ones"
+    return replace(displacement, t=t, x=x, y=y, angle=angle, notes=(*displacement.notes, note))
 
 
 def min_shake_px(run: RunTable) -> float:

@@ -15,7 +15,7 @@ from frictrack.flow.opening import open_study
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey_recording
 from frictrack.number_format import format_plus_minus
-from frictrack.plausibility import EnteredValues, implausible_entries
+from frictrack.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
 from frictrack.study import NewRun, Study, list_files, refuse_existing, write_study
 from frictrack.units import lacks_unit, parse_quantity
 
@@ -225,6 +225,8 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
     if not found:
         reasons = "".join(f"; {one['file']}: {one['reason']}" for one in skipped)
         raise FrictrackError(f"expected films or tables in {folder} but found none{reasons}")
+    swings = {one.path.name: one.positions for one in found if one.positions is not None}
+    shifts = {name: f"; {describe_shift(shift, first)}" for name, first, shift in shifted_swings(swings)}
     rates = {one.fps for one in found if not one.is_table}
     common = {"fps": _whole(next(iter(rates)))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
@@ -235,7 +237,7 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "study": str(path),
         "runs": [one.path.name for one in found],
-        "found": [{"file": one.path.name, "words": one.words} for one in found],
+        "found": [{"file": one.path.name, "words": one.words + shifts.get(one.path.name, "")} for one in found],
         "skipped": skipped,
         "fill_in": [key for key, words in remarks.items() if words.startswith("FILL IN")]
         + [f"columns of {one.path.name}" for one in found if one.columns_to_confirm],

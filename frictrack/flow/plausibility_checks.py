@@ -19,6 +19,7 @@ from frictrack.plausibility import (
     ERROR,
     EnteredValues,
     Finding,
+    different_origins,
     implausible_clocks,
     implausible_entries,
     implausible_inclines,
@@ -126,6 +127,7 @@ class Findings:
         tables = [one for one in pipelines if one.run.table]  # the clock of a film is checked with its header
         stated = {pipeline.run.name: pipeline.run.fps for pipeline in tables}
         self._check_once("all", lambda: implausible_masses([pipeline.to_run() for pipeline in pipelines]))
+        self._check_once("origins", lambda: different_origins({w.run.name: w.to_run() for w in pipelines}))
         self._check_once("clocks", lambda: implausible_clocks({w.run.name: w.to_run() for w in tables}, stated))
 
     def _check_once(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:

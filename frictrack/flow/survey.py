@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
+from frictrack.records import Array
 from frictrack.study import TableFile, columns_line, has_units, is_table, open_table, propose_columns, read_table
 
 RATE_IN_NAME = re.compile(
@@ -44,6 +45,8 @@ class Surveyed:
         Keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames.
     n_frames, shape
         Number of frames of a film, and height and width of its pictures, px; 0 for a table.
+    positions
+        Positions of a table that needs no camera, m, (n,).
 
     """
 
@@ -58,6 +61,7 @@ class Surveyed:
     camera_keys: tuple[str, ...] = ()
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
+    positions: Array | None = None
 
     @property
     def is_usable(self) -> bool:
@@ -139,7 +143,7 @@ def _survey_table(path: Path) -> Surveyed:
     named = f" of a {table.program} export" if table.program else ""
     if columns:
         named += "; " + ", ".join(f'{key} is "{header}"' for key, header in columns.items())
-    return Surveyed(path, words + named, columns=columns, camera_keys=needed)
+    return Surveyed(path, words + named, columns=columns, camera_keys=needed, positions=None if needed else data.x)
 
 
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
+from frictrack.sampling import base_interval
 
 MAX_UNEVENNESS = 0.01  # error of a time stamp over the frame interval
 MAX_FRAMES_PER_ROW = 100  # with more missing frames a time stamp must be wrong
@@ -61,7 +62,7 @@ def frame_grid(t: Array) -> FrameGrid:
     [0, 1, 2, 4]
 
     """
-    gaps = np.diff(t) / np.median(np.diff(t))
+    gaps = np.diff(t) / (base_interval(t) or np.median(np.diff(t)))
     steps = np.rint(gaps)
     off = np.where(steps < 1, np.inf, np.abs(gaps - steps))
     if np.max(off) > MAX_UNEVENNESS:

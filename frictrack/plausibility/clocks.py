@@ -11,6 +11,7 @@ from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.records import Run
 
 MAX_RELATIVE_DIFFERENCE = 0.01  # of frame rates; forces are then wrong by twice as much
+CONTRADICTION = "one of the two is wrong and every force goes with its square"
 MIN_OTHER_SETTING = 0.35  # relative difference between runs from which the camera setting differs
 TIME_UNITS = {
     1e3: ("ms", "t_s (ms)"),
@@ -40,7 +41,13 @@ def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | Non
     ()
 
     """
-    found = tuple(
+    notes = tuple(
+        Finding("fps", note, "", name, contradicts=True)
+        for name, run in runs.items()
+        for note in run.displacement.notes
+        if note.endswith(CONTRADICTION)
+    )
+    found = notes + tuple(
         _check_rates({name: 1.0 / float(np.median(np.diff(run.displacement.t))) for name, run in runs.items()}, stated)
     )
     if len(found) == len(runs) > 1 and len({f.words for f in found}) == 1:
@@ -52,7 +59,7 @@ def _check_rates(rates: Mapping[str, float], stated: Mapping[str, float | None])
     median_rate = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
     for name, rate in rates.items():
         given = stated.get(name)
-        if given is not None and (unit := _time_unit(given / rate)):
+        if given is not None and (unit := time_unit(given / rate)):
             yield _unit_finding(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", unit)
         elif given is not None and abs(rate / given - 1) > MAX_RELATIVE_DIFFERENCE:
             yield _stated_finding(name, rate, given, median_rate)
@@ -62,8 +69,15 @@ def _check_rates(rates: Mapping[str, float], stated: Mapping[str, float | None])
             )
 
 
-def _time_unit(ratio: float) -> tuple[str, str] | None:
-    """The unit of time with which stamps and stated rate agree, and its column heading; None if there is none."""
+def time_unit(ratio: float) -> tuple[str, str] | None:
+    """Return the unit of time in which stamps agree with a stated rate, and its column heading; None if there is none.
+
+    Parameters
+    ----------
+    ratio
+        Stated rate over that of the stamps.
+
+    """
     return next((unit for size, unit in TIME_UNITS.items() if abs(ratio / size - 1) <= MAX_RELATIVE_DIFFERENCE), None)
 
 
@@ -84,5 +98,5 @@ def _stated_finding(run: str, rate: float, given: float, median_rate: float) -> 
 
 
 def _clock_finding(run: str, words: str, correction: str = "") -> Finding:
-    advice = "one of the two is wrong and every force goes with its square; give the true times or frame rate"
+    advice = f"{CONTRADICTION}; give the true times or frame rate"
     return Finding("fps", f"{words}; {advice}", correction, run, contradicts=True)

@@ -2,24 +2,27 @@
 
 Friction is proportional to the square of the frame rate. The rates of user, header and time stamps are compared, and
 missing, repeated and corrupt stamps are found. Where the stamps allow it, times are whole frame intervals of one rate:
-a
-missing frame becomes a gap, and a corrupt stamp is ignored.
+a missing frame becomes a gap, and a corrupt stamp is ignored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.header import Header
+from frictrack.sampling import count_intervals, rounded_clock, stamp_rounding
 
 PLAYBACK_FPS = 60.0  # a container that says no more than this gives the speed of showing, not of filming
 MAX_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is said: 0.2 % of friction
-MAX_ROUNDING = 0.3  # stamps rounded to more than this share of a frame interval tell no frames apart
+MIN_ROUNDING, MAX_ROUNDING = 0.05, 0.8  # of a frame interval, between which the rounding of stamps decides their count
+SHORT_INTERVAL, MIN_SHORT_SHARE = 0.6, 0.05  # of the median interval, and of all: more show that the rate changes
+MAX_AVERAGE_DIFFERENCE = 0.05  # relative difference of a stated rate from the average of one that changes
+MIN_CHANGING_SHARE = 0.1  # of intervals that are longer: the rate changes, and no frames are missing
 MAX_UNEVENNESS = 0.1  # rms deviation of stamps from whole frames, in frames, above which they are the times themselves
 _MAX_GAP_FRAMES = 10_000  # frames; nothing is believed to be missing for longer
 _MIN_AGREEING_STAMPS = 3  # stamps in a row that agree with each other, not with those before: the clock was set
@@ -88,6 +91,11 @@ class Stamps:
     gaps: Ticks  # frames before which others are missing
     uneven: bool = False
 
+    @property
+    def changing(self) -> bool:
+        """Whether many intervals are longer than others: the frame rate changes."""
+        return len(self.gaps) > MIN_CHANGING_SHARE * len(self.ticks)
+
 
 def audit(name: str, given: float | None, header: Header) -> Timebase:
     """Audit the time base of a recording.
@@ -116,6 +124,10 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
     stamps, n = header.stamps, header.n_frames
     parsed = read_stamps(stamps) if stamps is not None and header.ticks is None else None
     stamped = 1 / parsed.step if parsed is not None else None
+    if parsed is not None and (parsed.changing or parsed.uneven) and stamps is not None:
+        average = (len(stamps) - 1) / float(np.nanmax(stamps) - np.nanmin(stamps))
+        agree = [rate and abs(rate / average - 1) < MAX_AVERAGE_DIFFERENCE for rate in (given, header.fps)]
+        given, header = None if agree[0] else given, replace(header, fps=None) if agree[1] else header
     fps = _true_rate(name, given, header, stamped)
     found = (
         _rates(fps, given, header, stamped),
@@ -155,10 +167,11 @@ def read_stamps(stamps: Array) -> Stamps | None:
     forward = steps[steps > 0]
     if len(good) < 3 or len(forward) < max(2, 0.8 * len(steps)):
         return None
-    step = float(np.median(forward))
-    if _rounding(forward / step) > MAX_ROUNDING:
-        return None
-    ticks = _consecutive(stamps, step)
+    step, ticks = _usual_interval(forward), None
+    if np.all(steps >= 0) and len(good) == len(stamps) and np.ptp(stamps) > 0:
+        ticks = _count_rounded(stamps, step)
+    if ticks is None:
+        ticks = _consecutive(stamps, step)
     if ticks is None:
         ticks = _count_ticks(stamps, step)
     written_twice = _written_twice(ticks)
@@ -179,15 +192,20 @@ def read_stamps(stamps: Array) -> Stamps | None:
     )
 
 
-def _rounding(steps: Array) -> float:
-    """Rounding of the stamps in frames: the intervals then have few values, away from whole frames.
+def _usual_interval(forward: Array) -> float:
+    """Median interval, s; of the short ones where the rate changes: long ones are then whole multiples, or uneven."""
+    usual = float(np.sort(forward)[(len(forward) - 1) // 2])
+    short = forward[forward < SHORT_INTERVAL * usual]
+    return float(np.sort(short)[len(short) // 2]) if len(short) > MIN_SHORT_SHARE * len(forward) else usual
 
-    The difference of two numbers rounded to q has an rms error of q / sqrt(6).
-    """
-    near = steps[steps < 3]
-    if len(np.unique(np.round(near, 2))) > 4:
-        return 0.0
-    return float(np.sqrt(6 * np.mean((near - np.rint(near)) ** 2)))
+
+def _count_rounded(stamps: Array, step: float) -> Ticks | None:
+    """Frame intervals of rounded stamps; None where rounding is small, is no less than an interval, or is not all."""
+    rounding = stamp_rounding(stamps)
+    if not MIN_ROUNDING * step < rounding < MAX_ROUNDING * float(np.ptp(stamps)) / len(stamps):
+        return None
+    ticks = count_intervals(stamps, rounding)
+    return None if rounded_clock(stamps, ticks, rounding) is None else ticks
 
 
 def _written_twice(ticks: Ticks) -> Ticks:
@@ -328,11 +346,13 @@ def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[A
     if stamps is None:
         return [], []
     if parsed is None:
-        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
+        note = "the time stamps are too few or too coarse: not used, frames are taken as evenly spaced"
+        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], [note]
     missing = int(parsed.ticks.max()) + 1 - len(stamps) + len(parsed.doubled)
+    rows, notes = [], []
     found = [
         (
-            len(parsed.gaps) and max(missing, 1),
+            not parsed.changing and len(parsed.gaps) and max(missing, 1),
             "missing",
             "left as gaps in time",
             parsed.gaps,
@@ -341,15 +361,16 @@ def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[A
         (len(parsed.doubled), "doubled", "left out", parsed.doubled, "frames have the time of the one before:"),
         (len(parsed.corrupt), "corrupt", "passed over", parsed.corrupt, "time stamps are corrupt:"),
     ]
-    rows, notes = [], []
     for count, what, handled, frames, phrase in found:
         verdict = handled if count else "none"
         rows.append(AuditRow(f"time stamps, {what}", str(int(count)), verdict))
         if count:
             notes.append(f"{_count_words(int(count), phrase)} {_list_frames(frames)}; {handled}")
-    if parsed.uneven:
-        rows.append(AuditRow("time stamps, spacing", "uneven", "each frame has its own time"))
-        notes.append("the time stamps are not evenly spaced; each frame has the time of its own stamp")
+    if parsed.uneven or parsed.changing:
+        spacing = "changing" if parsed.changing else "uneven"
+        rows.append(AuditRow("time stamps, spacing", spacing, "each frame has its own time"))
+        what = "the frame rate changes" if parsed.changing else "the time stamps are not evenly spaced"
+        notes.append(f"{what}; each frame has the time of its own stamp")
     return rows, notes
 
 

@@ -6,6 +6,7 @@ uneven. The motion decides: with the wrong choice a moving mass shows the jitter
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,16 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.quantisation import quantum
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
-MAX_ROUNDING_STEPS = 1.01  # steps of rounded stamps by which a row may be off the even clock
+MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
+MIN_ROUNDING_RMS = 0.1  # of a step: a few wrong stamps or rows are no rounding, whose error is 0.29 rms
+ROUNDINGS_PER_SPAN = 16  # steps of rounding in the span from whose length an interval is first estimated
+MIN_SHORT_SHARE = 0.1  # of intervals that are as short as the smallest, where the rate changes
+MIN_SHORTEST = 0.3  # of the median interval
+CUBIC_ROWS = 9  # through which a cubic is fitted
+MIN_PART = 32  # rows that show to what stamps are rounded
 MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
 SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
 ROWS_AT_ONCE = 1 << 16  # whose speeds are computed together
@@ -59,46 +67,155 @@ def is_even(t: Array) -> bool:
 
     Examples
     --------
-    >>> is_even(np.array([0.0, 0.1, 0.2, 0.4])), is_even(np.array([0.0, 0.1, 0.25, 0.3]))
+    >>> is_even(np.array([0.0, 0.1, 0.2, 0.4])), is_even(np.array([0.0, 0.1, 0.26, 0.3]))
     (True, False)
 
     """
-    usual = float(np.median(np.diff(t)))
-    if usual <= 0:
-        return False
-    steps = np.diff(t) / usual
-    return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= MAX_UNEVENNESS)))
+    return base_interval(t) > 0
 
 
-def rounded_clock(t: Array) -> EvenClock | None:
-    """Compute an even clock through stamps that are rounded so far that they repeat.
+def base_interval(t: Array) -> float:
+    """Interval (s) of which those of the stamps (n,) are whole multiples within 1 %; 0 where there is none.
+
+    It is the median one, or the smallest where the rate changes: a tenth of the intervals are then as short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> base_interval(np.array([0.0, 1.0, 2.0, 4.0, 6.0, 8.0]))
+    1.0
+
+    """
+    steps = np.diff(t)
+    smallest = float(np.min(steps))
+    for interval in (float(np.median(steps)), smallest):
+        if interval > 0 and (interval > smallest or np.mean(steps < 1.5 * interval) > MIN_SHORT_SHARE):
+            off = steps / interval - np.rint(steps / interval)
+            if np.all((steps > 0.5 * interval) & (np.abs(off) <= MAX_UNEVENNESS)):
+                return interval
+    return 0.0
+
+
+def moved_to_grid(t: Array, columns: Sequence[Array]) -> tuple[Array, list[Array]] | None:
+    """Times of the nearest points of an even grid, and what columns (n,) are there; None for times that nearly repeat.
+
+    The grid is as fine as the smallest interval, so that every row has its own point. A column moves along a cubic
+    through its neighbours; its noise stays its own, and NaN stays.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.array([0.0, 1.0, 2.2, 3.7, 4.7, 5.9, 7.0, 8.0, 9.1, 10.2])
+    >>> grid, (x,) = moved_to_grid(t, [t**2])
+    >>> grid.tolist(), bool(np.allclose(x, grid**2))
+    ([0.0, 1.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0], True)
+
+    """
+    interval, n = float(np.min(np.diff(t))), len(t)
+    if not MIN_SHORTEST * np.median(np.diff(t)) < interval or n <= CUBIC_ROWS:
+        return None
+    grid = t[0] + interval * np.rint((t - t[0]) / interval)
+    first = np.clip(np.arange(n) - CUBIC_ROWS // 2, 0, n - CUBIC_ROWS)
+    rows = first[:, None] + np.arange(CUBIC_ROWS)
+    powers = np.arange(4)
+    scale = interval * CUBIC_ROWS
+    inverse = np.linalg.pinv(((t[rows] - t[:, None]) / scale)[:, :, None] ** powers)
+    shift = ((grid - t) / scale)[:, None] ** powers - (powers == 0)
+    return grid, [c + np.einsum("nj,nji,ni->n", shift, inverse, _without_nan(t, c)[rows]) for c in columns]
+
+
+def _without_nan(t: Array, column: Array) -> Array:
+    """Interpolate unknown values of a column (n,); zeros where none is known."""
+    known = np.isfinite(column)
+    return np.interp(t, t[known], column[known]) if known.any() else np.zeros(len(t))
+
+
+def stamp_rounding(t: Array) -> float:
+    """Compute to what time stamps (n,) are rounded, s; 0 where no step shows.
+
+    A fixed number of digits gives a coarser step later in the record: the coarsest quarter counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stamp_rounding(np.round(np.arange(100) / 300, 3))
+    0.001
+
+    """
+    parts = np.array_split(t, min(max(len(t) // MIN_PART, 1), 4))
+    return max(quantum(part) for part in (t, *parts))
+
+
+def count_intervals(t: Array, rounding: float, interval: float | None = None) -> Ticks:
+    """Count the intervals of an even clock from the first row to each row of rounded stamps.
+
+    A row is one interval after the row before unless the rounding excludes it: then others are missing, or the row is
+    there twice. The interval comes from the whole record.
 
     Parameters
     ----------
     t : array (n,)
-        Time stamps, s.
+        Time stamps, s, rising or equal.
+    rounding : float
+        Step to which they are rounded, s.
+    interval : float, optional
+        Interval of the clock, s, if it is known.
 
-    Returns
-    -------
-    EvenClock or None
-        None where the stamps do not repeat or are not rounded even times.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> taken = np.delete(np.arange(60), 30)
+    >>> bool(np.all(count_intervals(np.round(taken / 30, 2), 0.01) == taken))
+    True
 
     """
-    steps = np.diff(np.unique(t))
-    if len(steps) < 2 or len(steps) > 0.9 * len(t):
+    span = min(max(round(ROUNDINGS_PER_SPAN * rounding * (len(t) - 1) / float(t[-1] - t[0])), 8), len(t) // 2)
+    spans = t[span:] - t[:-span]
+    complete = (
+        np.abs(spans - np.sort(spans)[len(spans) // 2]) < MAX_ROUNDING_STEPS * rounding
+    )  # no row is missing in it
+    found = interval or float(np.mean(spans[complete])) / span
+    ticks = _count_rows(t, found, 0.49)
+    slope, start = np.polyfit(ticks, t, 1)
+    jitter = np.sqrt(max(float(np.var(t - start - slope * ticks)) - rounding**2 / 12, 0.0))
+    found = interval or float(slope)
+    reach = 0.5 * MAX_ROUNDING_STEPS * rounding + MAX_UNEVENNESS * found + 4 * jitter
+    return _count_rows(t, found, min(reach / found, 0.49)) if found > 0 else ticks
+
+
+def _count_rows(t: Array, interval: float, reach: float) -> Ticks:
+    """Count intervals: a row within `reach` intervals of the phases that all rows before allow is the next one."""
+    low, high, skipped = -np.inf, np.inf, 0
+    ticks = np.arange(len(t))
+    for i, place in enumerate(((t - t[0]) / interval - ticks).tolist()):
+        phase = place - skipped
+        change = max(int(np.ceil(phase - reach - high)), 0) - max(int(np.ceil(low - phase - reach)), 0) if i else 0
+        skipped += change
+        low, high = max(low, phase - change - reach), min(high, phase - change + reach)
+        ticks[i] += skipped
+    return ticks
+
+
+def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | None = None) -> EvenClock | None:
+    """Fit an even clock to rounded stamps (n,) of rows that are `ticks` intervals after the first one.
+
+    Returns None where the rows are not off the line as rounding makes them, uniformly, unless the `interval` is given.
+    """
+    slope = float(interval or np.polyfit(ticks, t, 1)[0])
+    start = float(np.mean(t - slope * ticks))
+    off = t - start - slope * ticks
+    uniform = np.ptp(off) < MAX_ROUNDING_STEPS * rounding and np.std(off) > MIN_ROUNDING_RMS * rounding
+    if not (uniform or interval) or slope <= 0:
         return None
-    rounding = float(np.min(steps))
-    rows = np.arange(len(t))
-    slope, start = np.polyfit(rows, t, 1)
-    if slope <= 0 or np.max(np.abs(t - start - slope * rows)) > MAX_ROUNDING_STEPS * rounding:
-        return None
+    error = 100 * rounding / float(t[-1] - t[0])
     note = (
-        f"time stamps are rounded to {rounding:.4g} s and repeat: the rows are taken as evenly spaced by {slope:.6g} s"
+        f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
+        f"{'' if interval else f', the slope of the line through all stamps, known to {error:.2g} %; fps would decide'}"
     )
-    return EvenClock(start + slope * rows, np.zeros(len(t)), (note,))
+    return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,))
 
 
-def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
+def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> EvenClock | None:
     """An even clock for stamps (n,) that jitter about whole frame intervals `ticks` (n,); None where they do not.
 
     The positions x (n,) tell whether stamps or samples are uneven.
@@ -117,7 +234,9 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
     interval, start = np.polyfit(ticks, t, 1)
     even = start + interval * ticks
     late = t - even
-    if interval <= 0 or np.std(late) > MAX_JITTER * interval:
+    if interval <= 0 or not (
+        MIN_ROUNDING_RMS * rounding <= np.std(late) <= np.hypot(MAX_JITTER * interval, rounding / np.sqrt(12.0))
+    ):
         return None
     share = 100 * float(np.std(late)) / interval
     as_even = _noise_level(x, ticks)

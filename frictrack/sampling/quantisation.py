@@ -10,12 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.records import Array
+from frictrack.sampling.usual_steps import usual_steps
 
 MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
 MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
 MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
 FIRST_GAPS = 8  # smallest gaps from which a step is first estimated
 MIN_POSITIONS = 3  # distinct positions that can show a step
+TURNS = (360.0, 2 * np.pi)  # of angles
+MIN_BITS = 8  # of a counter
+MAX_STEP_RATIO = 3.0  # an unwrapped step may differ from the usual one by so many times what its neighbours do
+MAX_SPREAD = 0.15  # of the range of a counter; steps that scatter by more show no jump
 MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
 
 
@@ -71,3 +76,37 @@ def _refine_step(gaps: Array, near: float) -> float:
 def rounding_noise(step: float) -> float:
     """Standard deviation that rounding to a step adds, m."""
     return step / float(np.sqrt(12.0))
+
+
+def unwrapped(x: Array) -> tuple[Array, tuple[str, ...]]:
+    """Positions (n,) of a counter that rolled over, or of an angle that wrapped, as one course; and a note.
+
+    Beyond the usual step a jump is then a power of two of the counter's step, or a turn, and no two positions are
+    further apart than that.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> k = np.arange(60.0)
+    >>> unwrapped((60000 + 250 * k - k**2) % 65536)[0][-1]
+    np.float64(71269.0)
+
+    """
+    steps, step, span = np.diff(x), quantum(x), float(np.ptp(x))
+    bits = max(int(np.ceil(np.log2(span / step))), MIN_BITS) if step else 0
+    for full, what in (
+        *((turn, "an angle wrapped") for turn in TURNS),
+        *((step * 2.0**n, f"a counter of {n} bits rolled over") for n in (bits, bits + 1) if step),
+    ):
+        turns = np.rint(steps / full)
+        rows = np.flatnonzero(turns)
+        if not len(rows) or span > full + step:
+            continue
+        smooth = steps - full * turns
+        off = np.abs(smooth - usual_steps(smooth))
+        nearby = MAX_STEP_RATIO * usual_steps(np.where(turns == 0, off, np.nan), 0.9)[rows] + step
+        if np.all((off[rows] <= nearby) & (nearby < MAX_SPREAD * full)):
+            count = "once" if len(rows) == 1 else f"{len(rows)} times"
+            note = f"positions jump by {full:.6g}, as if {what}, {count}: unwrapped"
+            return x - full * np.concatenate(([0.0], np.cumsum(turns))), (note,)
+    return x, ()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Displacement
+from frictrack.sampling.even_clock import base_interval
 from frictrack.sampling.outlier_search import MEDIAN_TO_SIGMA, Outliers, outliers
 from frictrack.sampling.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
 
@@ -85,7 +86,10 @@ def frame_numbers(t: Array) -> Array:
     [0.0, 1.0, 2.0, 5.0]
 
     """
-    return np.asarray(np.rint((t - t[0]) / float(np.median(np.diff(t)))))
+    steps = np.diff(t)  # one by one: the rounding of their median would add up
+    return np.concatenate(
+        ([0.0], np.cumsum(np.maximum(np.rint(steps / (base_interval(t) or float(np.median(steps)))), 1.0)))
+    )
 
 
 def _outliers_and_step(frames: Array, x: Array, sigma: Array) -> tuple[Outliers, float]:

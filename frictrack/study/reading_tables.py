@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
-MAX_REPEATED_SHARE = 0.9  # of the time stamps that may repeat the one before
+MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
 MAX_NAMES_SHOWN = 12  # headers in a message
@@ -408,7 +408,7 @@ def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
     steps = np.diff(t)
-    repeated = np.sum(steps == 0) <= MAX_REPEATED_SHARE * len(steps)  # the clock is read less often than rows come
+    repeated = np.sum(steps > 0) >= MIN_RISES  # the stamps are rounded, or the clock is read less often than rows come
     back = np.flatnonzero((steps < 0) if repeated and len(t) >= MIN_ROWS_FOR_REPEATS else (steps <= 0))
     if len(back):
         i = int(back[0])

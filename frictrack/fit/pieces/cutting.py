@@ -267,7 +267,7 @@ def _noise_of(run: Run) -> Array:
     disp = run.displacement
     use = free_section(run)[0] & disp.valid
     relative = _relative_noise(disp.sigma_x, use)
-    white = float(noise_level(disp.x, use, relative)[0])
+    white = float(noise_level(disp.x, use, relative, disp.t)[0])
     return relative * (run.noise or max(white, _least_noise(run), disp.resolution / float(np.sqrt(12.0))))
 
 
@@ -288,7 +288,8 @@ def noise_free_remark(runs: Sequence[Run]) -> Iterator[str]:
     free = [
         run.name
         for run in runs
-        if run.noise is None and noise_level(run.displacement.x, run.displacement.valid)[0] < _least_noise(run)
+        if run.noise is None
+        and noise_level(run.displacement.x, run.displacement.valid, t=run.displacement.t)[0] < _least_noise(run)
     ]
     if free:
         yield (

@@ -12,6 +12,7 @@ from math import comb
 import numpy as np
 
 from frictrack.records import Array, Mask
+from frictrack.sampling import frame_numbers
 
 DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
@@ -53,7 +54,7 @@ def slow_spectrum(n: int) -> Array:
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
-def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[Array, Array]:
+def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array | None = None) -> tuple[Array, Array]:
     """Estimate the standard deviation of the white noise of a series.
 
     Differences over a missing frame, and outliers by an impact, are left out. From m fifth differences,
@@ -67,6 +68,8 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[A
         Frames that were measured, (n,).
     relative
         Relative standard deviations of the frames, (n,); the result then is that of a frame where they are 1.
+    t
+        Times, s, (n,), if intervals between frames may be longer than others.
 
     Returns
     -------
@@ -82,6 +85,12 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[A
     True
 
     """
+    steps = np.minimum(np.diff(frame_numbers(t)), 2.0) if t is not None and len(t) > 1 else np.ones(1)
+    if np.any(steps > 1):
+        rows = np.repeat(np.arange(len(x)), np.append(steps, 1).astype(int))  # with a frame in every gap, not measured
+        measured = valid[rows] & np.append(True, np.diff(rows) > 0)
+        if np.any(_complete_differences(measured, FALLBACK_ORDER)):
+            return noise_level(x[rows], measured, None if relative is None else relative[rows])
     order = difference_order(
         *(int(np.sum(_complete_differences(valid, k))) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
     )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.records import Track
-from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips
+from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips, frame_numbers
 
 __all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
 
@@ -74,5 +74,5 @@ def _main_direction(track: Track) -> SampledPath:
         return SampledPath(at[:, 0], at[:, 0], np.arange(len(at)), found, MIN_JUMP_PX)
     _, _, axes = np.linalg.svd(at[found] - at[found].mean(axis=0), full_matrices=False)
     sigma = np.hypot(axes[0, 0] * track.sigma_px, axes[0, 1] * track.sigma_y_px)
-    ticks = np.rint((track.t - track.t[0]) / np.median(np.diff(track.t))).astype(np.int64)
+    ticks = frame_numbers(track.t).astype(np.int64)
     return SampledPath(at @ axes[0], np.maximum(sigma, MIN_SIGMA_PX), ticks, found, MIN_JUMP_PX)
