@@ -1,9 +1,9 @@
 """Check that the numbers of a study are plausible: mass, scale, frame rate, units and incline.
 
 `implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
-measured run; `implausible_inclines`, `implausible_masses` and `implausible_clocks` check all runs together. Every
-finding states what was read, why it is implausible, and what to enter instead. The plausible ranges and their sources
-are in `ranges`.
+measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks` and `implausible_sensors` check all
+runs together. Every finding states what was read, why it is implausible, and what to enter instead. The plausible
+ranges and their sources are in `ranges`.
 """
 
 from frictrack.plausibility.clocks import implausible_clocks
@@ -12,6 +12,7 @@ from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
 from frictrack.plausibility.incline_consistency import implausible_inclines
 from frictrack.plausibility.masses import implausible_masses
+from frictrack.plausibility.sensors import implausible_sensors
 from frictrack.plausibility.slide import SlideEstimate, estimate_slide, implausible_slide
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "implausible_entries",
     "implausible_inclines",
     "implausible_masses",
+    "implausible_sensors",
     "implausible_slide",
     "missing_incline",
     "path_angle",
