@@ -272,12 +272,12 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     initial = replace(_unaligned(frames), gain=gain)
     level = _unmodelled_variance(problem, initial, sensor_included=False)
     misfit, none, gains = _scan(problem, offsets, initial, level)
-    best = int(np.argmin(misfit))
+    lowest = int(np.argmin(misfit))
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
-        level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[best])))
+        level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[lowest])))
         misfit, none, _ = _scan(problem, offsets, initial, level)
-    elif none - misfit[best] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at the gain that it has
-        initial = replace(initial, gain=abs(float(gains[best])))
+    elif none - misfit[lowest] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at the gain that it has
+        initial = replace(initial, gain=abs(float(gains[lowest])))
         misfit, none, _ = _scan(problem, offsets, initial, level)
     explained = none - float(np.min(misfit))
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
@@ -353,7 +353,8 @@ def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: 
         shared = np.minimum(ends[1], clock[1] + offsets) - np.maximum(ends[0], clock[0] + offsets)
         covered = np.clip(shared / (ends[1] - ends[0]), 0.0, 1.0)
         own_noise = len(frames.z) * float(np.mean(_sensor_share(problem, initial, level)))
-        misfit -= own_noise * covered * (gains / (initial.gain or 1.0)) ** 2
+        ratio = np.minimum(np.abs(gains) / (initial.gain or 1.0), MAX_GAIN_CHANGE)  # no noise times a huge gain
+        misfit -= own_noise * covered * ratio**2
     return misfit, none, gains
 
 
