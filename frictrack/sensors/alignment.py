@@ -276,7 +276,8 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
         level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[lowest])))
         misfit, none, _ = _scan(problem, offsets, initial, level)
-    elif none - misfit[lowest] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at the gain that it has
+    elif none - misfit[lowest] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at its likeliest gain
+        lowest = int(np.argmin(misfit - 2.0 * np.log(_gain_prior(gains))))
         initial = replace(initial, gain=abs(float(gains[lowest])))
         misfit, none, _ = _scan(problem, offsets, initial, level)
     explained = none - float(np.min(misfit))
