@@ -11,6 +11,7 @@ import pytest
 from scipy.special import erf
 
 from frictrack.errors import FrictrackError
+from frictrack.plausibility import implausible_sensors
 from frictrack.records import Array, Displacement
 from frictrack.sensors import (
     Alignment,
@@ -187,20 +188,23 @@ def test_a_clock_far_off_is_found_without_help() -> None:
     assert abs(aligned.offset + 1000.0 + DELAY) < 4 * aligned.sigma_offset
 
 
-def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> None:
+def test_a_periodic_motion_is_ambiguous_and_its_deviation_spans_the_periods() -> None:
     rng = np.random.default_rng(7)
     ts = np.arange(-0.1, 0.3, 1e-4)
     series = SensorRecord(ts, SHAKE * np.sin(OMEGA * (ts - 2e-3)) + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
-    aligned = align(problem(film(rng, x=lambda t: 3 * t - SHAKE / OMEGA**2 * np.sin(OMEGA * t)), series))
+    both = problem(film(rng, x=lambda t: 3 * t - SHAKE / OMEGA**2 * np.sin(OMEGA * t)), series)
+    aligned = align(both)
     assert abs(aligned.offset + 2e-3) < 4 * (aligned.sigma_offset or 0.0)
-    assert "nearest to 0 of several that agree equally well" in aligned.reason
+    assert (aligned.sigma_offset or 0.0) > 2 * np.pi / OMEGA
+    assert compare_with_camera(both, aligned).verdict == "not compared"
+    assert aligned.reason.startswith("ambiguous")
 
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("sensor", "change", "cause"),
     [
-        (Sensor(gain=1.2), None, "the scale is too large by this factor, or the frame rate by"),
+        (Sensor(gain=1.5), None, "the scale is too large by this factor, or the frame rate by"),
         (Sensor(gain=9.80665, noise=0.05), None, "it is in units of gravity: say so with columns"),
         (Sensor(gain=-1.0), None, "its axis points the other way: flip its sign"),
         (Sensor(gain=1e-3, noise=500.0), None, "it is in mm/s^2: say so"),
@@ -355,3 +359,59 @@ def test_the_energy_of_the_blow_bounds_the_slider() -> None:
     slow = release_energy((0.35, 0.002), (0.5, 0.01), 2.0)
     assert slow.verdict == "suspicious"
     assert "less than a tenth of the 2 J of the blow: scale or frame rate too small by a factor of up to" in slow.says
+
+
+def _ringing(seed: int, gain: float, delay: float, frequency: float = 300.0) -> AlignmentProblem:
+    """A vibration that an impact starts once more half-way, on a slide under constant friction: closed form."""
+    rng, omega = np.random.default_rng(seed), 2 * np.pi * frequency
+    s, struck, t, ts = -1 / 0.05 + 1j * omega, 0.06, np.arange(480) / FPS, np.arange(-0.03, 0.16, 6e-5)
+
+    def x(at: Array) -> Array:
+        u = np.maximum(at - struck, 0.0)
+        return 2 * at - 3 * at**2 + np.imag(4 * np.exp(s * at) / s**2 + 3 * (np.exp(s * u) - 1 - s * u) / s**2)
+
+    def a(at: Array) -> Array:
+        return -6 + np.imag(4 * np.exp(s * at) + 3 * np.exp(s * np.maximum(at - struck, 0.0)))
+
+    nan = np.full(len(t), np.nan)
+    seen = x(t) + 1e-6 * rng.standard_normal(len(t))
+    series = SensorRecord(ts, a(ts - delay) / gain + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
+    return problem(Displacement(t, seen, nan, nan, np.full(len(t), 1e-6), nan, np.ones(len(t), bool)), series)
+
+
+@pytest.mark.parametrize(("gain", "delay"), [(0.92, 2.3e-3), (1.1, 4.4e-3), (0.85, 0.7e-3), (-1.0, 2.3e-3)])
+def test_no_delay_of_a_ringing_slide_is_wrong_without_being_called_ambiguous(gain: float, delay: float) -> None:
+    for seed in range(3):
+        both = _ringing(seed, gain, delay)
+        aligned = align(both)
+        assert abs(aligned.offset + delay) < 5 * (aligned.sigma_offset or 0.0)
+        assert aligned.reason.startswith("ambiguous") == bool(aligned.rivals)
+        modes = [(aligned.offset, aligned.gain or 0.0, 1.0), *aligned.rivals]
+        assert min(abs(o + delay) + abs(g / gain - 1) for o, g, _ in modes) < 0.3
+        used = compare_with_camera(both, aligned).verdict == "consistent"
+        assert used == (not aligned.rivals and gain > 0)
+
+
+def test_one_rule_of_use_for_gains_that_a_sensitivity_explains() -> None:
+    for gain in (0.916, 0.93, 1.2):
+        compared = found(0, Sensor(gain=gain))[1]
+        assert compared.verdict == "consistent"
+        assert any("taken out as its sensitivity" in said for said in compared.says)
+    assert any("check scale and frame rate" in said for said in compared.says)
+
+
+def _clock(offset: float, gain: float, *rivals: list[float]) -> dict[str, object]:
+    return {"offset_s": offset, "gain": gain, "sigma_offset_s": 1e-5, "sigma_gain": 0.01, "rivals": list(rivals)}
+
+
+def test_one_sensor_has_one_sign_gain_and_delay_over_the_runs() -> None:
+    rival, good = [-2.31e-3, 0.93, 0.2], _clock(-2.3e-3, 0.92)
+    (said,) = implausible_sensors({"a": _clock(-0.66e-3, -0.97, rival), "b": good})
+    assert 'ambiguous; the other runs have 2.3 ms and 0.92, and so may this one: set offset = "-2.3 ms"' in str(said)
+    (said,) = implausible_sensors({"a": _clock(-0.66e-3, -0.97), "b": good, "c": good})
+    assert str(said).startswith('run "a": its accelerometer has 0.66 ms delay and gain -0.97 where the other runs have')
+    (said,) = implausible_sensors({"a": _clock(-0.66e-3, -0.97), "b": good})
+    assert "differs between the runs" in str(said)
+    assert not implausible_sensors({"a": good, "b": _clock(-7e-3, 0.9), "c": _clock(1.0, 0.95)})  # started by hand
+    ambiguous = [[-2.3e-3 - k / 300, 0.9, 0.3] for k in (1, 2)]
+    assert not implausible_sensors({"a": _clock(-2.3e-3, 0.9, *ambiguous), "b": _clock(-2.3e-3, 0.9, *ambiguous)})

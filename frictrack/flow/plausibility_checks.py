@@ -24,6 +24,7 @@ from frictrack.plausibility import (
     implausible_entries,
     implausible_inclines,
     implausible_masses,
+    implausible_sensors,
     implausible_slide,
     missing_incline,
     path_angle,
@@ -116,7 +117,7 @@ class Findings:
         self._check_once("tables", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
 
     def check_all_runs(self, pipelines: Sequence[RunPipeline]) -> None:
-        """Check masses and clocks of all runs against each other, also of runs that the user has marked as checked.
+        """Check masses, clocks and sensors of all runs against each other, also of runs that are marked as checked.
 
         Raises
         ------
@@ -129,6 +130,8 @@ class Findings:
         self._check_once("all", lambda: implausible_masses([pipeline.to_run() for pipeline in pipelines]))
         self._check_once("origins", lambda: different_origins({w.run.name: w.to_run() for w in pipelines}))
         self._check_once("clocks", lambda: implausible_clocks({w.run.name: w.to_run() for w in tables}, stated))
+        sensors = {w.run.name: w.get("sensors").clocks.get("a", {}) for w in pipelines if w.run.sensor is not None}
+        self._check_once("sensors", lambda: implausible_sensors(sensors))
 
     def _check_once(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:
         """Make a check unless it was made before."""

@@ -187,7 +187,7 @@ class _SensorReader:
             self.notes.append(f"{series.name}: its clock is {value} {side} the camera's; {found.reason}")
         elif not found.reason.startswith("as given"):
             self.notes.append(f"{series.name}: its clock could not be aligned with the camera's: {found.reason}")
-        if compared is not None and compared.verdict != "not compared":
+        if compared is not None and (found.rivals or compared.verdict != "not compared"):
             self.notes.append(f"{series.name} {_describe_agreement(compared)}")
 
     def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
@@ -235,6 +235,8 @@ def _describe_agreement(compared: SensorComparison) -> str:
     )
     if compared.verdict == "consistent":
         return "; ".join([f"agrees with the camera: {differ}", *compared.says])
+    if compared.verdict == "not compared":
+        return "; ".join(["is not used", *compared.says])
     return "; ".join(["disagrees with the camera and is not used", *compared.says, differ])
 
 
@@ -250,6 +252,7 @@ def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> d
         "bias": found.bias,
         "sigma_bias": found.sigma_bias,
         "reason": found.reason,
+        "rivals": [list(rival) for rival in found.rivals],
     }
     if compared is not None:
         keys = ("verdict", "p", "reduced_chi2", "rms_difference", "rms_expected", "window")

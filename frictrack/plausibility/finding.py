@@ -15,7 +15,7 @@ class Finding:
     Parameters
     ----------
     kind
-        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline".
+        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline", "sensor".
     words
         The sentence, the likely correction in it.
     correction

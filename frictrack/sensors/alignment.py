@@ -29,11 +29,18 @@ MAX_SEARCH_VALUES = 2e7  # that a search may compute; it bounds how far offsets 
 MIN_OVERLAP = 0.5  # share of the film that the sensor must cover
 MIN_DIFFERENCES = 16  # fewer differences cannot be aligned
 MIN_EXPLAINED_CHI2 = 30.0  # that the sensor must explain: over thousands of offsets, chance reaches 20
-MAX_RIVAL_CHI2 = 16.0  # within which another offset explains the record as well
+MAX_RIVAL_CHI2 = 40.0  # within which minima are compared; with any prior here, those beyond are impossible
+COARSE_SCAN_ERROR = 0.05  # of the chi2 that the sensor explains: error of a minimum of the scan before it is refined
+MAX_RIVAL_PROBABILITY = 1e-3  # of another offset, from which the alignment is ambiguous
+SAME_OFFSET_SIGMAS = 3.0  # standard deviations within which two minima are one offset
+LIKELY_SHARE = 0.01  # of the highest probability; of the offsets above it the nearest to 0 is stated
+NEGATIVE_GAIN_PRIOR = 0.05  # over that of a positive gain: more sensors are mounted the right way round
+GAIN_SPREAD = 0.2  # half-width of the prior of log |gain|, of Cauchy's shape: another unit stays possible
 MAX_ITERATIONS = 20
 MIN_RATE_SIGMAS = 4.0  # standard deviations from which the two clocks are reported to run at different rates
 MAX_RATE = 0.05  # relative; a record whose rate is off by more has no usable clock
 MIN_DIFFERENCES_FOR_RATE = 200  # differences from which a difference of rates can be measured
+MAX_GAIN_CHANGE = 1.5  # between the search and the refined alignment; more is another motion, such as a drift
 SEARCH_GAINS = (1.0, 1e-3)  # gains at which the sensor's noise is weighed in the search: its unit may be another
 FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which noises are compared
 ALPHA_WHITENESS = 1e-3  # significance level at which the residual is judged not to be white
@@ -63,6 +70,8 @@ class Alignment:
         Why the offset was chosen, or why it is not determined.
     level : float
         Factor on the variance of the sensor's noise; for a drive the variance of unknown forces.
+    rivals : tuple of (float, float, float)
+        Offset (s), gain and probability of other offsets that the data leave possible, the likeliest first.
 
     """
 
@@ -77,6 +86,7 @@ class Alignment:
     middle: float
     reason: str
     level: float = 1.0  # of the sensor's noise in variance; in the drive's case that of the forces nobody knows
+    rivals: tuple[tuple[float, float, float], ...] = ()
 
     def lag(self, t: Array) -> Array:
         """Compute by how much the sensor's clock is behind the camera's.
@@ -248,7 +258,7 @@ def _candidate_offsets(problem: AlignmentProblem) -> Array:
 
 
 def _search_offset(problem: AlignmentProblem) -> Alignment:
-    """The best of many offsets; its gain is None where none is significant."""
+    """The most probable of many offsets; its gain is None where none is significant."""
     for gain in SEARCH_GAINS if problem.sigma is not None else SEARCH_GAINS[:1]:
         found = _search_at_gain(problem, gain)
         if found.gain is not None:
@@ -257,29 +267,69 @@ def _search_offset(problem: AlignmentProblem) -> Alignment:
 
 
 def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
-    """The best of many offsets, with the sensor's noise weighted for this gain."""
+    """The most probable of many offsets, with the sensor's noise weighted for this gain."""
     frames, offsets = problem.frames, _candidate_offsets(problem)
     initial = replace(_unaligned(frames), gain=gain)
     level = _unmodelled_variance(problem, initial, sensor_included=False)
     misfit, none, gains = _scan(problem, offsets, initial, level)
+    lowest = int(np.argmin(misfit))
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
-        level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[np.argmin(misfit)])))
-        misfit, none, gains = _scan(problem, offsets, initial, level)
-    lowest = float(np.min(misfit))
+        level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[lowest])))
+        misfit, none, _ = _scan(problem, offsets, initial, level)
+    elif none - misfit[lowest] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at its likeliest gain
+        lowest = int(np.argmin(misfit - 2.0 * np.log(_gain_prior(gains))))
+        initial = replace(initial, gain=abs(float(gains[lowest])))
+        misfit, none, _ = _scan(problem, offsets, initial, level)
+    explained = none - float(np.min(misfit))
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
-    if none - lowest < MIN_EXPLAINED_CHI2:
+    if explained < MIN_EXPLAINED_CHI2:
         unseen = f"at no offset from {span} does it agree with the camera"
         return replace(_unaligned(frames), reason=f"{unseen}; 0 is kept")
-    rivals = _minima(
-        misfit, MAX_RIVAL_CHI2 + 4.0 * np.sqrt(4.0 * _sensor_dominated(problem, initial, level))
-    )  # each offset has its own noise
-    rivals = rivals if len(rivals) else np.array([np.argmin(misfit)])
-    rivals = rivals[np.argsort(np.abs(offsets[rivals]))]
-    reason = f"best of {span}"
-    if len(rivals) > 1:
-        reason = f"nearest to 0 of several that agree equally well ({1e3 * offsets[rivals[1]]:.4g} ms does, too)"
-    chosen = rivals[0]
-    return replace(initial, offset=float(offsets[chosen]), gain=float(gains[chosen]), level=level, reason=reason)
+    own_noise = 8.0 * _noise_products(problem, initial, level)
+    within = MAX_RIVAL_CHI2 + 4.0 * np.sqrt(own_noise) + COARSE_SCAN_ERROR * explained
+    at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial, level)
+    fall = (misfit - np.min(misfit)) / max(1.0, float(np.min(misfit)) / len(frames.z))
+    log_posterior = -2.0 * fall**2 / np.maximum(4.0 * fall + own_noise, 1e-300)
+    if problem.sigma is not None:  # the gain of a drive is a mass
+        log_posterior += np.log(_gain_prior(gains))
+    probability = np.exp(log_posterior - np.max(log_posterior))
+    probability /= np.sum(probability)
+    likely = np.flatnonzero(probability > LIKELY_SHARE * np.max(probability))
+    chosen = likely[np.argmin(np.abs(at[likely]))]
+    others = [k for k in np.argsort(-probability) if k != chosen and probability[k] > MAX_RIVAL_PROBABILITY]
+    rivals = tuple((float(at[k]), float(gains[k]), float(probability[k])) for k in others)
+    best = replace(initial, offset=float(at[chosen]), gain=float(gains[chosen]), level=level)
+    return replace(best, rivals=rivals, reason=f"best of {span}")
+
+
+def _refined_minima(
+    problem: AlignmentProblem, offsets: Array, misfit: Array, within: float, initial: Alignment, level: float
+) -> tuple[Array, Array, Array]:
+    """Offsets, chi2 and gains (k,) at the minima of a scan; a parabola on a finer grid gives each vertex."""
+    step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
+    k = _minima(misfit, within)
+    if not len(k):
+        k = np.array([np.argmin(misfit)])
+    else:
+        offsets = offsets + 0.0
+        offsets[k] += step * _vertex(misfit[k - 1], misfit[k], misfit[k + 1])
+    at, step = offsets[k], step / 4.0
+    around, _, _ = _scan(problem, (at[:, None] + step * np.arange(-1.0, 2.0)).ravel(), initial, level)
+    at = at + step * _vertex(*around.reshape(-1, 3).T)
+    misfit, _, gains = _scan(problem, at, initial, level)
+    return at, misfit, gains
+
+
+def _vertex(left: Array, middle_value: Array, right: Array) -> Array:
+    """Vertex of the parabola through three values, in steps from the middle, at most 2."""
+    curvature = left - 2.0 * middle_value + right
+    return np.clip((left - right) / (2.0 * np.where(curvature > 0.0, curvature, np.inf)), -2.0, 2.0)
+
+
+def _gain_prior(gain: Array) -> Array:
+    """Relative prior probability of gains: the right sign and unit are likeliest, others possible."""
+    size = np.log(np.maximum(np.abs(gain), 1e-300)) / GAIN_SPREAD
+    return np.where(gain < 0.0, NEGATIVE_GAIN_PRIOR, 1.0) / (1.0 + size**2)
 
 
 def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: float) -> tuple[Array, float, Array]:
@@ -298,13 +348,21 @@ def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: 
         power = np.sum(sensed**2, axis=0)
         gain = np.where(power > 1e-9 * size, residual @ sensed / np.maximum(power, 1e-300), 0.0)
         misfit[part], gains[part] = float(residual @ residual) - gain**2 * power, gain
-    return misfit, float(residual @ residual), gains
+    none = float(residual @ residual)
+    if problem.sigma is not None:  # `white` divides by the sensor's noise at one gain and over the whole film
+        ends, clock = frames.t[[0, -1]], problem.series.t[[0, -1]]
+        shared = np.minimum(ends[1], clock[1] + offsets) - np.maximum(ends[0], clock[0] + offsets)
+        covered = np.clip(shared / (ends[1] - ends[0]), 0.0, 1.0)
+        own_noise = len(frames.z) * float(np.mean(_sensor_share(problem, initial, level)))
+        ratio = np.minimum(np.abs(gains) / (initial.gain or 1.0), MAX_GAIN_CHANGE)  # no noise times a huge gain
+        misfit -= own_noise * covered * ratio**2
+    return misfit, none, gains
 
 
 def _table(problem: AlignmentProblem, offsets: Array) -> tuple[Array, Array]:
     """Differences of the sensor over three frames on a fine grid of its own clock: times and values."""
     frames, h = problem.frames, problem.frames.interval
-    ends = frames.t[frames.centre[[0, -1]]] - offsets[[-1, 0]]
+    ends = frames.t[frames.centre[[0, -1]]] - np.array([np.max(offsets), np.min(offsets)])
     count = int((ends[1] - ends[0]) / (TABLE_STEP * max(h, problem.series.interval))) + 2
     u = np.linspace(ends[0], ends[1], count)
     before, middle_value, after = (problem.series.integral(u + k * h, 2) for k in (-1.0, 0.0, 1.0))
@@ -317,11 +375,20 @@ def _with_drift(problem: AlignmentProblem) -> Array:
     return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.other_regressors], axis=1)
 
 
-def _sensor_dominated(problem: AlignmentProblem, initial: Alignment, level: float) -> float:
-    """Number of differences, at low frequency, in which the sensor's noise exceeds the camera's."""
+def _sensor_share(problem: AlignmentProblem, initial: Alignment, level: float) -> Array:
+    """Share of the sensor's noise in that of the differences, at `FREQUENCIES`."""
     covariance = _covariance(problem, 0.0, initial.gain or 1.0, level)
-    camera, whole = _spectrum(problem.frames.camera), _spectrum(covariance)
-    return len(problem.frames.z) * float(np.mean(np.clip(1.0 - camera / whole, 0.0, 1.0)))
+    return np.clip(1.0 - _spectrum(problem.frames.camera) / _spectrum(covariance), 0.0, 1.0)
+
+
+def _noise_products(problem: AlignmentProblem, initial: Alignment, level: float) -> float:
+    """Sum of share (1 - share) over all differences.
+
+    Camera times sensor noise is in chi2 of every offset; as each offset has other products, chi2 of two differs by
+    chance with 8 times this variance.
+    """
+    share = _sensor_share(problem, initial, level)
+    return len(problem.frames.z) * float(np.mean(share * (1.0 - share)))
 
 
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
@@ -523,10 +590,27 @@ def _accepted(problem: AlignmentProblem, initial: Alignment, found: Alignment) -
     """The alignment if its offset is significant, else 0 and the reason."""
     if found.gain is None or abs(found.gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
         return replace(_unaligned(problem.frames), reason="at no offset does it agree with the camera; 0 is kept")
+    if (
+        problem.sigma is not None
+        and not 1.0 / MAX_GAIN_CHANGE < found.gain / (initial.gain or np.inf) < MAX_GAIN_CHANGE
+    ):
+        return replace(_unaligned(problem.frames), reason="its gain is not determined; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)
     span = float(problem.frames.t[-1] - problem.frames.t[0])
     if found.sigma_offset is None or not 0.0 < found.sigma_offset < 0.1 * span:
         return replace(_unaligned(problem.frames), reason="its offset is not determined; 0 is kept")
     if abs(found.offset - initial.offset) > max(reach, 5.0 * found.sigma_offset):
         return replace(_unaligned(problem.frames), reason="its offset did not converge; 0 is kept")
-    return found
+    return _with_rivals(found)
+
+
+def _with_rivals(found: Alignment) -> Alignment:
+    """The alignment without rivals at the same offset, and with the others in its deviation and its reason."""
+    assert found.sigma_offset is not None
+    others = tuple(r for r in found.rivals if abs(r[0] - found.offset) > SAME_OFFSET_SIGMAS * found.sigma_offset)
+    if not others:
+        return replace(found, rivals=())
+    offset, gain, probability = others[0]
+    spread = np.sqrt(sum(p * (o - found.offset) ** 2 for o, _, p in others))
+    reason = f"ambiguous, {1e3 * offset:.4g} ms with gain {gain:.3g} agrees, too (probability {probability:.2g})"
+    return replace(found, rivals=others, reason=reason, sigma_offset=float(np.hypot(found.sigma_offset, spread)))

@@ -23,6 +23,7 @@ from frictrack.sensors.sensor_record import SensorRecord
 
 REPORT_SIGMAS = 3.0  # standard deviations from which a gain or a bias is reported
 GAIN_TOLERANCE = 0.05  # relative error of a sensor's sensitivity that is common
+MAX_GAIN_FACTOR = 1.3  # by which a sensitivity may be off; beyond it the sign, the unit or the sensor is another
 MAX_OFFSET_SIGMAS = 4.0  # standard deviations by which a given offset may differ from the data's
 MIN_CAUSE_SHARE = 0.5  # of the excess that one frequency, or one moment, must hold to be named as the cause
 N_MOMENTS = 12  # parts of the record that are searched for a single moment of disagreement
@@ -68,6 +69,10 @@ class SensorComparison:
 def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_error: float = 0.0) -> SensorComparison:
     """Compare an aligned accelerometer with the camera.
 
+    This is the only rule for its use. It is used ("consistent") if one offset alone is probable, its gain is that of a
+    sensor in m/s^2 within a factor `MAX_GAIN_FACTOR`, its zero error is below gravity, and the difference is white.
+    Gain and zero error are then taken out.
+
     Parameters
     ----------
     problem : AlignmentProblem
@@ -83,6 +88,9 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
         Verdict and findings.
 
     """
+    if alignment.rivals:
+        fixed = 'its clock is ambiguous: give the delay of your set-up, as in {table = "..", offset = "1.2 ms"}'
+        return SensorComparison("not compared", (fixed,))
     if alignment.gain is None or alignment.sigma_gain is None:
         return SensorComparison("not compared", (f"not compared with the camera: {alignment.reason}",))
     free = alignment.sigma_offset is not None
@@ -138,11 +146,12 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
 
 
 def _gain_fault(alignment: Alignment, scale_error: float) -> str:
-    """Report a gain beyond the tolerance of sensors, with its likely cause."""
+    """Report a gain that no sensitivity explains, with its likely cause; a smaller error is taken out."""
     gain, sigma = alignment.gain, alignment.sigma_gain
     assert gain is not None
     assert sigma is not None
-    if abs(gain - 1.0) <= GAIN_TOLERANCE + REPORT_SIGMAS * np.hypot(sigma, scale_error):
+    spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
+    if 1.0 / MAX_GAIN_FACTOR - spread <= gain <= MAX_GAIN_FACTOR + spread:
         return ""
     finding = f"its gain is {gain:.4g} +/- {sigma:.2g} instead of 1"
     if abs(gain) < REPORT_SIGMAS * sigma:
@@ -221,12 +230,11 @@ def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) ->
     """Findings about a sensor that are no disagreement."""
     found = []
     gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
-    if (
-        REPORT_SIGMAS * np.hypot(sigma, scale_error)
-        < abs(gain - 1.0)
-        <= GAIN_TOLERANCE + REPORT_SIGMAS * np.hypot(sigma, scale_error)
-    ):
-        found.append(f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says; taken out as its sensitivity")
+    spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
+    if abs(gain - 1.0) > spread and not _gain_fault(alignment, scale_error):
+        check = "; check scale and frame rate, forces go with both" if abs(gain - 1.0) > GAIN_TOLERANCE + spread else ""
+        seen = f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says"
+        found.append(f"{seen}; taken out as its sensitivity{check}")
     if REPORT_SIGMAS * (alignment.sigma_bias or 0.0) < abs(bias) <= GRAVITY:
         tilt = np.degrees(np.arcsin(abs(bias) / GRAVITY))
         found.append(f"its zero is off by {bias:.3g} m/s^2 (as a tilt of {tilt:.2g} deg would do); taken out")
