@@ -80,23 +80,13 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, spans)
-    _, scanned = entry_order(model)
-    # clock errors are found in simulation, for few runs
-    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
-    first = Model(tuple(e for e in model.effects if e not in later))
-    found, before = [], np.inf
+    found = []
     with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
-        start = _by_variable_projection(first, pieces, names, spans)
-        before = start.objective
-        found.append(_add_later(start, model, later))
-    if not found:
-        first, later, before = model, [], np.inf
+        found.append(_by_variable_projection(model, pieces, names, spans))
     can_grow = not any(e.relaxed for e in model.effects)  # a relaxed effect has too many parameters for a scan
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         with suppress(FrictrackError) if found else nullcontext():
-            start = _from_scratch(first, pieces, names, spans, before)
-            if start.objective < before:  # from the worse of two starts the later effects lead nowhere
-                found.append(_add_later(start, model, later))
+            found.append(_from_scratch(model, pieces, names, spans))
         for other in reversed_ties(model):
             with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
                 found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
@@ -106,8 +96,15 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 def _by_variable_projection(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
 ) -> Solution:
-    """The fit that variable projection starts. FrictrackError when nothing is left to start from."""
-    problem = LeastSquaresProblem(model, ParameterLayout(model, names, spans), pieces)
+    """The fit that variable projection starts; effects that it cannot scan are added afterwards.
+
+    FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
+    """
+    _, scanned = entry_order(model)
+    # clock errors are found in simulation, for few runs
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
+    first = Model(tuple(e for e in model.effects if e not in later))
+    problem = LeastSquaresProblem(first, ParameterLayout(first, names, spans), pieces)
     blocks = [displacement_block(p) for p in problem.pieces]
     separable = SeparableModel(problem.layout, blocks)
     search = variable_projection(separable)
@@ -119,7 +116,8 @@ def _by_variable_projection(
         separable = SeparableModel(problem.layout, blocks)
         projected = ProjectedProblem(separable, separable.data)
         state = projected.refine(projected.at(np.array([start_values[n] for n in problem.layout.names])))
-    return _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
+    solution = _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
+    return _add_later(solution, model, later) if later else solution
 
 
 def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
@@ -178,17 +176,15 @@ def _effect_with_ties(effect: Effect, ties: dict[tuple[str, str], Parameter]) ->
     return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
 
 
-def _from_scratch(
-    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], below: float = np.inf
-) -> Solution:
-    """One effect after the other, then all together to convergence while that may end `below`."""
+def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """One effect after the other, then all together to convergence."""
     plain, scanned = entry_order(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
     layout = ParameterLayout(Model(tuple(plain)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
-    return _add_later(solution, model, scanned, below)
+    return _add_later(solution, model, scanned)
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
@@ -210,16 +206,14 @@ def _fit_through_reversals(
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     guess = shoot_lengthening if any(p.slack for p in pieces) else best_on_grid
     solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
-    return _add_later(solution, model, later)
+    return _add_later(solution, model, later) if later else solution
 
 
-def _add_later(solution: Solution, model: Model, later: list[Effect], below: float = np.inf) -> Solution:
-    """Add the later effects of a model to the fit of the others, and refine to the end while that may lie `below`."""
-    if not later:
-        return solution
+def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
+    """Add the later effects of a model to the fit of the others, and refine to convergence."""
     for effect in later:  # also beside one that it would replace: the model names both
         solution = add_effect(solution, replace(effect, replaces=frozenset()))
-    return refine_to_end(reorder_effects(solution, model), below)
+    return refine_to_end(reorder_effects(solution, model))
 
 
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:

@@ -187,16 +187,11 @@ def fit_with_scatter(
 
 
 def refit_with_scatter(
-    solution: Solution,
-    tau: float,
-    *,
-    max_steps: int = MAX_STEPS_WITH_SCATTER,
-    min_fall: float = MIN_CHI2_FALL,
-    below: float = np.inf,
+    solution: Solution, tau: float, *, max_steps: int = MAX_STEPS_WITH_SCATTER, min_fall: float = MIN_CHI2_FALL
 ) -> Solution:
-    """Refine an existing solution and the scatter of its levels, while it may fall `below`; see `fit_with_scatter`."""
+    """Refine an existing solution and the scatter of its levels; see `fit_with_scatter`."""
     refinement = _Refinement.of(solution.problem, solution.p, scatter=True)
-    return refinement.run(solution.with_scatter(tau), max_steps, min_fall, below)
+    return refinement.run(solution.with_scatter(tau), max_steps, min_fall)
 
 
 @dataclass(frozen=True)
@@ -219,19 +214,15 @@ class _Refinement:
         random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER and not problem.layout.levels_free
         return cls(problem, (low, high), free is None, scatter and random)
 
-    def run(self, state: Solution, max_steps: int, min_fall: float, below: float = np.inf) -> Solution:
-        """Take damped steps from a state until one is predicted to gain less than `min_fall`.
-
-        It ends, too, where the steps left would not lead `below` if each gained as much as the next one promises.
-        """
+    def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
+        """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
         region = TrustRegion()
         if any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
         state, step = self.next_step(state, region)
-        for left in range(max_steps, 0, -1):
+        for _ in range(max_steps):
             threshold = min_fall * max(1.0, state.objective / max(self.problem.n_frames, 1))
-            needed = max(threshold, (state.objective - below) / left)
-            if step.predicted_fall < needed or self.problem.budget.stops():
+            if step.predicted_fall < threshold or self.problem.budget.stops():
                 break
             try:
                 trial = self.after_trial(state, step.values)

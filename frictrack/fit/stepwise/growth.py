@@ -196,9 +196,9 @@ def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: 
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
 
-def refine_to_end(solution: Solution, below: float = np.inf) -> Solution:
-    """Refine a model that `add_effect` has tried to convergence, while its objective may fall below a value."""
-    return refit_with_scatter(solution, solution.tau or 0.03, below=below)
+def refine_to_end(solution: Solution) -> Solution:
+    """Refine a model that `add_effect` has tried to convergence."""
+    return refit_with_scatter(solution, solution.tau or 0.03)
 
 
 def rebuild_problem(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
