@@ -14,8 +14,6 @@ or from a film:
 Names are imported when they are first used, so that `frictrack --help` starts quickly.
 """
 
-# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
-
 from __future__ import annotations
 
 import sys
@@ -68,7 +66,52 @@ _MODULE_OF = module_of(
 _RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
 _MODULES = ("models", "effects", "samples", "search", "simulate")
 
-__all__ = sorted([*_MODULE_OF, *_MODULES])  # noqa: PLE0605 - a list of strings
+__all__ = [  # written out: a type checker reads which names are public
+    "Comparison",
+    "CovariateTrends",
+    "Diagnosis",
+    "Displacement",
+    "Fit",
+    "FrictrackError",
+    "GroupFits",
+    "KnownAcceleration",
+    "Motion",
+    "Prior",
+    "Run",
+    "Track",
+    "__version__",
+    "align_track",
+    "bootstrap",
+    "budget",
+    "calibrate",
+    "compare",
+    "contact_sheet",
+    "covariance",
+    "cutoff_tradeoff",
+    "diagnose",
+    "differentiate",
+    "effect",
+    "effects",
+    "find_events",
+    "fit",
+    "free_section",
+    "friction",
+    "history",
+    "learn_target",
+    "low_pass",
+    "models",
+    "open_recording",
+    "plane_map",
+    "profile",
+    "repair",
+    "samples",
+    "search",
+    "simulate",
+    "suspect_spans",
+    "track",
+    "trend",
+    "with_earlier_runs",
+]
 
 
 class _Package(ModuleType):
