@@ -175,10 +175,8 @@ class Derivatives:
         Weights of the second differences that a sensor measured, (N - 2,).
     measured
         Unfiltered series on the grid, (N,), where the method derives from it.
-    best
-        Derivatives by the structural smoother, where another filter was asked for. Given the data, the motion lies
-        about these by their deviations, whatever the filter: the error of the filter asked for is what lies between,
-        noise that it passes and signal that it loses.
+    rows
+        The measured rows, where another filter than the structural smoother was asked for.
 
     """
 
@@ -190,7 +188,7 @@ class Derivatives:
     smoother: Smoother
     sensor_weights: Array | None = None
     measured: Array | None = None
-    best: Derivatives | None = None
+    rows: Displacement | None = None
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
@@ -215,11 +213,20 @@ class Derivatives:
         noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
         raw = None if measured is None else grid.to_frames(np.nan_to_num(measured))
         w = grid.to_frames(frame_weights(sigma, known))
-        best = None
+        rows = None
         if filtered.asked and measured is not None:
             none = np.full(len(x), np.nan)
-            best = cls.of_x(low_pass(Displacement(filtered.t, measured, none, none, sigma, none, known)))
-        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw, best=best)
+            rows = Displacement(filtered.t, measured, none, none, sigma, none, known)
+        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw, rows=rows)
+
+    @cached_property
+    def best(self) -> Derivatives | None:
+        """Derivatives by the structural smoother, where another filter was asked for.
+
+        Given the data, the true motion differs from these by their deviations, whatever the filter. So the error of the
+        filter asked for, noise that it passes and signal that it loses, is its distance from these and their error.
+        """
+        return None if self.rows is None else Derivatives.of_x(low_pass(self.rows))
 
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
