@@ -35,7 +35,7 @@ MIN_WIDTH_COURSE_SHARE, MAX_WIDTH_COURSE_SHARE = 1 / 120, 1 / 8  # of the course
 WIDTH_RATIO = 2.5  # between two widths of the search
 MAX_CENTRES = 250  # along a piece or along the course
 MIN_SPACING_FRAMES = 4.0  # frames between two centres; a displacement has no sharper bend
-MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain beside the model
+MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain outside the model
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class GlobalSignificance:
 
 @dataclass(frozen=True, eq=False)
 class BumpGrid:
-    """Bumps at all times of one piece, or at all places of the course, with their traces beside a model.
+    """Bumps at all times of one piece, or at all places of the course, with their traces, a model projected out.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ class BumpGrid:
         return np.asarray(np.sum([np.einsum("kn,kn->k", traces, traces) for _, traces in self.traces], axis=0))
 
     def norms(self, law: ModelProjection) -> Array:
-        """Norms (K,) of the traces beside the model with further columns, `law`; 0 where little is left of a trace."""
+        """Norms (K,) of the traces outside a model with further columns, `law`; 0 where little is left of a trace."""
         further = self.products(law.u[:, self.model.u.shape[1] :])
         left = self._squares - np.sum(self._on_model**2, axis=1) - np.sum(further**2, axis=1)
         return np.where(left > MIN_VISIBLE_SHARE * self._squares, np.sqrt(np.maximum(left, 0.0)), 0.0)
 
     def significances(self, law: ModelProjection) -> Array:
-        """Sizes (K,) of all bumps beside a model, each alone, in standard deviations."""
+        """Sizes (K,) of all bumps added to a model, each alone, in standard deviations."""
         norms = self.norms(law)
         dots = self.products(law.r[:, None])[:, 0]
         return np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0)

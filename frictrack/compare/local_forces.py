@@ -128,7 +128,7 @@ def find_local_forces(solution: Solution) -> LocalForces:
 
     Friction levels absorb misfit too: without a strong effect, a run may seem to have a twentieth of the friction. A
     large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
-    scatter of the levels is estimated again beside them, and the model is refitted together with them. If significant
+    scatter of the levels is estimated again with them, and the model is refitted together with them. If significant
     forces remain, the misfit is not local, and the search starts at the scatter of the fit.
 
     Parameters
@@ -160,7 +160,7 @@ def _with_scatter(found: LocalForces, tau: float) -> LocalForces:
 
 
 def _refitted(found: LocalForces) -> LocalForces:
-    """The search beside the model refitted together with the bumps; the same where no motion can be integrated."""
+    """The search in the model refitted together with the bumps; the same where no motion can be integrated."""
     solution = found.solution
     if not all(type(p) is Piece for p in solution.problem.pieces):
         return found
@@ -179,7 +179,7 @@ def _refitted(found: LocalForces) -> LocalForces:
 
 
 def _level_scatter(found: LocalForces) -> float:
-    """Estimate the scatter of the friction levels beside the bumps."""
+    """Estimate the scatter of the friction levels with the bumps."""
     solution, layout = found.model.solution, found.solution.problem.layout
     jac, data = solution.jac, solution.random_effect_data()
     q, _ = np.linalg.qr(bump_columns(found, found.bumps)[: len(data), :, 0])

@@ -172,7 +172,7 @@ def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
 def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
     """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
-    A local effect is searched again beside the model that contains it, over all widths; its fitted place may be wrong.
+    A local effect is searched again in the model that contains it, over all widths; its fitted place may be wrong.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
     search, forces = _search_without(solution, effect)

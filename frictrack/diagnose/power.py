@@ -159,7 +159,7 @@ def find_undetermined(
         Detection limits over all settings, by effect.
     grown
         The model with the effects found; None if there are none. A coefficient of the law is open if it is uncertain
-        with and without them: without them, its standard deviation also holds what the effects explain; beside them,
+        with and without them: without them, its standard deviation also holds what the effects explain; with them,
         it may be uncertain because one of them replaces its force.
 
     Returns
@@ -170,8 +170,8 @@ def find_undetermined(
     friction = mean_friction(first)
     uncertain = list(_uncertain_coefficients(fit.parameters, first, friction))
     if grown is not None and uncertain:
-        beside = {u.what for u in _uncertain_coefficients(linear_estimates(grown).parameters, first, friction)}
-        uncertain = [u for u in uncertain if u.what in beside]
+        of_grown = {u.what for u in _uncertain_coefficients(linear_estimates(grown).parameters, first, friction)}
+        uncertain = [u for u in uncertain if u.what in of_grown]
     found = [*_undetermined_parameters(fit), *uncertain]
     for scanned in first.scanned:
         name = scanned.effect.title

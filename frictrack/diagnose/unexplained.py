@@ -80,7 +80,7 @@ def unexplained_force(search: FormulaSearch, extended: Solution | None = None) -
     Parameters
     ----------
     search
-        The search of formulas beside the model.
+        The search of formulas added to the model.
     extended
         The fit with the effects found so far; the curve is what that leaves. Formulas are added to the model itself if
         possible.
@@ -116,7 +116,7 @@ def compare_with_formulas(
     Parameters
     ----------
     search
-        The search of formulas beside the model without the effects.
+        The search of formulas added to the model without the effects.
     found
         The model with the effects found.
     repeats

@@ -21,7 +21,7 @@ MIN_PERIODS = 3.0  # in the longest run; fewer are no oscillation
 
 @dataclass(frozen=True, eq=False)
 class FoundWaves:
-    """Waves beside a model.
+    """Waves added to a model.
 
     Parameters
     ----------

@@ -211,7 +211,7 @@ def _fit_through_reversals(
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
     """Add the later effects of a model to the fit of the others, and refine to convergence."""
-    for effect in later:  # also beside one that it would replace: the model names both
+    for effect in later:  # also with one that it would replace: the model names both
         solution = add_effect(solution, replace(effect, replaces=frozenset()))
     return refine_to_end(reorder_effects(solution, model))
 

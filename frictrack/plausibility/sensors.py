@@ -11,7 +11,7 @@ import numpy as np
 from frictrack.plausibility.finding import Finding
 
 MAX_GAIN_DIFFERENCE = 0.1  # relative, between runs of one sensor: the scale of each film is in it
-MAX_DELAY_DIFFERENCE = 2e-4  # s, beside the deviations: jitter of a trigger
+MAX_DELAY_DIFFERENCE = 2e-4  # s, in addition to the deviations: jitter of a trigger
 MAX_SIGMAS = 5.0
 MIN_PROBABILITY = 1e-3  # of what an alignment excludes; `sensors.alignment` states rivals from here
 MIN_ODDS = 100.0  # by which one delay and gain must lead to be called common

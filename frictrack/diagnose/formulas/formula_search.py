@@ -1,6 +1,6 @@
 """Search the most probable formulas of what a model leaves: known shapes over one variable, judged by their evidence.
 
-Every shape of `shapes` is tried over place, time and speed, resisting motion or not, beside the linearised model. The
+Every shape of `shapes` is tried over place, time and speed, resisting motion or not, added to the linearised model. The
 best are added to the model and fitted in full. Beside the model with the best formula all forms are then compared by
 their evidence, and the most probable are fitted in full. If significant misfit remains, a second term is fitted.
 """
@@ -42,12 +42,12 @@ from frictrack.fit.observations import keep_compared_frames
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
 
 N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full, unless one leaves only noise
-N_REFINED_FIRST, N_REFINED = 16, 300  # forms refined beside the bare model, and beside the model with a formula
+N_REFINED_FIRST, N_REFINED = 16, 300  # forms refined for the bare model, and for the model with a formula
 N_SHOWN = 6  # formulas reported
 MIN_RISE_COMPARED_AGAIN = 2.0  # of the fall of BIC by a better formula, for which all forms are compared again
 MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 MAX_EVIDENCE_BEHIND = 15.0  # of the logarithm of the evidence; a form further behind is not probable
-MAX_GAIN_ERROR = 0.01  # of a gain beside the linearised model, where the rest of the model moves far
+MAX_GAIN_ERROR = 0.01  # of a gain in the linearised model, where the rest of the model moves far
 MIN_CHI2_FALL = 0.01  # of a step of a formula that is compared with the best one
 
 
@@ -108,7 +108,7 @@ class FormulaSearch:
     def found(self, extended: Solution | None = None) -> list[FittedFormula]:
         """Return the formulas that fit what the model leaves, most probable first.
 
-        Where all leave significant misfit, they are also fitted beside `extended`, the model with the effects found.
+        Where all leave significant misfit, they are also added to `extended`, the model with the effects found.
         """
         found = self._found
         if extended is not None and not any(_is_noise(one.solution) for one in found.fitted.values()):
@@ -126,7 +126,7 @@ class FormulaSearch:
 
     @cached_property
     def _firsts(self) -> list[FittedFormula]:
-        """The most probable forms beside the model, fitted in full up to the first one that leaves only noise."""
+        """The most probable forms added to the model, fitted in full up to the first one that leaves only noise."""
         return self._fit_next(self.solution, (), self.forces, N_FIRST_FITTED)
 
     @cached_property
@@ -155,9 +155,9 @@ class FormulaSearch:
         return replace(both, none=max(single.free, float(np.log(PRIOR_NONE)) + left))
 
     def _compare_forms(self, best: FittedFormula) -> tuple[_Found, FittedFormula, list[int]]:
-        """Compare all forms of one term beside the model with the best one, and fit those that may be probable in full.
+        """Compare all forms of one term with the best one, each added to the model, and fit those that may be probable.
 
-        Where one of them proves better, all are compared beside that one once more.
+        Where one of them proves better, all are compared with that one once more.
         """
         for is_last in (False, True):
             compressed, unit = self._compress_without_formula(best.solution), _unit(best.solution)
@@ -238,7 +238,7 @@ class FormulaSearch:
         return None
 
     def _refit_model_effects(self, best: FittedFormula) -> FittedFormula:
-        """Refit effects of the model that fit better elsewhere beside the formula."""
+        """Refit effects of the model that fit better elsewhere together with the formula."""
         solution = best.solution
         for effect in entry_order(self.solution.problem.model)[1]:
             with suppress(FrictrackError):
@@ -252,7 +252,7 @@ def _weighed(
 ) -> _Found:
     """Weights of all forms, relative to the model without a formula.
 
-    They are half the fall of BIC of the best formula and the differences of evidence beside it, for forms fitted in
+    They are half the fall of BIC of the best formula and the differences of evidence to it, for forms fitted in
     full as they are there.
     """
     unit = _unit(best.solution)

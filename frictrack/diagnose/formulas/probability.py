@@ -2,7 +2,7 @@
 
 The evidence of a form is its likelihood averaged over its coefficients and parameters (Laplace's approximation; MacKay
 1992). Its prior halves with every coefficient, parameter and further operator. "None of these" competes with the forms:
-a smooth force of any shape in their place, and what a smooth force still explains beside the best of them.
+a smooth force of any shape in their place, and what a smooth force still explains after the best of them.
 
 References
 ----------
@@ -72,7 +72,7 @@ def smooth_evidence(compressed: CompressedResidual, power: float, unit: float = 
 
 
 def remaining_evidence(solution: Solution) -> float:
-    """Logarithm of the evidence that something is left beside a model: a smooth force, or misfit of any kind."""
+    """Logarithm of the evidence that something is left by a model: a smooth force, or misfit of any kind."""
     n = solution.problem.n_frames
     ratio = max(solution.chi2 / max(n - 2 * len(solution.responses) - len(solution.p), 1), 1.0)
     misfit = 0.5 * (n * (ratio - 1 - float(np.log(ratio))) - float(np.log(n)))

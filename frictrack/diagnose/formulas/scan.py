@@ -1,6 +1,6 @@
-"""Fit every form of the grammar beside a linearised model: a grid on splines, then variable projection for the best.
+"""Fit every form of the grammar added to a linearised model: a grid on splines, then variable projection for the best.
 
-Along an axis u every force is a spline through its values at a few hundred nodes. Its chi-squared beside the model is
+Along an axis u every force is a spline through its values at a few hundred nodes. Chi-squared of model and force is
 then a small quadratic form in these values, made once for a variable and shared by all shapes and settings over it.
 
 References
@@ -52,7 +52,7 @@ class Scan:
 
 
 def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refined: int, unit: float) -> Scan:
-    """Fit all forms at the settings of a grid beside the model, and refine at most `n_refined` of the best.
+    """Fit all forms at the settings of a grid added to the model, and refine at most `n_refined` of the best.
 
     A variable over which even a free curve gains less than the best form is left out. The forms that may be probable
     are refined once more at all points; `unit` is the reduced chi-squared of the model.

@@ -1,4 +1,4 @@
-"""Scan a candidate effect over a grid: the gain of every grid point beside the fitted model.
+"""Scan a candidate effect over a grid: the gain of every grid point added to the fitted model.
 
 A candidate's rows are the response of the measured motion to its force (or measurement shift), with the feedback of
 the fitted model. Phases enter as two quadratures with free coefficients; a modifier as the change that it makes at
@@ -108,12 +108,12 @@ class CandidateScan:
 
 
 def scan_candidates(law: LinearisedModel, grids: Sequence[CandidateGrid], series: ScannedSeries) -> list[CandidateScan]:
-    """Scan candidate grids beside a fitted model; see `scan_candidate`."""
+    """Scan candidate grids added to a fitted model; see `scan_candidate`."""
     return map_in_threads(lambda grid: scan_candidate(law, grid, series), grids)
 
 
 def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
-    """Scan a candidate grid beside a fitted model.
+    """Scan a candidate grid added to a fitted model.
 
     Parameters
     ----------

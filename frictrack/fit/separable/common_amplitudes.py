@@ -2,8 +2,8 @@
 
 The effect names its parts (`Effect.relaxed`): waves, which are linear where each has its own amplitude, and other
 columns. The waves of one amplitude make a sum, and one wave of either sum is taken as slow. The fast waves are found
-with free amplitudes, beside anything slow, at a few values of the parameter that several parts share, such as v_s. The
-slow waves are found beside them on a grid with the common amplitudes, and all are refined together. The run with the
+with free amplitudes, anything slow projected out, at a few values of the parameter that several parts share, such as
+v_s. The slow waves follow on a grid with the common amplitudes, and all are refined together. The run with the
 most frames is solved first; the other runs add only their own parameters.
 """
 
@@ -25,7 +25,7 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 SCAN_PLACES_FROM_END = (3, 6, 8)  # grid points from the end of the shared parameter's scan at which waves are searched
-MAX_WAVE_SETS = 4  # sets of fast waves beside which the slow ones are searched
+MAX_WAVE_SETS = 4  # sets of fast waves for each of which slow waves are searched
 MAX_RELAXED_MISFIT_RATIO = 1.5  # times the best misfit; relaxed fits beyond have the wrong waves
 MIN_FAST_PERIODS = 1.9  # periods per run above which a wave may be a fast one
 MAX_SLOW_PERIODS = 2.1  # and up to which it may be a slow one
@@ -34,7 +34,7 @@ MIXED_PERIODS = (2.2, 2.7, 3.2, 3.7, 4.2)  # frequencies in between, which may b
 MAX_CONFUSED_PERIODS = 1.5  # periods per run within which fast waves of two sums may be confused
 SAME_WAVE_PERIODS = 0.25  # periods per run; closer waves count as the same
 MAX_ASSIGNMENTS = 100  # choices of frequencies that are refined
-MAX_REASSIGNED_SETS = 8  # of these, beside which the slow waves are searched
+MAX_REASSIGNED_SETS = 8  # sets with reassigned frequencies for each of which slow waves are searched
 SAME_SET_PERIODS = 0.05  # periods per run; closer sets are not searched twice
 SLOW_STEP_PERIODS = 0.2  # periods per run between scanned slow waves
 SCAN_SHARED_VALUES = 10  # scanned values of the shared parameter
@@ -112,7 +112,7 @@ class Wave:
 
 @dataclass(frozen=True, eq=False)
 class WaveSet:
-    """Fast waves in a parameter vector (P,) of the full model, misfit beside anything slow, and periods per run.
+    """Fast waves in a parameter vector (P,) of the full model, misfit outside anything slow, and periods per run.
 
     `misses_wave` says that one more wave would explain far more than chance.
     """
@@ -326,7 +326,7 @@ class _RunSearch:
         return best
 
     def _slow_starts(self, p: Array, data: Array) -> Iterator[Array]:
-        """Parameter vectors (P,) at the best local minima over shared parameter and slow waves, beside those of p."""
+        """Parameter vectors (P,) with the fast waves of p, at the best minima over slow waves and shared parameter."""
         grid = np.pad(self._misfits(p, data), [(1, 1), (1, 1), (0, 0), (1, 1), (0, 0)], constant_values=np.inf)
         sides = [grid <= np.roll(grid, step, axis) for axis in range(grid.ndim) for step in (-1, 1)]
         places = np.argwhere(np.all(sides, axis=0) & np.isfinite(grid))
@@ -340,7 +340,7 @@ class _RunSearch:
     def _misfits(self, p: Array, data: Array) -> Array:
         """Misfits over shared parameter, and frequency and phase of both slow waves, (S, F, 8, F', 8).
 
-        Of two sums a and b beside other rows, which are projected out, the amplitudes solve (aa ab; ab bb) c = (ay by).
+        Of two sums a and b, other rows projected out, the amplitudes solve (aa ab; ab bb) c = (ay by).
         """
         others = [*self.other_rows, *(self._rows(g, {}, p) for g in self.other_effects)]
         basis = np.linalg.qr(np.concatenate(others, axis=1).transpose(0, 2, 1))[0]  # (S, M, k)
@@ -395,7 +395,7 @@ class _FreeWaves:
         return replace(self._wave_set(state), misses_wave=self.search.misses_effect(problem, state))
 
     def refined(self, periods: Array, data: Array) -> WaveSet:
-        """Return the waves refined from given periods; those hardly seen beside slow ones stay where they are."""
+        """Return the waves refined from given periods; those that slow waves nearly explain stay where they are."""
         problem, values, refined = self.search.problem(self._outside(data)), self.search.start_values(), list[int]()
         names = [name for _, name in self.addresses]
         for w, own in zip(self.waves, periods, strict=True):

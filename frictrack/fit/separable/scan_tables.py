@@ -251,7 +251,7 @@ class _Scanned:
 
 @dataclass(frozen=True, eq=False)
 class _CurrentSolution:
-    """The last solution and data, and the tables beside them by table and whether its points are paired."""
+    """The last solution and data, and the projected tables by table and whether its points are paired."""
 
     state: SeparableSolution
     data: Array
@@ -293,11 +293,11 @@ class ScanTables:
         return self._made[key]
 
     def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
-        """Compute the gain of every grid point of one more effect like an item beside a solution."""
+        """Compute the gain of every grid point of one more effect like an item added to a solution."""
         return self._projected_table(item, state, data).one_more(self._of(item).box)
 
     def best_positions(self, items: Sequence[ScanItem], state: SeparableSolution, data: Array) -> dict[ScanItem, Array]:
-        """Find missing effects beside a solution, one after the other, without any refinement.
+        """Find missing effects added to a solution, one after the other, without any refinement.
 
         Parameters
         ----------
@@ -319,11 +319,11 @@ class ScanTables:
         waiting: dict[int, list[ScanItem]] = {key: [] for key in tables}
         for item in items:
             waiting[id(self.table(item, state))].append(item)
-        beside = {key: self._projected_table(own[0], state, data) for key, own in waiting.items()}
+        projected = {key: self._projected_table(own[0], state, data) for key, own in waiting.items()}
         found: dict[ScanItem, Array] = {}
         largest = 0.0
-        while beside:
-            scans = {key: table.one_more(self._of(waiting[key][0]).box) for key, table in beside.items()}
+        while projected:
+            scans = {key: table.one_more(self._of(waiting[key][0]).box) for key, table in projected.items()}
             key, scan = max(scans.items(), key=lambda one: one[1].largest)
             if found and scan.largest < MIN_NEXT_GAIN_SHARE * largest:
                 return found
@@ -333,10 +333,10 @@ class ScanTables:
             if not len(points) or len(found) == len(items):
                 return found
             rows = tables[key].rows_at(self.separable.slices, points, weights)
-            placed = beside[key].placed(points, weights, rows @ rows.T)
-            beside = {
+            placed = projected[key].placed(points, weights, rows @ rows.T)
+            projected = {
                 k: table.reduced(placed, tables[k].products(self.separable.slices, rows))
-                for k, table in beside.items()
+                for k, table in projected.items()
                 if waiting[k]
             }
         return found
@@ -360,7 +360,7 @@ class ScanTables:
     def _projected_table(
         self, item: ScanItem, state: SeparableSolution, data: Array, in_pairs: bool = False
     ) -> ProjectedTable:
-        """The table of an item beside a solution, or of its neighbouring grid points; items share it."""
+        """The table of an item added to a solution, or of its neighbouring grid points; items share it."""
         table = self.table(item, state)
         last = self._last
         if last is None or last.state is not state or last.data is not data:

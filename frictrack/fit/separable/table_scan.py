@@ -1,4 +1,4 @@
-"""Compute the gains of all grid points of a scan beside a solution, in closed form.
+"""Compute the gains of all grid points of a scan added to a solution, in closed form.
 
 The free rows of the solution are projected out of the table. Where an effect of the solution moves to another grid
 point, its own rows come back by a low-rank update, so that one projection serves every move.
@@ -181,7 +181,7 @@ class FreeRows:
 
 @dataclass(frozen=True, eq=False)
 class PlacedEffect:
-    """An effect of C rows that is placed beside k rows.
+    """An effect of C rows that is added to k rows.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ class PlacedEffect:
 
 
 class ProjectedTable:
-    """A table beside a solution, whose free rows and friction levels are projected out.
+    """A table added to a solution, whose free rows and friction levels are projected out.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 Effects without a scan are in the model from the start. Then every grid point of every missing effect is tried at
 once, the best one is added, and all parameters are refined together before the next. A weak spectral line is
 otherwise hidden in the leakage of a strong line that is still on the grid. At the end each effect in turn is removed
-and scanned again beside all others. Every promising position is refined, and kept if the misfit falls.
+and scanned again with all others. Every promising position is refined, and kept if the misfit falls.
 
 References
 ----------
@@ -306,7 +306,7 @@ class VariableProjection:
         return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
 
     def _shares_and_losses(self, state: SeparableSolution) -> tuple[Array, Array]:
-        """Which share of each other's rows two of N items explain beside all others, (N, N), and what each gains (N,).
+        """Which share of each other's rows two of N items explain, all others given, (N, N), and what each gains (N,).
 
         All of it stands in the inverse Gram matrix, whose blocks are the covariances of the items' coefficients.
         """

@@ -11,7 +11,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import reported_value
 from frictrack.models import Model
 
-EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment beside its size
+EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment in addition to its size
 
 
 def bic_penalty(count: float, frames: int) -> float:

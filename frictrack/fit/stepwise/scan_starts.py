@@ -1,4 +1,4 @@
-"""Scan an effect beside a fitted model, and take start values from the best grid points, with their coefficients."""
+"""Scan an effect added to a fitted model, and take start values from the best grid points, with their coefficients."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ StartValues = dict[tuple[str, int | None], float]  # by parameter and run (None 
 
 
 def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
-    """Prepare an effect for a scan beside a fitted model.
+    """Prepare an effect for a scan added to a fitted model.
 
     Tied parameters are fixed at their current values; priors narrow the range of the scan.
 
@@ -56,7 +56,7 @@ def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
 
 
 def scan_effect(linearised: LinearisedModel, effect: Effect, series: ScannedSeries) -> list[CandidateScan]:
-    """Scan an effect beside a fitted model; none if the runs lack what it needs.
+    """Scan an effect added to a fitted model; none if the runs lack what it needs.
 
     Parameters
     ----------

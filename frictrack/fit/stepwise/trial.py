@@ -1,4 +1,4 @@
-"""Try an effect beside a fitted model: refine both along the measured motion, where coefficients are linear.
+"""Try an effect added to a fitted model: refine both along the measured motion, where coefficients are linear.
 
 The whole model is fitted together with the effect, so strong and weak effects are judged alike. A trial takes
 milliseconds. Several positions of the scan are tried, because the best grid point need not lead to the best fit.
@@ -19,7 +19,7 @@ from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty
 from frictrack.fit.stepwise.scan_starts import MIN_GAIN_SHARE, StartValues, starts_of_scans
 from frictrack.records import Array
 
-MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels beside a trial
+MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
@@ -129,7 +129,7 @@ def baseline_misfit(linearised: LinearisedModel) -> float:
 
 
 def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) -> float:
-    """Compute what a trial gains if the scatter of the friction levels is estimated beside its effect.
+    """Compute what a trial gains if the scatter of the friction levels is estimated with its effect.
 
     A trial keeps the scatter of the model without the effect. Of an effect that explains why runs differ, that hides
     nearly all: the levels would need no scatter. The scatter that is left is estimated from the levels, and again from
@@ -244,7 +244,7 @@ def _with_levels_at_one(problem: ProjectedProblem, state: SeparableSolution) -> 
 def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
     """Search those trials again that may be best but were not found in one scan.
 
-    Events of single runs were found one by one, beside a model that lacked them all. If much is missing, and no trial
+    Events of single runs were found one by one, in a model that lacked them all. If much is missing, and no trial
     reaches the noise, the model may be at a wrong position; then all quick scans are repeated. So it may be where a
     bound holds a scanned parameter of the model, which then imitates what is missing.
 
