@@ -22,7 +22,7 @@ CONTAINERS = ("avi", "mp4", "mkv")  # FFmpeg has a minute of its own in test_rec
 GROUPS = {
     "recordings": ("tiff", "cine", "cih", "cihx", "folder", *CONTAINERS),
     "texts": ("study", "address", "crate", "described", "scene", "formula", "unit", "scale", "lens", "log"),
-    "tables": ("table", "sheet", "workbook", "sensor", "store"),
+    "tables": ("table", "labview", "waveforms", "matlab", "sheet", "workbook", "sensor", "store"),
 }
 PIECES = (
     *(

@@ -367,7 +367,7 @@ def test_an_excel_table_is_read(folder: Path) -> None:
     [
         ("t_s,pos\n0,1\n1,2\n", {}, 'run.csv: expected a column "x_m" but got t_s, pos'),
         ("t_s,x_m\n0,1\n1,2\n", {"friction": "F (N)"}, 'expected a column "F (N)" but got t_s, x_m'),
-        ("t_s,x_m\n0,1\n1,\n2,3\n", {}, 'expected numbers in "x_m" but got nan in row 2'),
+        ("t_s,x_m\n0,1\n,2\n2,3\n", {}, 'expected numbers in "t_s" but got nan in row 2'),
         ("t_s,x_m\n0,1\n1,oops\n2,x\n", {}, 'expected numbers in "x_m" but got oops in row 2 and 1 more'),
         ("t_s,x_m\n0,1\n1,2\n1,3\n", {}, "expected rising time but got 1 s after 1 s in row 3"),
         ("t_s,x_m,sigma_m\n0,1,1\n1,2,0\n", {}, "expected standard deviations above 0 but got 0 m"),

@@ -544,7 +544,7 @@ def test_a_study_is_begun_with_the_files_of_other_programs(tmp_path) -> None:
     assert all(one.is_table and not one.problem for one in seen.values())
     assert seen["a.trk"].words == "2 rows, 0.00833 s of a Tracker export"
     assert seen["c.npy"].camera_keys == ("scale", "fps")
-    assert seen["dice"].columns_to_confirm == 'columns = {x = "subset 0 x (px)"}'
+    assert seen["dice"].columns_to_confirm == ['columns = {x = "subset 0 x (px)"}']
     assert seen["movement.nc"].camera_keys == ("scale",)
 
 

@@ -160,7 +160,7 @@ def start_study(
     faults = [f"{one.path.name}: {one.problem or _to_confirm(one)}" for one in found if not one.is_usable]
     if faults:
         raise FrictrackError("; ".join(faults))
-    write_study(path, [_new_run(one, keys) for one in found], keys)
+    write_study(path, [new for one in found for new in _new_runs(one, keys)], keys)
     try:
         study = open_study(path, allow_incomplete=allow_incomplete)
         if not allow_incomplete:
@@ -174,19 +174,16 @@ def start_study(
 def _to_confirm(one: Surveyed) -> str:
     return (
         f"{one.words}; `frictrack init {one.path.parent}` writes a study file, in which its columns are to be named: "
-        f"{one.columns_to_confirm}, {LEFT_OPEN[one.left_open]}"
+        f"{one.columns_to_confirm[0]}, {LEFT_OPEN[one.left_open]}"
     )
 
 
-def _new_run(one: Surveyed, keys: Mapping[str, Any]) -> NewRun:
-    """Return the entry of a run: the frame rate of its name, if nothing else tells it, and the columns of a table."""
-    entry: dict[str, Any] = {}
-    if one.fps and one.fps_source != FROM_FILE and not keys.get("fps"):
-        entry["fps"] = _whole(one.fps)
-    if one.columns:
-        entry["columns"] = one.columns
-    confirm = f"FILL IN the {one.left_open}: {one.columns_to_confirm}" if one.columns_to_confirm else ""
-    return NewRun(one.path, entry, confirm)
+def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[NewRun]:
+    """Return the entries of its runs: the frame rate of its name, if nothing else tells it, and columns of a table."""
+    rate = {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
+    if one.columns_to_confirm:
+        return [NewRun(one.path, rate, f"FILL IN the {one.left_open}: {line}") for line in one.columns_to_confirm]
+    return [NewRun(one.path, rate | ({"columns": columns} if columns else {})) for columns in one.runs]
 
 
 def _whole(rate: float | None) -> float | None:
@@ -232,7 +229,11 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
     remarks = _remarks(found, known)
     path = write_study(
-        folder / "study.toml", [_new_run(one, known) for one in found], known, commented=True, remarks=remarks
+        folder / "study.toml",
+        [new for one in found for new in _new_runs(one, known)],
+        known,
+        commented=True,
+        remarks=remarks,
     )
     return {
         "study": str(path),

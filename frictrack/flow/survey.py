@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
@@ -34,11 +34,12 @@ class Surveyed:
         Why it cannot be used; empty if it can.
     fps, fps_source
         Frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the camera's rate.
-    columns
-        Columns of a table by short name, if the headers tell them with their units.
+    runs
+        Columns of every run of a table by short name, if the headers tell them with their units; one run without
+        columns of anything else.
     columns_to_confirm
-        Line of the study file that names the columns, if the units are missing or one of several tracks is to be
-        chosen.
+        Lines of the study file that name the columns, one per run, if the units are missing or one of several tracks
+        is to be chosen.
     left_open
         What that line leaves open: "units" or "track".
     camera_keys
@@ -55,8 +56,8 @@ class Surveyed:
     problem: str = ""
     fps: float | None = None
     fps_source: str = ""
-    columns: Mapping[str, str] = field(default_factory=dict)
-    columns_to_confirm: str = ""
+    runs: Sequence[Mapping[str, str]] = ({},)
+    columns_to_confirm: Sequence[str] = ()
     left_open: str = "units"
     camera_keys: tuple[str, ...] = ()
     n_frames: int = 0
@@ -126,24 +127,28 @@ def rate_in_name(name: str) -> float | None:
 def _survey_table(path: Path) -> Surveyed:
     try:
         table = open_table(path, STANDARD)
-        if len(table.tracks) > 1:
+        if len(table.tracks) > 1 and not table.has_runs:
             return _several_tracks(path, table)
         columns = _columns(table)
-        if columns is not None and not has_units(columns) and columns:
-            return Surveyed(path, _unknown_units(table), columns_to_confirm=columns_line(columns))
-        if columns is None:
+        if columns is None and not table.has_runs:
             heads = ", ".join(map(str, table.frame.columns))
             return Surveyed(path, problem=f"no column of times and no column of positions in it, but {heads[:60]}")
-        data = read_table(path, columns, pixel=1.0, fps=1.0)
+        runs = [track.columns for track in table.tracks] if table.has_runs else [columns or {}]
+        if not all(has_units(one) or not one for one in runs):
+            return Surveyed(path, _unknown_units(table), columns_to_confirm=[columns_line(one) for one in runs])
+        read = [read_table(path, one, pixel=1.0, fps=1.0) for one in runs]
     except FrictrackError as e:
         return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
-    needed = _camera_keys(columns or table.columns)
-    length = f"{data.t[-1] - data.t[0] + 1:.0f} frames" if "fps" in needed else f"{data.t[-1] - data.t[0]:.3g} s"
-    words = f"{len(data.t)} rows, {length}"
+    needed = _camera_keys(runs[0] or table.columns)
+    ends = [data.t[-1] - data.t[0] for data in read]
+    lengths = ", ".join(f"{end + 1:.0f}" if "fps" in needed else f"{end:.3g}" for end in ends)
+    words = f"{', '.join(str(len(data.t)) for data in read)} rows, {lengths} {'frames' if 'fps' in needed else 's'}"
     named = f" of a {table.program} export" if table.program else ""
-    if columns:
-        named += "; " + ", ".join(f'{key} is "{header}"' for key, header in columns.items())
-    return Surveyed(path, words + named, columns=columns, camera_keys=needed, positions=None if needed else data.x)
+    if len(runs) > 1:
+        words = f"{len(runs)} runs of {words}"
+    for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
+        named += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
+    return Surveyed(path, words + named, runs=runs, camera_keys=needed, positions=None if needed else read[0].x)
 
 
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:
@@ -152,14 +157,14 @@ def _several_tracks(path: Path, table: TableFile) -> Surveyed:
     more = f" and {len(headers) - MAX_TRACKS_SHOWN} more" if len(headers) > MAX_TRACKS_SHOWN else ""
     shown = ", ".join(headers[:MAX_TRACKS_SHOWN]) + more
     words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {shown}"
-    line = columns_line({"x": headers[0]})
+    lines = [columns_line({"x": headers[0]})]
     needed = _camera_keys(table.tracks[0].columns)
-    return Surveyed(path, words, columns_to_confirm=line, left_open="track", camera_keys=needed)
+    return Surveyed(path, words, columns_to_confirm=lines, left_open="track", camera_keys=needed)
 
 
 def _camera_keys(columns: Mapping[str, str]) -> tuple[str, ...]:
     """Return the keys of the camera that some headers need."""
-    return tuple(key for key, unit in CAMERA_KEYS.items() if any(h.endswith(f"({unit})") for h in columns.values()))
+    return tuple(key for key, unit in CAMERA_KEYS.items() if any(f"({unit})" in h for h in columns.values()))
 
 
 def _columns(table: TableFile) -> dict[str, str] | None:
@@ -169,7 +174,9 @@ def _columns(table: TableFile) -> dict[str, str] | None:
     """
     proposed = propose_columns(table.frame, table.columns)
     heads = list(map(str, table.frame.columns))
-    if table.columns or all(any(head.split(" (")[0] == name for head in heads) for name in STANDARD):
+    if {"t", "x"} <= table.columns.keys() or all(
+        any(head.split(" (")[0] == name for head in heads) for name in STANDARD
+    ):
         return {}
     known = [key for key, name in zip(("t", "x"), STANDARD, strict=True) if name in heads or key in proposed]
     return proposed if len(known) == len(STANDARD) else None

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 
+from frictrack.errors import FrictrackError
 from frictrack.study.schema import COLUMNS
+from frictrack.units import parse_quantity
 
-UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
+UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]](?=\s*$|\s+(?:run|trial|set|data set)?\s*#?\d+\s*$)", re.IGNORECASE)
+"""Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"."""
+# What tells one of several runs in a table: "Data Set 1: Time (s)", "Time (s) Run #1", and a repeated "Time (s).1".
+_RUN_LABEL = re.compile(r"^.*:|(?:\b(?:run|trial|set|data set))?\s*#?\d+$|\.\d+$", re.IGNORECASE)
 # Usual names of a column, in English, German, French and Spanish; "/x" ends the names of one program.
 _USUAL_NAMES = {
     "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit|temps|tiempo"),
@@ -17,6 +23,7 @@ _USUAL_NAMES = {
     "friction": re.compile(r"friction|friction[ _]force|reibkraft"),
 }
 REQUIRED = ("t", "x")
+CAMERA_UNITS = {"px": "m", "frames": "s"}  # units that only the camera knows, and the unit they stand for
 
 
 def base_name(header: str) -> str:
@@ -29,6 +36,45 @@ def base_name(header: str) -> str:
 
     """
     return UNIT.sub("", header).strip()
+
+
+def quantity(header: str) -> str:
+    """Return what a column holds, in small letters: its header without its unit and the label of a run.
+
+    Examples
+    --------
+    >>> quantity("Data Set 1: Time (s)"), quantity("Position (m) Run #2"), quantity("x")
+    ('time', 'position', 'x')
+
+    """
+    return _RUN_LABEL.sub("", base_name(header).casefold()).strip()
+
+
+def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
+    """Return the columns of every run of a table that holds several, side by side; empty if it does not.
+
+    Every column of times begins a run; each run has a column of positions.
+
+    Parameters
+    ----------
+    present
+        The headers of the table.
+
+    Examples
+    --------
+    >>> runs_of_columns(["t 1 (s)", "x 1 (mm)", "t 2 (s)", "x 2 (mm)"])
+    [{'t': 't 1 (s)', 'x': 'x 1 (mm)'}, {'t': 't 2 (s)', 'x': 'x 2 (mm)'}]
+
+    """
+    clocks = [i for i, header in enumerate(present) if _USUAL_NAMES["t"].fullmatch(quantity(header))]
+    blocks = [present[i:j] for i, j in pairwise([*clocks, len(present)])]
+    lengths = [next((h for h in block if UNIT.search(h) and may_hold(h, "x")), None) for block in blocks]
+    found = [guess_columns(block, quantity) for block in blocks]
+    for columns, header in zip(found, lengths, strict=True):
+        if header is not None:
+            columns.setdefault("x", header)
+    whole = len(found) > 1 and all(run.keys() >= set(REQUIRED) for run in found)
+    return found if whole else []
 
 
 def find_header(written: str, present: Sequence[str]) -> str | None:
@@ -56,13 +102,15 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
     return alike[0] if len(alike) == 1 else None
 
 
-def guess_columns(present: Sequence[str]) -> dict[str, str]:
+def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name) -> dict[str, str]:
     """Guess time, position, height and friction by the usual names; a name that could be two columns is left out.
 
     Parameters
     ----------
     present
         The headers of the table.
+    name
+        Name of what a header holds.
 
     Examples
     --------
@@ -72,10 +120,36 @@ def guess_columns(present: Sequence[str]) -> dict[str, str]:
     """
     found = {}
     for key, names in _USUAL_NAMES.items():
-        alike = [header for header in present if names.fullmatch(base_name(header).casefold())]
+        alike = [header for header in present if names.fullmatch(name(header).casefold())]
         if len(alike) == 1 or (alike and key in REQUIRED and alike[0].endswith("/X")):
             found[key] = alike[0]
     return found
+
+
+def may_hold(header: str, key: str) -> bool:
+    """Return whether the unit of a column, if it states one, is that of a short name.
+
+    Parameters
+    ----------
+    header
+        The header of the column.
+    key
+        The short name, such as "x".
+
+    Examples
+    --------
+    >>> may_hold("Laser (mm)", "x"), may_hold("Force (N)", "x"), may_hold("Force", "x")
+    (True, False, True)
+
+    """
+    unit = UNIT.search(header)
+    if unit is None or CAMERA_UNITS.get(unit[1]) == COLUMNS[key][1]:
+        return True
+    try:
+        parse_quantity(f"1 {unit[1]}", COLUMNS[key][1], header)
+    except FrictrackError:
+        return False
+    return True
 
 
 def has_units(columns: Mapping[str, str]) -> bool:

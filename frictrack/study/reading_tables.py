@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import GRAVITY, Array
 from frictrack.remote import local_path
-from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns
+from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns, may_hold
 from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
@@ -27,6 +28,10 @@ MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
 MAX_NAMES_SHOWN = 12  # headers in a message
+DAY_S = 86400.0
+MAX_STEP_OF_DAYS = 1e-6  # between times without a unit: closer ones are days, as Excel counts them
+_ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
+_DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]\d")
 NO_COLUMNS: Mapping[str, str] = {}
 CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
     ("px", "m"): ("pixel", "scale", 'scale = "0.5 mm/px"'),
@@ -125,8 +130,9 @@ def read_table(
     _check_choice(table, columns, path.name)
     chosen = chosen_track(table, columns)
     camera = CameraUnits(pixel, 1.0 / fps if fps else None)
-    values = _read(_without_gaps(table, chosen.columns), path.name, chosen.columns, camera=camera)
-    return TableData(**values, notes=(chosen.note,) if chosen.note else ())
+    table, gaps = _without_gaps(table, chosen.columns)
+    values = _read(table, path.name, chosen.columns, camera=camera)
+    return TableData(**values, notes=tuple(note for note in (chosen.note, gaps) if note))
 
 
 def read_run_table(run: RunTable) -> TableData:
@@ -206,8 +212,8 @@ def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
         Headers that the study file gives; without any, those that the table knows.
 
     """
-    if not columns and len(table.tracks) != 1:
-        return TrackColumns(table.columns)
+    if len(table.tracks) != 1 and (not columns or not table.tracks):
+        return TrackColumns({**table.columns, **columns})
     for track in table.tracks:
         if _header_of_x(columns, [track.columns["x"]], track.columns["x"]) is not None:
             return replace(track, columns={**track.columns, **columns})
@@ -225,16 +231,26 @@ def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> No
     if len(table.tracks) < 2 or "x" in columns:
         return
     headers = [track.columns["x"] for track in table.tracks]
+    one, there = ("a run", "the table") if table.has_runs else ("a track", table.program)
     raise FrictrackError(
-        f"{name}: expected the name of a track, as {table.program} has {len(headers)}; choose one in its [[run]] with "
+        f"{name}: expected the name of {one}, as {there} has {len(headers)}; choose one in its [[run]] with "
         f"{columns_line({'x': headers[0]})}; known are {_listed(headers)}"
     )
 
 
-def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> TableFile:
-    """Return the frames of a video program in which the track has a position; a table of rows stays as it is."""
-    header = _header_of_x(columns, list(table.frame.columns)) if table.tracks else None
-    return table if header is None else replace(table, frame=table.frame[table.frame[header].notna()])
+def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> tuple[TableFile, str]:
+    """Return the rows that have a position, and a note on those between them that have none."""
+    present = [str(header).strip() for header in table.frame.columns]
+    header = _header_of_x(columns, present, COLUMNS["x"][0])
+    if header is None or present.count(header) > 1:
+        return table, ""
+    filled = table.frame.iloc[:, present.index(header)].notna().to_numpy()
+    if filled.all() or not filled.any():
+        return table, ""
+    inside = np.flatnonzero(filled)
+    gaps = int(inside[-1] - inside[0] + 1 - len(inside))
+    note = f"{gaps} of {len(inside) + gaps} rows have no position; they count as missing"
+    return replace(table, frame=table.frame[filled]), note if gaps and not table.tracks else ""
 
 
 def _wanted(columns: Mapping[str, str], known: Mapping[str, tuple[str, str]] = COLUMNS) -> set[str]:
@@ -271,6 +287,8 @@ def _read(
             gaps = known is not COLUMNS and key not in required
             factor = sign * _factor(written, header, standard, unit, camera)
             values[key], found = _column(frame[header], factor, gaps=gaps)
+            if key == "t" and factor == DAY_S and len(values[key]):
+                values[key] = values[key] - DAY_S * np.floor(frame[header].iloc[0])  # dates: seconds of the first day
             faults += found
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
@@ -321,15 +339,29 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     present = [str(header) for header in frame.columns]
     standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
     found = guess_columns([header for header in present if header not in standard.values()]) | standard | dict(columns)
+    numbers = {
+        i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])
+    }  # one may be there twice
+    clocks = [i for i, header in numbers.items() if may_hold(header, "t") and _rises_evenly(frame.iloc[:, i])]
+    if "t" not in found and len(clocks) == 1:
+        found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
+            "t": present[clocks[0]]
+        }
     for key in REQUIRED:
-        others = (  # by place: a header may be there twice
-            header
-            for i, header in enumerate(present)
-            if header not in found.values() and _are_numbers(frame.iloc[:, i])
-        )
+        others = (header for header in numbers.values() if header not in found.values() and may_hold(header, key))
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
+    if "t" in found and UNIT.search(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
+        steps = np.diff(_numbers(frame.iloc[:, present.index(found["t"])]))
+        if len(steps) and 0 < np.median(steps) < MAX_STEP_OF_DAYS:
+            found["t"] += " (d)"
     return {key: found[key] for key in COLUMNS if key in found and found[key] != COLUMNS[key][0]}
+
+
+def _rises_evenly(series: pd.Series[Any]) -> bool:
+    """Return whether a column may be a clock: every value is one interval, to half of it, above the one before."""
+    steps = np.diff(_numbers(series))
+    return len(steps) > 0 and bool(np.all(np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)))
 
 
 def _are_numbers(series: pd.Series[Any]) -> bool:
@@ -370,13 +402,27 @@ def _numbers(series: pd.Series[Any]) -> Array:
             numbers = pd.to_numeric(series, errors="coerce")
         except OverflowError:  # a whole number of more than 308 digits; written as text it is infinite
             numbers = pd.to_numeric(series.astype(str), errors="coerce")
-        values = np.array(numbers, dtype=float)
-    for i in np.flatnonzero(np.isnan(values) & series.notna().to_numpy()):
+        values = np.full(len(series), np.nan) if series.dtype.kind == "M" else np.array(numbers, dtype=float)
+    others = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
+    if len(others) and _DATE.match(str(series.iloc[int(others[0])]).strip()):
+        return _seconds_of_day(series)
+    for i in others:
         text = str(series.iloc[int(i)]).strip()
         if ":" not in text:
             break
         values[i] = _seconds(text)
     return values
+
+
+def _seconds_of_day(series: pd.Series[Any]) -> Array:
+    """Return the seconds of dates with times since the midnight before the first; NaN for other texts."""
+    import pandas as pd  # noqa: PLC0415
+
+    texts = series.astype(str).str.replace(",", ".")
+    iso = bool(_ISO_DATE.match(str(texts.iloc[0]).strip()))
+    how: dict[str, Any] = {"format": "ISO8601"} if iso else {"format": "mixed", "dayfirst": True}
+    moments = pd.to_datetime(texts, errors="coerce", utc=True, **how)
+    return np.array((moments - moments.min().normalize()).dt.total_seconds(), dtype=float)
 
 
 def _seconds(text: str) -> float:

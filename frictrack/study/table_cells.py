@@ -14,7 +14,7 @@ MAX_UNPACKED_BYTES = 256 << 20  # of a workbook, an XML file, or the tracks of a
 
 @dataclass(frozen=True, eq=False)
 class TrackColumns:
-    """The columns of one track of a video program.
+    """The columns of one track of a video program, or of one of several runs in a table.
 
     Parameters
     ----------
@@ -42,7 +42,10 @@ class TableFile:
     program
         The program that wrote it, such as "Tracker" or "Kinovea"; empty if it is not known.
     tracks
-        The tracks in a file of a video program. A frame in which one has no position is missing in this track.
+        The tracks in a file of a video program, or the runs that a table has side by side. A row in which one has no
+        position is missing in this track.
+    has_runs
+        Whether the tracks are runs of their own.
 
     """
 
@@ -50,3 +53,4 @@ class TableFile:
     columns: Mapping[str, str] = field(default_factory=dict)
     program: str = ""
     tracks: Sequence[TrackColumns] = ()
+    has_runs: bool = False

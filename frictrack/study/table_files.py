@@ -22,14 +22,16 @@ import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.study.column_names import runs_of_columns
 from frictrack.study.schema import COLUMNS
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile
+from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile, TrackColumns
 from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row, text_encoding
 from frictrack.study.track_formats import find_track_format
 from frictrack.study.xml_files import read_limited, read_xml
@@ -47,7 +49,7 @@ _STANDARD_UNITS = {header: unit for header, unit in COLUMNS.values()}
 
 
 def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
-    """Open a table.
+    """Open a table; several runs that it has side by side become its tracks.
 
     Parameters
     ----------
@@ -63,6 +65,13 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
         If it cannot be read as a table.
 
     """
+    table = _open_table(path, wanted)
+    runs = [TrackColumns(columns) for columns in runs_of_columns(list(map(str, table.frame.columns)))]
+    return replace(table, tracks=runs, has_runs=True) if runs and not table.tracks else table
+
+
+def _open_table(path: Path, wanted: Collection[str]) -> TableFile:
+    """Open a table, whatever program wrote it."""
     expected = "a table with a header line"
     try:
         if path.is_file() and path.stat().st_size == 0:
@@ -82,7 +91,8 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
                 return _kinovea_text(KINOVEA_TEXT + file.read())
         return _text_table(path, wanted)
     except ImportError as e:
-        raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
+        extra = {"openpyxl": "xlsx", "nptdms": "tdms"}.get(str(e.name), "xlsx")
+        raise FrictrackError(f"{path.name}: reading it needs {e.name}; pip install frictrack[{extra}]") from e
     except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
         raise FrictrackError(f"{path.name}: expected {expected} but cannot read it ({reason})") from e
@@ -127,7 +137,12 @@ def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
 
     layout = find_layout(path, wanted)
     how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "skiprows": layout.skipped or None}
-    frame = _named(pd.read_csv(path, comment="#", encoding=layout.encoding, **how))
+    by_place = layout.in_comment or any("#" in name for name in layout.header)  # pandas would skip what follows a #
+    if by_place:
+        how |= {"header": None, "skiprows": (*(layout.skipped or ()), layout.line)}
+    frame = _named(pd.read_csv(path, comment="#", encoding=layout.encoding, skipinitialspace=True, **how))
+    if by_place:
+        frame.columns = [*layout.header, *map(str, frame.columns[len(layout.header) :])][: len(frame.columns)]
     if all(is_number(name) for name in layout.header if name) and layout.header:
         raise ValueError(f"the first line holds numbers; write the names {', '.join(_STANDARD_UNITS)} above them")
     if layout.units or layout.groups:
@@ -141,7 +156,7 @@ def _recognised(frame: pd.DataFrame, groups: Sequence[str]) -> TableFile:
     names = list(map(str, frame.columns))
     if len({group for group in groups if group}) == 1 and names[:1] == ["t"] and "x" in names:
         columns = {key: header for key, header in _TRACKER_COLUMNS.items() if key in names}
-        return TableFile(frame[frame["x"].notna()], columns, "Tracker")  # a frame that was not marked has no position
+        return TableFile(frame, columns, "Tracker")  # a frame that was not marked has no position
     return TableFile(frame)
 
 

@@ -20,6 +20,9 @@ WHITESPACE = r"\s+"  # separator of columns that only spaces separate
 SEPARATORS = "\t;,"
 MIN_COLUMNS = 2
 FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number with a decimal sign
+_ONLY_NUMBERS = re.compile(r'[\d+\-.,;:eE\s"]+')  # a line that is no header
+_QUOTED = re.compile(r'"[^"]*"')
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _TIME_CODE = re.compile(r"-? ?\d+(?::\d+){1,3}(?:[.,]\d+)?")  # 0:00:01:25, 00:01.25
 _UNIT_CELL = re.compile(r"[(\[]?\s*([^()\[\]]{1,12}?)\s*[)\]]?")
@@ -45,6 +48,10 @@ class TableLayout:
         Numbers of the lines, from 0, that are neither header nor data.
     encoding
         Encoding of the text.
+    line
+        Number of the line of the header, from 0.
+    in_comment
+        Whether the header is a comment.
 
     """
 
@@ -55,10 +62,14 @@ class TableLayout:
     groups: tuple[str, ...] = ()
     skipped: tuple[int, ...] = ()
     encoding: str = "utf-8-sig"
+    line: int = 0
+    in_comment: bool = False
 
 
 def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
     """Find the layout of a text table. Empty lines and lines that begin with # do not count.
+
+    If the first line holds numbers, the comment above it is the header, provided that it has as many names.
 
     Parameters
     ----------
@@ -70,15 +81,19 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
     """
     encoding = text_encoding(path)
     with path.open(encoding=encoding) as file:
-        lines = ((i, line) for i, line in enumerate(_lines(file)) if line.strip() and not line.startswith("#"))
-        head = list(itertools.islice(lines, MAX_HEAD_LINES))
+        lines = ((i, line) for i, line in enumerate(_lines(file)) if line.strip())
+        seen = list(itertools.islice(lines, MAX_HEAD_LINES))
+        head = [(i, line) for i, line in seen if not line.startswith("#")]
+        in_comment = bool(head) and _ONLY_NUMBERS.fullmatch(head[0][1].strip()) is not None
+        above = [(i, line.lstrip("# ")) for i, line in seen if i < head[0][0]][-1:] if in_comment else []
+        head = [*above, *head]
         at = find_header([line for _, line in head], wanted)
         separator = _separator([line for _, line in head[at : at + 3]])
         rows = [split(line, separator) for _, line in head[at : at + 2]]
         below = rows[1] if len(rows) > 1 and is_units_row(rows[0], rows[1]) else []
         first = at + 2 if below else at + 1
         rest = itertools.chain(head[first:], lines)
-        decimal = "." if separator == "," else _decimal((line for _, line in rest), separator)
+        decimal = _decimal((line for _, line in rest), separator)
     if rows and len(rows[0]) > MAX_TEXT_COLUMNS:
         raise ValueError(f"{len(rows[0])} columns, at most {MAX_TEXT_COLUMNS} are read; keep time and position")
     number = head[at][0] if head else 0
@@ -90,6 +105,8 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         _groups(head[at - 1][1], separator) if at else (),
         (*range(number), *([head[at + 1][0]] if below else [])),
         encoding,
+        number,
+        bool(above) and at == 0 and len(rows) > 1 and len(rows[0]) == len(rows[1]),
     )
 
 
@@ -102,7 +119,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def text_encoding(path: Path) -> str:
-    """Return the encoding of a text: UTF-8, UTF-16 if it begins with its mark, else that of Windows in the West.
+    """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in the West.
 
     Instruments still write the letters of "µm" and "°" in the last one.
 
@@ -116,6 +133,9 @@ def text_encoding(path: Path) -> str:
         head = file.read(MAX_BYTES_DECODED)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
+    zeros = [head[i::2].count(0) for i in (0, 1)]  # of UTF-16 every second byte is 0, the second of each pair in LE
+    if max(zeros) > len(head) / 4:
+        return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -228,15 +248,16 @@ def _groups(line: str, separator: str) -> tuple[str, ...]:
 
 
 def _decimal(lines: Iterable[str], separator: str) -> str:
-    """Return the decimal sign of the first number that has one; the comma separates no columns."""
-    between = None if separator == WHITESPACE else separator
-    cells = (cell.strip() for line in lines for cell in line.split(between))
+    """Return the decimal sign of the first number that has one; between commas a decimal comma stands in quotes."""
+    cells = (cell for line in lines for cell in split(line, separator))
+    if separator == ",":
+        cells = (cell for cell in cells if not _THOUSANDS.fullmatch(cell))
     return next((sign[1] for cell in cells if (sign := FRACTION.match(cell))), ".")
 
 
 def _separator(head: Sequence[str]) -> str:
     """Return the character that stands equally often in the header and in the rows, and most often."""
-    counts = {sign: [line.count(sign) for line in head] for sign in SEPARATORS}
+    counts = {sign: [_QUOTED.sub("", line).count(sign) for line in head] for sign in SEPARATORS}
     best = max(counts, key=lambda sign: (len(set(counts[sign])) == 1 and counts[sign][0] > 0, sum(counts[sign][:1])))
     spaced = not any(counts[best]) and all(len(line.split()) > 1 for line in head)
     return WHITESPACE if spaced else best

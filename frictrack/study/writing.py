@@ -14,8 +14,19 @@ from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
-TRACKS = (".trk", ".trz", ".kva")  # of other programs
-TABLES = (*SURE_TABLES, *TRACKS, ".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy")  # from .txt on: perhaps others
+TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
+TABLES = (
+    *SURE_TABLES,
+    *TRACKS,
+    ".txt",
+    ".dat",
+    ".xml",
+    ".h5",
+    ".hdf5",
+    ".nc",
+    ".npy",
+    ".mat",
+)  # from .txt on: perhaps others
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -242,7 +253,8 @@ def _holds_times_and_positions(path: Path) -> bool:
 
     try:
         headers = table_headers(path)
-        if find_track_format(path) is not None:
+        found = find_track_format(path)
+        if found is not None and found.programs != "MATLAB":  # which keeps anything in its files
             return True
     except FrictrackError:
         return False
@@ -288,17 +300,17 @@ def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = 
         Folder of the study file.
     taken
         Names of other runs. A run is named by the stem of its recording, or by the whole name if the stem is not
-        unique.
+        unique; several runs of one recording are numbered.
 
     """
-    stems = [p.stem.casefold() for p in recordings] + [name.casefold() for name in taken]
-    return [
-        {
-            "name": p.stem if stems.count(p.stem.casefold()) == 1 else p.name,
-            "table" if is_table(p) else "video": Path(os.path.relpath(p, folder)).as_posix(),
-        }
-        for p in recordings
-    ]
+    stems = [p.stem.casefold() for p in dict.fromkeys(recordings)] + [name.casefold() for name in taken]
+    tables = []
+    for i, p in enumerate(recordings):
+        name = p.stem if stems.count(p.stem.casefold()) == 1 else p.name
+        number = f"_{recordings[: i + 1].count(p)}" if recordings.count(p) > 1 else ""
+        path = Path(os.path.relpath(p, folder)).as_posix()
+        tables.append({"name": f"{name}{number}", "table" if is_table(p) else "video": path})
+    return tables
 
 
 def with_blank_line(table: Any) -> Any:

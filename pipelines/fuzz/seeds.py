@@ -16,7 +16,9 @@ import cv2
 import h5py
 import numpy as np
 import pandas as pd
+import scipy.io
 import tifffile
+from nptdms import ChannelObject, TdmsWriter
 
 from frictrack import store
 from frictrack.crate.metadata import METADATA, MOVED
@@ -98,6 +100,45 @@ def workbook() -> bytes:
     """A workbook of a short table."""
     table = pd.DataFrame({"t_s": np.arange(5) / 1000, "x_m": np.linspace(0, 1, 5)})
     return made("table.xlsx", lambda path: table.to_excel(path, index=False))
+
+
+LABVIEW = """LabVIEW Measurement\t
+Separator\tTab
+Decimal_Separator\t.
+X_Columns\tOne
+***End_of_Header***\t
+\t
+Channels\t1
+Y_Unit_Label\tmm
+***End_of_Header***\t
+X_Value\tLaser\tComment
+0.000\t0.5
+0.001\t1.5
+0.002\t2.4
+"""
+
+
+def labview() -> bytes:
+    """A short measurement of LabVIEW."""
+    return LABVIEW.encode()
+
+
+@cache
+def waveforms() -> bytes:
+    """The same as a binary file."""
+    said = {"wf_increment": 1e-3, "unit_string": "mm"}
+
+    def write(path: Path) -> None:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("g", "Laser", np.linspace(0.5, 2.4, 5), properties=said)])
+
+    return made("run.tdms", write)
+
+
+@cache
+def matlab() -> bytes:
+    """Two variables of MATLAB."""
+    return made("run.mat", lambda path: scipy.io.savemat(path, {"t": np.arange(5) / 1000, "x": np.linspace(0, 1, 5)}))
 
 
 def workbook_of(sheet: bytes) -> bytes:

@@ -35,7 +35,8 @@ from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_l
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import header_of
-from frictrack.study import load, parse, read_sensor_table, read_table, with_key
+from frictrack.study import load, open_table, parse, propose_columns, read_sensor_table, read_table, with_key
+from frictrack.study.table_cells import TrackColumns
 from frictrack.units import is_coherent, parse_quantity
 from frictrack.version import __version__
 
@@ -225,6 +226,19 @@ def table(data: bytes, folder: Path) -> None:
     _sound(read_table(path))
 
 
+def instrument(suffix: str) -> Use:
+    """A run in the file of an instrument."""
+
+    def use(data: bytes, folder: Path) -> None:
+        path = folder / f"run{suffix}"
+        path.write_bytes(data)
+        table = open_table(path)
+        for track in table.tracks or [TrackColumns(propose_columns(table.frame, table.columns))]:
+            _sound(read_table(path, track.columns))
+
+    return use
+
+
 def workbook(data: bytes, folder: Path) -> None:
     """A run as an Excel table, of which the XML of the sheet is fuzzed."""
     path = folder / "table.xlsx"
@@ -241,7 +255,7 @@ def packed(data: bytes, folder: Path) -> None:
 
 def _sound(read: object) -> None:
     for name, values in vars(read).items():
-        assert values is None or np.all(np.isfinite(values)), name
+        assert values is None or name == "notes" or np.all(np.isfinite(values)), name
 
 
 def sensor(data: bytes, folder: Path) -> None:
@@ -420,6 +434,9 @@ TARGETS = {
         Target("unit", lambda: seeds.texts("0.350 +/- 0.002 kg", "(350 ± 2) g", "1e3 +/- 1% mg^2/g"), unit, 200),
         Target("scale", lambda: seeds.texts("0.500 +/- 0.002 mm/px", "5e-4"), scale, 200),
         Target("table", lambda: seeds.texts(CSV, GERMAN), table),
+        Target("labview", lambda: [seeds.labview()], instrument(".lvm")),
+        Target("waveforms", lambda: [seeds.waveforms()], instrument(".tdms")),
+        Target("matlab", lambda: [seeds.matlab()], instrument(".mat")),
         Target("sheet", lambda: [seeds.sheet()], workbook),
         Target("workbook", lambda: [seeds.workbook()], packed, 1 << 14),
         Target("sensor", lambda: seeds.texts(CLOCKED), sensor),

@@ -1,4 +1,4 @@
-"""Read the tracks of other video programs as tables: which format a file has, and who reads it.
+"""Read the files of other programs as tables: which format a file has, and who reads it.
 
     tracker_project      Tracker (Open Source Physics): .trk, .trz
     kinovea_project      Kinovea: .kva
@@ -6,6 +6,7 @@
     hdf5_tracks          DeepLabCut .h5, movement .nc, SLEAP .h5; `hdf5_contents` reads them in another process
     dice_solution        DICe: a folder of solutions, or the solution of one subset
     pyidi_displacements  pyidi: .npy
+    instruments          LabVIEW: .lvm, .tdms; MATLAB: .mat
     track_table          positions of several tracks -> one table
 
 A new format is one module and one line in `FORMATS`.
@@ -21,6 +22,12 @@ from frictrack.study.table_cells import TableFile
 from frictrack.study.track_formats.deeplabcut import is_deeplabcut_text, read_deeplabcut_text
 from frictrack.study.track_formats.dice_solution import is_dice_file, is_dice_folder, read_dice
 from frictrack.study.track_formats.hdf5_tracks import is_hdf5, read_hdf5_tracks
+from frictrack.study.track_formats.instruments import (
+    is_labview_text,
+    read_labview_text,
+    read_matlab,
+    read_tdms,
+)
 from frictrack.study.track_formats.kinovea_project import is_kinovea_project, read_kinovea_project
 from frictrack.study.track_formats.pyidi_displacements import read_pyidi_displacements, refuse_pickle
 from frictrack.study.track_formats.tracker_project import read_tracker_project
@@ -52,6 +59,10 @@ class TrackFormat:
 
 
 FORMATS = (
+    TrackFormat("LabVIEW", (".lvm",), read_labview_text),
+    TrackFormat("LabVIEW", (".txt", ".csv", ".tsv", ".dat"), read_labview_text, is_labview_text),
+    TrackFormat("LabVIEW", (".tdms",), read_tdms),
+    TrackFormat("MATLAB", (".mat",), read_matlab),
     TrackFormat("Tracker", (".trk", ".trz"), read_tracker_project),
     TrackFormat("Kinovea", (".kva",), read_kinovea_project),
     TrackFormat("Kinovea", (".xml",), read_kinovea_project, is_kinovea_project),

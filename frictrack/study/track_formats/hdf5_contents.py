@@ -1,20 +1,22 @@
-"""Read the tracks in an HDF5 file of DeepLabCut, movement or SLEAP, in a process of their own.
+"""Read the tracks in HDF5 of DeepLabCut, movement or SLEAP, or the numbers of MATLAB, in a process of their own.
 
     python -c "from frictrack.study.track_formats.hdf5_contents import run; run()" FILE    # writes arrays as .npz
 
 - DeepLabCut: a table of pandas (``DataFrame.to_hdf`` with ``format="table"``). The names of its columns are a pickle;
   only its texts are read, nothing in it is executed.
 - movement: netCDF-4, ``position`` (time, space, keypoints, individuals) and ``confidence``; names in dimension scales.
+- MATLAB 7.3: numeric variables, those of structures in groups; arrays are stored with their axes reversed. Files of
+  earlier versions are read by SciPy.
 - SLEAP: analysis file, ``tracks`` (individuals, space, keypoints, frames), ``node_names``, ``track_names``.
 
-No other module of this package knows HDF5: on malicious bytes it may crash or never return.
+No other module of this package knows HDF5 or MATLAB: on malicious bytes their readers may crash or never return.
 """
 
 from __future__ import annotations
 
 import pickletools
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,11 @@ MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
 MAX_PICKLE_BYTES = 1 << 22
 _MARK = object()  # where a tuple or list begins
+MATLAB_NUMBERS = (
+    b"double",
+    b"single",
+    *(f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)),
+)
 DEEPLABCUT_KEY = "df_with_missing"
 TRACK_DIMENSIONS = ("individual", "keypoint")  # movement 0.x writes the plural
 
@@ -58,7 +65,7 @@ def contents(path: Path) -> dict[str, Any]:
     dict of str to ndarray
         Of DeepLabCut "names" (k, levels), "frames" (n,) and "values" (n, k); of others "program", "source" (the program
         that tracked), "names" (m, 2) of individual and keypoint, "at" (n,), "in_seconds", "x", "y" and "confidence",
-        (m, n), NaN where not known.
+        (m, n), NaN where not known. Of MATLAB the numeric variables by their names.
 
     Raises
     ------
@@ -66,7 +73,11 @@ def contents(path: Path) -> dict[str, Any]:
         If it is of another kind.
 
     """
+    if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
+        return dict(_matlab_variables(path))
     with h5py.File(path, "r", locking=False) as file:
+        if any("MATLAB_class" in one.attrs for one in file.values()):
+            return _matlab(file)
         if DEEPLABCUT_KEY in file:
             return _deeplabcut(file)
         if "position" in file:
@@ -104,6 +115,32 @@ def _texts(parent: h5py.Group, name: str) -> list[str]:
 
 def _text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _matlab_variables(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    """Yield the numbers in a file of MATLAB 7.2 or earlier, by the path of their names."""
+    import scipy.io  # noqa: PLC0415 - takes long to load
+
+    size = 8 * sum(np.prod(shape, dtype=float) for _, shape, _ in scipy.io.whosmat(path))
+    if size > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB when unpacked")
+    found = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+    yield from _fields({name: value for name, value in found.items() if not name.startswith("__")}, "")
+
+
+def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    for name, value in values.items():
+        if hasattr(value, "_fieldnames"):
+            yield from _fields({field: getattr(value, field) for field in value._fieldnames}, f"{before}{name}.")
+        elif np.asarray(value).dtype.kind in "fiu" and np.ndim(value) <= 2:
+            yield f"{before}{name}", np.asarray(value)
+
+
+def _matlab(file: h5py.File) -> dict[str, Any]:
+    names: list[str] = []
+    file.visititems(lambda name, one: names.append(name) if one.attrs.get("MATLAB_class") in MATLAB_NUMBERS else None)
+    found = {name.replace("/", "."): np.squeeze(_numbers(file, name).T) for name in names[:MAX_NAMES]}
+    return {name: values for name, values in found.items() if values.ndim <= 2}
 
 
 def _deeplabcut(file: h5py.File) -> dict[str, Any]:

@@ -50,9 +50,7 @@ def read_hdf5_tracks(path: Path) -> TableFile:
         If it is damaged, or of another program.
 
     """
-    found = _contents(path)
-    if "error" in found:
-        raise ValueError(str(found["error"]))
+    found = read_arrays(path)
     if "frames" in found:
         return deeplabcut_table([tuple(map(str, name)) for name in found["names"]], found["frames"], found["values"])
     at, source = found["at"], str(found["source"])
@@ -65,8 +63,8 @@ def read_hdf5_tracks(path: Path) -> TableFile:
     return table_of_tracks(str(found["program"]), tracks, SECONDS if found["in_seconds"] else FRAMES)
 
 
-def _contents(path: Path) -> Mapping[str, Any]:
-    """Return the arrays that the other process finds in a file."""
+def read_arrays(path: Path) -> Mapping[str, Any]:
+    """Return the arrays that the other process finds in a file; `ValueError` if it cannot read it."""
     size = path.stat().st_size
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB")
@@ -78,8 +76,11 @@ def _contents(path: Path) -> Mapping[str, Any]:
     try:
         done = subprocess.run(call, capture_output=True, timeout=timeout, check=False)
     except subprocess.TimeoutExpired as e:
-        raise ValueError(f"HDF5 could not open it within {timeout:.0f} s; it is damaged") from e
+        raise ValueError(f"it could not be opened within {timeout:.0f} s; it is damaged") from e
     if done.returncode != 0:
-        raise ValueError("HDF5 could not open it; it is damaged")
+        raise ValueError("it could not be opened; it is damaged")
     with np.load(BytesIO(done.stdout), allow_pickle=False) as arrays:
-        return dict(arrays)
+        found = dict(arrays)
+    if "error" in found:
+        raise ValueError(str(found["error"]))
+    return found

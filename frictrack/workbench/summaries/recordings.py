@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -64,7 +65,7 @@ def list_recordings(snapshot: Snapshot) -> list[RecordingEntry]:
     ]
 
 
-def _why_skipped(problem: str, columns: str) -> str | None:
+def _why_skipped(problem: str, columns: Sequence[str]) -> str | None:
     if problem:
         return problem
-    return f"expected headers with units but got none; name them in the study file: {columns}" if columns else None
+    return f"expected headers with units but got none; name them in the study file: {columns[0]}" if columns else None
