@@ -38,6 +38,16 @@ def test_noise_is_estimated_or_given():
     assert np.all(ft.Run.from_arrays(T, noisy(), mass=MASS, sigma=1e-6).displacement.sigma_x == 1e-6)
 
 
+def test_a_text_with_a_unit_is_taken_wherever_a_number_is() -> None:
+    said = {"normal_load": "9.8 N", "incline": "3 deg", "drive": "250 mN", "sigma": "1 um", "free": ("10 ms", "0.02 s")}
+    run = ft.Run.from_arrays(T, noisy(), mass="350 g", **said)
+    assert (run.normal_load, run.incline, run.free) == (9.8, pytest.approx(np.deg2rad(3)), (0.01, 0.02))
+    assert np.all(run.drive == 0.25)
+    assert np.all(run.displacement.sigma_x == 1e-6)
+    with pytest.raises(FrictrackError, match="normal_load"):
+        ft.Run.from_arrays(T, noisy(), mass=MASS, normal_load="9.8 kg")
+
+
 def test_a_dataframe_in_other_units_is_the_same_run():
     x = noisy()
     frame = pd.DataFrame({"Time (ms)": 1e3 * T, "pos (mm)": -1e3 * x, "remark": "none"})

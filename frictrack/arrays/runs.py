@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from frictrack.errors import raise_faults
 from frictrack.motion import differentiate, low_pass
 from frictrack.plausibility import EnteredValues, implausible_entries, implausible_slide
 from frictrack.records import Array, Run
-from frictrack.study import TableData, read_frame
+from frictrack.study import COLUMNS, TableData, read_frame
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
@@ -75,7 +75,8 @@ def run_of_dataframe(
 def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
-        array = np.asarray(values, dtype=np.float64)
+        number = parse_quantity(values, COLUMNS[name][1], name)[0] if isinstance(values, str) else values
+        array = np.asarray(number, dtype=np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
     if array.ndim == 0 and name not in ("t", "x"):
@@ -97,10 +98,19 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     weighed, sigma_mass = (None, 0.0) if mass is None else parse_quantity(mass, "kg", "mass")
     table = with_even_clock(data)
     displacement, forces = displacement_of_even_table(table), table.data
-    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction, **settings}
+    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
+    given |= {name: _in_si(name, value) for name, value in settings.items()}
     run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
     _warn_of_other_units(run, has_unit=isinstance(mass, str))
     return run
+
+
+def _in_si(name: str, value: Any) -> Any:
+    """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
+    if isinstance(value, tuple | list):
+        return tuple(_in_si(name, part) for part in value)
+    units = {one.name: one.metadata.get("unit") for one in fields(Run)} | {"free": "s"}
+    return parse_quantity(value, units[name], name)[0] if isinstance(value, str) and units.get(name) else value
 
 
 def _warn_of_other_units(run: Run, *, has_unit: bool) -> None:
