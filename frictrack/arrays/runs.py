@@ -109,8 +109,9 @@ def _in_si(name: str, value: Any) -> Any:
     """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
     if isinstance(value, tuple | list):
         return tuple(_in_si(name, part) for part in value)
-    units = {one.name: one.metadata.get("unit") for one in fields(Run)} | {"free": "s"}
-    return parse_quantity(value, units[name], name)[0] if isinstance(value, str) and units.get(name) else value
+    units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
+    unit = units.get(name, "")
+    return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
 
 
 def _warn_of_other_units(run: Run, *, has_unit: bool) -> None:
