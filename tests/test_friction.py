@@ -9,7 +9,8 @@ from repeats import few_or_many
 from scipy.integrate import solve_ivp
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import free_section, friction, moving_sections, release_time
+from frictrack.fit import fit
+from frictrack.friction import free_section, friction, impact, moving_sections, release_time
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import GRAVITY, Displacement, Motion, Run
 
@@ -178,7 +179,7 @@ FURTHER = [pytest.param(*row, marks=pytest.mark.slow) for row in ((-3.0, 1), (-2
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("degrees", "seed"), [(-3.0, 0), (-5.0, 3), *FURTHER])
-def test_places_rounded_to_1_cm_show_the_first_bounce_on_a_buffer(degrees, seed):
+def test_places_rounded_to_1_cm_show_the_flights_between_bounces_on_a_buffer(degrees, seed):
     pull = -MASS * GRAVITY * np.sin(np.radians(degrees))
 
     def force(t, x, v):
@@ -193,10 +194,15 @@ def test_places_rounded_to_1_cm_show_the_first_bounce_on_a_buffer(degrees, seed)
     displacement = Displacement(t, rounded, nan, nan, nan, nan, np.ones(len(t), bool), resolution=0.01)
     motion = differentiate(low_pass(displacement))
     run = Run(displacement, motion, mass=MASS, has_incline=True, incline=np.radians(degrees))
-    touch = np.flatnonzero(x > 0.25)[0]
-    sections = moving_sections(run)
-    assert len(sections) == 1
-    assert 0.8 * touch < sections[0].stop <= touch + 1
+    free, touch = free_section(run)[0], np.flatnonzero(x > 0.25)[0]
+    assert 0.8 * touch < moving_sections(run)[0].stop <= touch + 1
+    assert np.sum(free & (x > 0.25)) <= np.sum(np.diff(x > 0.25))  # where the mass touches and leaves, a frame each
+    assert np.sum(free) > 1.5 * np.sum(free[:touch])
+    law = fit("coulomb", [run])
+    assert law.parameters["coulomb.F_c"].value == pytest.approx(0.05, abs=3 * law.parameters["coulomb.F_c"].std)
+    first = fit("coulomb", [replace(run, free=(t[free][0], t[touch - 4]))])
+    assert law.parameters["coulomb.F_c"].std < 0.8 * first.parameters["coulomb.F_c"].std
+    assert "restitution coefficient of" in impact(run)
 
 
 def test_small_collision_does_not_end_the_section():

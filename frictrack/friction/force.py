@@ -7,7 +7,7 @@ F > 0 resists motion toward +x; the incline is positive when the course rises to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,14 +27,14 @@ IMPACT_RATIO = 5.0  # deceleration of an impact over the median
 EVENT_REACH_FRAMES = 3  # beyond an event that differences still contain it
 MAX_EVENT_DISTANCE = 8  # frames between an event of the smoother and its cause
 MIN_FREE_FRAMES = 8  # of a free section
+MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 
 
 @dataclass(frozen=True)
 class _Section:
-    """First and last free frame, the frame of release, and why they are these."""
+    """First and last frame of every free flight, the frame of release, and why they are these."""
 
-    first: int
-    last: int
+    flights: tuple[tuple[int, int], ...]
     release: int
     begins: str
     ends: str
@@ -45,7 +45,8 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
     A given `run.free` overrides. With a measured drive or measured friction these are all moving frames. With
     `has_incline` they last from the beginning of motion to the first of impact, last valid frame and stop. Otherwise
-    the slider was struck or pushed, and they start at the highest speed. Invalid frames are never free.
+    the slider was struck or pushed, and they start at the highest speed. A mass that bounces flies freely again, up to
+    its next impact. Invalid frames are never free.
 
     Parameters
     ----------
@@ -86,8 +87,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
         reason = f"whole record ({measured} is measured), {stuck} of {len(valid)} frames left out as stuck"
     else:
         section = _section(run)
-        mask = valid & moving & ~_events_at_ends(run)
-        mask[: section.first] = mask[section.last + 1 :] = False
+        mask = valid & moving & ~_events_at_ends(run) & _within(section.flights, len(valid))
         reason = f"from {section.begins} to {section.ends}"
     if np.sum(mask) < MIN_FREE_FRAMES:
         raise FrictrackError(
@@ -213,25 +213,34 @@ def impact(run: Run) -> str:
     >>> from frictrack import records
     >>> t = np.arange(0, 1, 0.01)
     >>> v = np.where(t < 0.6, 1.0 + 0.5 * t, -0.8 + 0.5 * (t - 0.6))
-    >>> nan, one = np.full(100, np.nan), np.ones(100)
-    >>> motion = records.Motion(t, 0 * t, v, 0 * t, nan, one, 1e-3 * one, one, nan, 0)
-    >>> seen = records.Displacement(t, 0 * t, nan, nan, nan, nan, one == 1)
-    >>> impact(records.Run(seen, motion, mass=1.0, has_incline=True, incline=-0.05))
-    'the mass hits something at 0.59 s, which turns its velocity from 1.29 to -0.8 m/s; friction is judged before that'
+    >>> nan, one, x = np.full(100, np.nan), np.ones(100), np.cumsum(v) * 0.01
+    >>> motion = records.Motion(t, x, v, 0 * t, nan, one, 1e-3 * one, one, nan, 0)
+    >>> seen = records.Displacement(t, x, nan, nan, nan, nan, one == 1)
+    >>> impact(records.Run(seen, motion, mass=1.0, has_incline=True, incline=-0.05)).partition("; friction")[0]
+    'the mass hits something at 0.59 s, which turns its velocity from 1.3 to -0.802 m/s'
 
     """
     if run.free is not None or _has_measured_force(run):
         return ""
     start, stop = _main_motion(run)
-    impact_row, bounce = _impact(run, start, stop), _bounce(run, start, stop)
-    rows = [row for row in (impact_row, bounce and bounce[0]) if row is not None]
+    bounces = [one for one in _bounces(run) if start < one.before]
+    bounce = bounces[0] if bounces else None
+    hit = _impact(run, start, stop)
+    rows = [row for row in (hit, None if bounce is None else bounce.before) if row is not None]
     if not rows:
         return ""
-    t, v = run.motion.t, run.motion.v
-    consequence = "takes at least half of its velocity"
-    if bounce and bounce[0] == min(rows):
-        consequence = f"turns its velocity from {v[bounce[0]]:.3g} to {v[bounce[1]]:.3g} m/s"
-    return f"the mass hits something at {t[min(rows)]:.4g} s, which {consequence}; friction is judged before that"
+    consequence, flights = "takes at least half of its velocity", len(_section(run).flights)
+    if bounce and bounce.before <= min(rows) + _filter_frames(run):
+        consequence = f"turns its velocity from {bounce.v_before:.3g} to {bounce.v_after:.3g} m/s"
+    judged = "before that"
+    if flights > 1:
+        restitution = np.median([abs(one.v_after / one.v_before) for one in bounces])
+        judged = (
+            f"in the {flights} flights between its bounces, which have a restitution coefficient of {restitution:.2g}"
+        )
+    return (
+        f"the mass hits something at {run.motion.t[min(rows)]:.4g} s, which {consequence}; friction is judged {judged}"
+    )
 
 
 def friction(run: Run) -> Friction:
@@ -319,13 +328,41 @@ def _section(run: Run) -> _Section:
     start, stop = _main_motion(run)
     first, release, begins = _find_begin(run, start, stop)
     last, ends = _find_end(run, first, stop)
-    return _Section(first, last, release, begins, ends)
+    more = tuple(_flights_after_bounces(run))
+    if more:
+        ends += f", and {len(more)} flights after bounces, to {run.motion.t[more[-1][1]]:.4g} s"
+    return _Section(((first, last), *more), release, begins, ends)
+
+
+def _flights_after_bounces(run: Run) -> Iterator[tuple[int, int]]:
+    """Yield first and last frame of every flight that a bounce begins.
+
+    The last one ends where a further bounce would be that the noise hides.
+    """
+    stop = _main_motion(run)[1] if run.has_incline else len(run.motion) - 1
+    motions = [motion for motion, _ in join_swings(run, _motions(run))]
+    found = _bounces(run)
+    for bounce, following in zip(found, [*found[1:], None], strict=False):  # of no bounces, no pair
+        event = _event(run, bounce.after)
+        first = event[1] + EVENT_REACH_FRAMES if event else bounce.after + _filter_frames(run)
+        moves = next((motion.stop - 1 for motion in motions if motion.stop > first), first)
+        end = min(stop if run.has_incline else moves, bounce.following) if following is None else following.after
+        if end - first >= MIN_FREE_FRAMES and (last := _find_end(run, first, end)[0]) - first >= MIN_FREE_FRAMES:
+            yield first, last
+
+
+def _within(flights: Sequence[tuple[int, int]], n: int) -> Mask:
+    """Frames (n,) of some flights."""
+    out = np.zeros(n, dtype=bool)
+    for first, last in flights:
+        out[first : last + 1] = True
+    return out
 
 
 def _main_motion(run: Run) -> tuple[int, int]:
     """First and last valid frame of the motion to use: across reversals on an incline, else the fastest part."""
     valid, speed = run.displacement.valid, np.abs(run.motion.v)
-    motions = [s for s in stretches(is_moving(run) | ~valid) if is_motion(run, s)]
+    motions = _motions(run)
     if not motions:
         raise FrictrackError(
             f'run "{run.name}": expected a sliding target but its speed never exceeds {MIN_MOTION_SIGMAS:g} standard '
@@ -338,6 +375,11 @@ def _main_motion(run: Run) -> tuple[int, int]:
     chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])
+
+
+def _motions(run: Run) -> list[slice]:
+    """Spans in which the mass moves."""
+    return [s for s in stretches(is_moving(run) | ~run.displacement.valid) if is_motion(run, s)]
 
 
 def is_motion(run: Run, s: slice) -> bool:
@@ -371,9 +413,9 @@ def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
 def _find_end(run: Run, first: int, stop: int) -> tuple[int, str]:
     """Last free frame, and the reason."""
     t, filter_frames = run.motion.t, _filter_frames(run)
-    bounce = _bounce(run, first, stop)
-    ends = [row for row in (_impact(run, first, stop), bounce and bounce[0]) if row is not None]
-    impact_row = min(ends, default=None)
+    bounces = [bounce.before for bounce in _bounces(run) if first < bounce.before <= stop]
+    hit = _impact(run, first, stop)
+    impact_row = min(bounces if hit is None else [hit, *bounces], default=None)
     event = None if impact_row is None else _event(run, impact_row)
     if (
         impact_row is not None and event and event[0] - EVENT_REACH_FRAMES > first
@@ -465,21 +507,83 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     return int(first + quiet[-1]) if len(quiet) else first
 
 
-def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
-    """Frames of the highest speeds before and after the first bounce, which reverses the mass faster than it slides.
+@dataclass(frozen=True)
+class Bounce:
+    """A reversal at which something hits the mass: time, s, velocities before and after, m/s, and frames around it.
 
-    Comparing highest speeds and times also works in records too noisy for an acceleration.
+    `before` and `after` are the last and the first frame of free flight, `following` the next reversal of its sense.
     """
-    t, v = run.motion.t, run.motion.v
-    motions = [s for s in stretches(is_moving(run)) if s.start <= stop and s.stop > first]
-    inside = [slice(max(s.start, first), min(s.stop, stop + 1)) for s in motions]
-    moves = [part for part in split_by_direction(run, inside) if is_motion(run, part)]
+
+    t: float
+    v_before: float
+    v_after: float
+    before: int
+    after: int
+    following: int
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Parabola through the positions on one side of a reversal, the variance of its slope there, and the noise."""
+
+    c: Array
+    slope_variance: float
+    noise: float
+
+
+def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> _Side | None:
+    """Fit a parabola to positions (n,), m, at times (n,), s, from a reversal at 0, but to the eighth nearest to it."""
+    use = usable & (np.abs(t) > np.max(np.abs(t)) / 8)
+    if np.sum(use) < MIN_FREE_FRAMES:
+        return None
+    c, covariance = np.polyfit(t[use], x[use], 2, cov="unscaled")
+    variance = np.sum((x[use] - np.polyval(c, t[use])) ** 2) / (np.sum(use) - 3)
+    variance = max(float(variance), resolution**2 / 12)
+    return _Side(c, float(covariance[1, 1]) * variance, float(np.sqrt(variance)))
+
+
+def _crossing(before: _Side, after: _Side) -> tuple[float, float, float, float] | None:
+    """Time at which two parabolas cross, s, their velocities there, and the standard deviation of their difference."""
+    roots = np.roots(after.c - before.c)
+    roots = roots[np.isreal(roots)].real
+    if not len(roots):
+        return None
+    t = float(roots[np.argmin(np.abs(roots))])
+    v_before, v_after = (float(np.polyval(np.polyder(side.c), t)) for side in (before, after))
+    return t, v_before, v_after, float(np.sqrt(before.slope_variance + after.slope_variance))
+
+
+def _bounces(run: Run) -> list[Bounce]:
+    """Find the bounces of a run: reversals at which its way has a kink.
+
+    A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
+    cross, their slopes differ by the blow. Smoothed velocities do not tell it in coarse records.
+    """
+    x, t = run.displacement.x, run.motion.t
+    usable = run.displacement.valid & np.isfinite(x)
+    moves = [part for part in split_by_direction(run, stretches(is_moving(run) | ~usable)) if is_motion(run, part)]
+    turns = []
     for before, after in pairwise(moves):
-        fastest = [part.start + int(np.argmax(np.abs(v[part]))) for part in (before, after)]
-        row_before, row_after = fastest
-        time_before, time_after = t[row_before] - t[before.start], t[after.stop - 1] - t[row_after]
-        if v[row_before] * v[row_after] < 0 and time_before > 0 and time_after > 0:
-            typical = max(abs(v[row_before]) / time_before, abs(v[row_after]) / time_after)
-            if abs(v[row_after] - v[row_before]) > IMPACT_RATIO * typical * (t[row_after] - t[row_before]):
-                return row_before, row_after
-    return None
+        sign = np.sign(run.motion.v[before.stop - 1])
+        if sign != np.sign(run.motion.v[after.start]):
+            between = slice(before.stop - 1, after.start + 1)
+            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
+    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
+    out = []
+    for i, (low, turn, high) in enumerate(zip(edges, edges[1:], edges[2:], strict=False)):
+        rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
+        sides = [_parabola(t[r] - t[turn], x[r], usable[r], run.displacement.resolution) for r in rows]
+        known = [side for side in sides if side is not None]
+        crossing = _crossing(*known) if len(known) == len(sides) else None
+        if crossing is None:
+            continue
+        tau, v_before, v_after, sigma = crossing
+        least = min(t[turn] - t[rows[0][0]], t[rows[1][-1]] - t[turn]) / 4
+        if v_before * v_after < 0 and abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and abs(tau) < least:
+            last, first = (
+                r[np.abs(x[r] - np.polyval(side.c, t[r] - t[turn])) < MIN_MOVING_SIGMAS * side.noise]
+                for r, side in zip(rows, known, strict=True)
+            )
+            ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
+            out.append(Bounce(float(t[turn] + tau), v_before, v_after, int(last[-1]), int(first[0]), ends))
+    return out
