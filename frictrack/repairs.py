@@ -51,6 +51,11 @@ class Repair:
     target: tuple[float, ...] | Polygon | None = None
 
     @property
+    def rows(self) -> slice:
+        """The frames as a slice."""
+        return slice(self.first, self.last + 1)
+
+    @property
     def start_frame(self) -> int:
         """Number of the frame in which `target` is given."""
         return self.first if self.frame is None else self.frame
@@ -68,11 +73,6 @@ class Repair:
         corners = np.asarray(polygon(list(self.target)))
         (x, y), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
         return float(x), float(y), float(right - x), float(bottom - y)
-
-    @property
-    def code(self) -> int:
-        """The code of its frames in the column `repaired`."""
-        return CODES[self.how]
 
     @property
     def frames_text(self) -> str:
@@ -221,5 +221,5 @@ def repair_codes(repairs: Sequence[Repair], n: int) -> NDArray[np.int8]:
     """
     codes = np.zeros(n, np.int8)
     for one in repairs:
-        codes[one.first : one.last + 1] = one.code
+        codes[one.rows] = CODES[one.how]
     return codes

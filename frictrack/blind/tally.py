@@ -176,17 +176,14 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "false_alarms": _share(kind["none"], lambda r: r.verdict not in VERDICTS_WITHOUT_NAMES),
             "undetermined": _share(kind["none"], lambda r: r.verdict == "undetermined"),
         },
-        "two": {
-            "both": _share(kind["two"], are_all_named),
-            "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),
-            "both_stated": _share(kind["two"], are_all_stated),
-            "wrong_without_doubt": _share(kind["two"], is_wrong_without_doubt),
-        },
-        "three": {
-            "all": _share(kind["three"], are_all_named),
-            "all_by_name": _share(kind["three"], lambda r: set(r.hidden) <= set(r.named)),
-            "all_stated": _share(kind["three"], are_all_stated),
-            "wrong_without_doubt": _share(kind["three"], is_wrong_without_doubt),
+        **{
+            name: {
+                word: _share(kind[name], are_all_named),
+                f"{word}_by_name": _share(kind[name], lambda r: set(r.hidden) <= set(r.named)),
+                f"{word}_stated": _share(kind[name], are_all_stated),
+                "wrong_without_doubt": _share(kind[name], is_wrong_without_doubt),
+            }
+            for name, word in (("two", "both"), ("three", "all"))
         },
         "foreign": {
             "unexplained_or_reproduced": _share(kind["foreign"], is_reproduced),

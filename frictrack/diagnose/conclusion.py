@@ -20,9 +20,8 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
     evidence_curves,
 )
-from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
-from frictrack.diagnose.diagnosis import Diagnosis
+from frictrack.diagnose.diagnosis import Diagnosis, HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.examination import ALPHA, Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.explanations import MAX_SIZE

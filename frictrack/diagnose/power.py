@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chndtrinc
 
-from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.examination import Examination, ScannedCandidate
+from frictrack.diagnose.model_selection import MIN_SIGNIFICANCE
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit import Fit

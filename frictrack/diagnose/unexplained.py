@@ -17,7 +17,6 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
-from frictrack.diagnose.admissible import is_special_case
 from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -26,7 +25,7 @@ from frictrack.diagnose.formulas import (
     FormulaSearch,
     formula_axes,
 )
-from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, is_special_case, log_prior_of_set
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import candidate_axes, forces_of, smooth_forces
 from frictrack.fit.least_squares import Solution

@@ -1,4 +1,4 @@
-"""Test whether a sensor and the camera measure the same motion, and name the likely cause if not."""
+"""Test whether a sensor, or the energy of an impact, agrees with the camera, and name the likely cause if not."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from frictrack.sensors.alignment import (
     fit_alignment,
     whiteness_test,
 )
-from frictrack.sensors.frame_differences import Whitener
-from frictrack.sensors.sensor_record import SensorRecord
+from frictrack.sensors.sensor_record import SensorRecord, Whitener
 
 REPORT_SIGMAS = 3.0  # standard deviations from which a gain or a bias is reported
 GAIN_TOLERANCE = 0.05  # relative error of a sensor's sensitivity that is common
@@ -264,3 +263,78 @@ def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[fl
     difference = covariance @ (columns.T @ white(residual))
     window = len(residual) / count * frames.interval
     return float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.mean(np.diag(covariance)))), window
+
+
+IMPOSSIBLE_SIGMAS = 3.0  # standard deviations above the stated energy that cannot be chance
+SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, frame rate or mass
+
+
+@dataclass(frozen=True)
+class ReleaseEnergy:
+    """Kinetic energy at release.
+
+    Attributes
+    ----------
+    kinetic, sigma : float
+        Energy and its standard deviation, J.
+    share : float
+        Over the stated energy.
+    verdict : str
+        "plausible", "impossible" or "suspicious".
+    says : str
+        One sentence for the user.
+
+    """
+
+    kinetic: float
+    sigma: float
+    share: float
+    verdict: str  # "plausible", "impossible", "suspicious"
+    says: str
+
+
+def release_energy(
+    mass: tuple[float, float], speed: tuple[float, float], stated: float, scale_error: float = 0.0
+) -> ReleaseEnergy:
+    """Compare the kinetic energy m v^2 / 2 at release with the stated energy of the impact.
+
+    Parameters
+    ----------
+    mass, speed : tuple of float
+        Value and standard deviation, kg and m/s.
+    stated : float
+        Energy of the impact, J.
+    scale_error : float
+        Relative standard deviation of the scale; the energy is proportional to its square.
+
+    Returns
+    -------
+    ReleaseEnergy
+        Energy and verdict.
+
+    Examples
+    --------
+    >>> release_energy((0.5, 0.0), (2.0, 0.0), stated=2.0).verdict
+    'plausible'
+
+    """
+    (m, sigma_m), (v, sigma_v) = mass, speed
+    kinetic = 0.5 * m * v**2
+    relative = np.sqrt((sigma_m / m) ** 2 + (2.0 * sigma_v / v) ** 2 + (2.0 * scale_error) ** 2) if v else 0.0
+    sigma, share = float(kinetic * relative), float(kinetic / stated)
+    says = f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is"
+    if kinetic - IMPOSSIBLE_SIGMAS * sigma > stated:
+        says = (
+            f"{says} more than the {stated:g} J of the blow: scale or frame rate is too large by a factor of "
+            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy"
+        )
+        return ReleaseEnergy(kinetic, sigma, share, "impossible", says)
+    if share < SUSPICIOUS_SHARE:
+        factor = 1 / max(share, 1e-300)
+        says = (
+            f"{says} less than a tenth of the {stated:g} J of the blow: scale or frame rate too small by a factor of "
+            f"up to {np.sqrt(factor):.3g}, or the mass by {factor:.3g}, would explain it, as would a glancing blow; "
+            "check these, or impact_energy"
+        )
+        return ReleaseEnergy(kinetic, sigma, share, "suspicious", says)
+    return ReleaseEnergy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")
