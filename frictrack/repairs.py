@@ -87,18 +87,8 @@ class Repair:
     def check(self, n_frames: int, shape: tuple[int, int] | None = None) -> None:
         """Check that the repair lies in the film.
 
-        Parameters
-        ----------
-        n_frames
-            Number of frames of the film, or of rows of a table.
-        shape
-            Height and width of the picture, px.
-
-        Raises
-        ------
-        FrictrackError
-            For frames beyond the end, or a target outside the picture.
-
+        `n_frames`: number of frames of the film, or of rows of a table; `shape`: height and width of the picture, px.
+        Raises FrictrackError for frames beyond the end, or a target outside the picture.
         """
         if self.last >= n_frames:
             raise FrictrackError(
@@ -121,20 +111,8 @@ _KEYS = ("from", "to", *(f.name for f in fields(Repair) if f.name not in ("first
 def read_repairs(raw: Any) -> tuple[Repair, ...]:
     """Read the repairs of a run, as a study file has them, in order of their frames.
 
-    Parameters
-    ----------
-    raw : list of dict or Repair
-        Tables with the keys from, to, how, frame and target.
-
-    Returns
-    -------
-    tuple of Repair
-        In order of their frames.
-
-    Raises
-    ------
-    FrictrackError
-        For unknown keys, frames that are no numbers, repairs that overlap, and a missing or superfluous target.
+    `raw`: tables with the keys from, to, how, frame and target. Raises FrictrackError
+    for unknown keys, frames that are no numbers, repairs that overlap, and a missing or superfluous target.
 
     Examples
     --------
@@ -201,17 +179,7 @@ def _read_target(raw: Any) -> tuple[float, ...] | Polygon:
 def repair_codes(repairs: Sequence[Repair], n: int) -> NDArray[np.int8]:
     """Return the code of each frame.
 
-    Parameters
-    ----------
-    repairs
-        The repairs.
-    n
-        Number of frames.
-
-    Returns
-    -------
-    array of int8 (n,)
-        0 measured and unchanged, 1 tracked again, 2 interpolated, 3 left out.
+    The codes are 0 measured and unchanged, 1 tracked again, 2 interpolated, 3 left out.
 
     Examples
     --------

@@ -25,19 +25,9 @@ SCREEN_SHARE, SCREEN_CHI2 = 0.3, 60.0  # share of the rise, and chi-squared, bel
 def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
     """Find for each hidden effect the library effects that can replace it, the others staying.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    base
-        Fitted base law. Its pieces and layout are used; its data are replaced by the true motion.
-
-    Returns
-    -------
-    dict
-        For each hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the
-        other hidden effects and the law, fitted again, leave no more without it.
-
+    `base`: fitted base law. Its pieces and layout are used; its data are replaced by the true motion. Returns for each
+    hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the other hidden
+    effects and the law, fitted again, leave no more without it.
     """
     full = solution_at_truth(truth, base)
     return {name: (name, *_equivalents(full, name)) for name in truth.hidden}
@@ -55,21 +45,10 @@ def _equivalents(full: Solution, name: str) -> list[str]:
 def replacements(full: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
     """Fit every effect of the library in place of a hidden one to data without noise.
 
-    Parameters
-    ----------
-    full
-        Solution at the truth; see `solution_at_truth`.
-    name
-        The hidden effect.
-    max_chi2
-        Chi-squared that an effect may leave along the true motion; those that leave more are not simulated.
-
-    Returns
-    -------
-    dict
-        The best fit by effect; only effects that are not far worse along the true motion. The objective of a fit less
-        that of `full` is the chi-squared by which these runs separate the two effects in the mean.
-
+    `full`: solution at the truth; see `solution_at_truth`; `max_chi2`: chi-squared that an effect may leave along the
+    true motion; those that leave more are not simulated. Returns the best fit by effect; only effects that are not far
+    worse along the true motion. The objective of a fit less that of `full` is the chi-squared by which these runs
+    separate the two effects in the mean.
     """
     return _replacements(full, remove_effect(full, name), name, max_chi2)
 
@@ -117,18 +96,7 @@ def _level_penalty(full: Solution) -> float:
 def solution_at_truth(truth: Truth, base: Solution) -> Solution:
     """Fit the true law to the true motion, from the true parameters; only rounding errors remain.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    base
-        Fitted base law of the study.
-
-    Returns
-    -------
-    Solution
-        The refined solution with all hidden effects.
-
+    `base`: fitted base law of the study. Returns the refined solution with all hidden effects.
     """
     trajectories = [truth.trajectory(run) for run in truth.runs]
     pieces = [replace(p, y=(trajectories[p.run].x + trajectories[p.run].shift)[p.frames]) for p in base.problem.pieces]

@@ -43,17 +43,8 @@ MIN_SCATTER, MAX_SCATTER, N_SCATTERS = 1e-4, 0.5, 40  # relative; grid on which 
 def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
     """Non-centrality of chi-squared that exceeds the detection threshold in 95 of 100 repeats.
 
-    Parameters
-    ----------
-    degrees_of_freedom
-        Free coefficients of an effect.
-    forms
-        Independent forms that are scanned; the threshold is corrected for them (Bonferroni).
-
-    Returns
-    -------
-    float
-        Rise of chi-squared at the detection limit.
+    `forms`: independent forms that are scanned; the threshold is corrected for them (Bonferroni). Returns the rise of
+    chi-squared at the detection limit.
 
     Examples
     --------
@@ -72,18 +63,8 @@ def detection_threshold(degrees_of_freedom: int, forms: int = 1) -> float:
 def degrees_of_freedom(effect: Effect, runs: int) -> int:
     """Count the free coefficients of an effect in a scan.
 
-    Parameters
-    ----------
-    effect
-        The effect. A phase doubles a coefficient, and a phase per run does so in each run.
-    runs
-        Number of runs. Events in single runs are tested one by one, so they count once.
-
-    Returns
-    -------
-    int
-        At least 1.
-
+    `effect`: the effect. A phase doubles a coefficient, and a phase per run does so in each run; `runs`: number of
+    runs. Events in single runs are tested one by one, so they count once. Returns at least 1.
     """
     if is_event(effect):
         return 1
@@ -153,19 +134,9 @@ class IdealDetector:
     def trace_and_rise(self, truth: Truth) -> tuple[Array, float]:
         """Compute the trace of the hidden effects by simulation.
 
-        Parameters
-        ----------
-        truth
-            The study with hidden effects.
-
-        Returns
-        -------
-        trace : Array
-            The part of their whitened displacement that law, levels and starts cannot explain, (N + runs,). Its squared
-            norm is the rise of chi-squared.
-        rise : float
-            The rise if the scatter of the levels is not known but estimated.
-
+        Returns `trace`, the part of their whitened displacement that law, levels and starts cannot explain, (N +
+        runs,). Its squared norm is the rise of chi-squared; `rise`, the rise if the scatter of the levels is not known
+        but estimated.
         """
         changes, both_move = [], []
         for linearised, run in zip(self._runs, truth.runs, strict=True):
@@ -178,18 +149,8 @@ class IdealDetector:
     def linear_trace(self, effect: Effect, values: list[EffectValues]) -> Array:
         """Compute the trace of an effect to first order in its size.
 
-        Parameters
-        ----------
-        effect
-            The effect.
-        values
-            Its parameter values in each run; empty in runs without it.
-
-        Returns
-        -------
-        Array
-            Trace as in `trace_and_rise`, (N + runs,).
-
+        `values`: its parameter values in each run; empty in runs without it. Returns the trace as in `trace_and_rise`,
+        (N + runs,).
         """
         moved = [self._response(linearised, effect, own) for linearised, own in zip(self._runs, values, strict=True)]
         return self._unexplained(*self._remove_starts(moved, [linearised.moving for linearised in self._runs]))
@@ -288,18 +249,7 @@ class IdealDetector:
 def unexplained_part(trace: Array, columns: Array) -> Array:
     """Residual of a trace after a least-squares fit of columns.
 
-    Parameters
-    ----------
-    trace
-        Values to explain, (N,).
-    columns
-        Columns that may explain them, (N, k).
-
-    Returns
-    -------
-    Array
-        Residual, (N,).
-
+    `trace`: values to explain, (N,); `columns`: columns that may explain them, (N, k). Returns the residual, (N,).
     """
     norm = np.linalg.norm(columns, axis=0)
     columns = columns / np.where(norm > 0, norm, 1.0)
@@ -365,18 +315,8 @@ N_PHASES = 8  # tried to find the least favourable one
 def limits_over_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Divide stated detection limits by those of the ideal detector.
 
-    Parameters
-    ----------
-    truth
-        Truth of a study without hidden effect.
-    limits
-        `detection_limits` of its diagnosis: value and setting ("at") by effect.
-
-    Returns
-    -------
-    dict
-        Ratio by effect; only effects whose size can be compared.
-
+    `truth`: truth of a study without hidden effect; `limits`: `detection_limits` of its diagnosis: value and setting
+    ("at") by effect. Returns the ratio by effect; only effects whose size can be compared.
     """
     detector = IdealDetector(truth)
     out = {}
@@ -405,20 +345,7 @@ def ideal_detection_limit(detector: IdealDetector, effect: Effect, at: dict[str,
 
     Phases and further coefficients take their least favourable values.
 
-    Parameters
-    ----------
-    detector
-        Detector of the study.
-    effect
-        Effect to detect.
-    at
-        Values of its non-linear parameters.
-
-    Returns
-    -------
-    float or None
-        Size in the unit of the effect's first coefficient; None if it can never be seen.
-
+    Returns the size in the unit of the effect's first coefficient; None if it can never be seen.
     """
     runs = len(detector.base_study.runs)
     phases = [p.name for p in effect.parameters if p.role == "phase"]
@@ -442,20 +369,8 @@ def _rise(detector: IdealDetector, effect: Effect, form: list[EffectValues]) -> 
 def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[EffectValues]:
     """Parameter values of an effect of size one in each run; its first coefficient is the size.
 
-    Parameters
-    ----------
-    effect
-        The effect.
-    at, phases
-        Values of non-linear parameters and of phases, by name.
-    runs
-        Number of runs.
-
-    Returns
-    -------
-    list of dict
-        Values by effect and parameter, the same for each run.
-
+    `at`, `phases`: values of non-linear parameters and of phases, by name. Returns the values by effect and parameter,
+    the same for each run.
     """
     size = next(p.name for p in effect.parameters if p.role in ("amplitude", "depth") or p.linear)
     own = {p.name: p.fixed or 0.0 for p in effect.parameters} | at | dict(phases) | {size: 1.0}

@@ -90,22 +90,7 @@ def read_outcome(raw: dict[str, Any]) -> Outcome:
 def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
     """Diagnose a study, add the named effects, and compare with the truth.
 
-    Parameters
-    ----------
-    name
-        Name of the study.
-    truth
-        Its truth.
-    folder
-        Folder with its study file.
-    seed
-        Seed of the diagnosis.
-
-    Returns
-    -------
-    Outcome
-        The result; an error becomes an outcome with the verdict "failed".
-
+    Returns the result; an error becomes an outcome with the verdict "failed".
     """
     blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
     try:
@@ -207,20 +192,8 @@ def _faults_in_notes(session: Session) -> tuple[str, ...]:
 def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
     """(Estimate - truth) / stated standard deviation of all parameters that the runs share.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    named
-        Effects named by the diagnosis.
-    parameters
-        JSON `parameters` of the fit: value and std by address ("effect.parameter").
-
-    Returns
-    -------
-    dict
-        Deviation by address; empty unless exactly the hidden effects were named.
-
+    `parameters`: JSON `parameters` of the fit: value and std by address ("effect.parameter"). Returns the deviation by
+    address; empty unless exactly the hidden effects were named.
     """
     if set(named) != set(truth.hidden):
         return {}
@@ -245,20 +218,9 @@ def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[
 def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapping[str, float]) -> float | None:
     """F1 score over all frames of where the hidden effect acts and where the model is said to fail.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    spans
-        `fails_at` of the diagnosis: run and first and last time t (s) of each span.
-    low_pass_half_width
-        Half width of the low-pass of each run, s: it widens a collision by that much.
-
-    Returns
-    -------
-    float or None
-        0 to 1; None unless exactly one local effect, such as a patch or a collision, is hidden.
-
+    `spans`: `fails_at` of the diagnosis: run and first and last time t (s) of each span; `low_pass_half_width`: half
+    width of the low-pass of each run, s: it widens a collision by that much. Returns 0 to 1; None unless exactly one
+    local effect, such as a patch or a collision, is hidden.
     """
     if len(truth.hidden) != 1 or effect_named(truth.hidden[0]).acts_within is None:
         return None

@@ -29,15 +29,7 @@ WALL = Surface(size=5.0, level=0.3, contrast=0.2, seed=2)  # more contrast than 
 def render_run(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
     """Render one run with the hidden effects of its truth.
 
-    Parameters
-    ----------
-    truth, run
-        Truth of the study, and of the run.
-    path
-        Film to write.
-    rng
-        Source of the noise.
-
+    `truth`, `run`: truth of the study, and of the run.
     """
     trajectory, camera = truth.trajectory(run), _camera(truth, run)
     drawn = 0.0 if "camera_shake" in run.values else trajectory.shift  # a shake moves the whole picture instead
@@ -74,13 +66,7 @@ def _camera(truth: Truth, run: RunTruth) -> Camera:
 def write_study(truth: Truth, folder: Path) -> None:
     """Write the study file, and a table or a film of each run.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study; its seed also seeds the noise.
-    folder
-        Folder to write; created if it does not exist.
-
+    `truth`: truth of the study; its seed also seeds the noise; `folder`: folder to write; created if it does not exist.
     """
     rng = np.random.default_rng([truth.seed, 7])
     folder.mkdir(parents=True, exist_ok=True)
@@ -95,18 +81,8 @@ def write_study(truth: Truth, folder: Path) -> None:
 def run_table(truth: Truth, run: RunTruth, rng: np.random.Generator) -> pd.DataFrame:
     """Simulate the measured table of one run: the true motion with white noise.
 
-    Parameters
-    ----------
-    truth, run
-        Truth of the study, and of the run.
-    rng
-        Source of the noise.
-
-    Returns
-    -------
-    DataFrame
-        t_s and x_m; where the study measures them sigma_m, y_m and drive_N.
-
+    `truth`, `run`: truth of the study, and of the run. Returns t_s and x_m; where the study measures them sigma_m, y_m
+    and drive_N.
     """
     trajectory = truth.trajectory(run)
     noise = truth.noise * rng.standard_normal(len(trajectory.t))
@@ -157,13 +133,7 @@ SEALED_SUFFIXES = (".csv", ".toml", ".avi")
 def seal(folder: Path, truths: dict[str, Truth]) -> None:
     """Write the truth of all studies, encoded so that nobody reads it by accident, with a checksum of each file.
 
-    Parameters
-    ----------
-    folder
-        Folder with one sub-folder per study.
-    truths
-        Truth by name of the study.
-
+    `folder`: folder with one sub-folder per study; `truths`: truth by name of the study.
     """
     text = json.dumps({name: asdict(t) for name, t in truths.items()})
     packed = base64.b64encode(zlib.compress(text.encode(), 9)).decode()
@@ -174,21 +144,8 @@ def seal(folder: Path, truths: dict[str, Truth]) -> None:
 def open_seal(folder: Path) -> dict[str, Truth]:
     """Read the sealed truth and verify the checksums.
 
-    Parameters
-    ----------
-    folder
-        Folder written by `seal`.
-
-    Returns
-    -------
-    dict
-        Truth by name of the study.
-
-    Raises
-    ------
-    FrictrackError
-        If there is no sealed truth (usage), or if a file changed.
-
+    Returns the truth by name of the study. Raises FrictrackError if there is no sealed truth (usage), or if a file
+    changed.
     """
     path = folder / SEAL_FILE
     if not path.is_file():

@@ -143,17 +143,8 @@ def _within_chi2(row: Outcome) -> bool:
 def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
     """Compute all figures of the benchmark.
 
-    Parameters
-    ----------
-    rows
-        Outcomes of the studies.
-
-    Returns
-    -------
-    dict
-        JSON: number of studies, then shares by kind of study, errors after adding the named effects, overlap of
-        failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
-
+    Returns JSON: number of studies, then shares by kind of study, errors after adding the named effects, overlap of
+    failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
     """
     kind = {k: [r for r in rows if r.kind == k] for k in KINDS}
     one = kind["one"]

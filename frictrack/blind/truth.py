@@ -96,16 +96,7 @@ FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
 def foreign_effect(name: str) -> Effect:
     """Build an effect that is not in the library.
 
-    Parameters
-    ----------
-    name
-        Key of `FOREIGN`.
-
-    Returns
-    -------
-    Effect
-        Force effect with one coefficient, the amplitude in N.
-
+    Returns the force effect with one coefficient, the amplitude in N.
     """
     shape, needs = FOREIGN[name]
     return Effect(
@@ -124,18 +115,8 @@ def foreign_effect(name: str) -> Effect:
 def parameter_range(name: str, span: Span) -> tuple[float, float]:
     """Range from which a non-linear parameter of a foreign effect is drawn.
 
-    Parameters
-    ----------
-    name
-        "place", "length" (m), "speed" (m/s), "frequency" (Hz) or "time" (s).
-    span
-        Range of place, speed and time that the runs cover.
-
-    Returns
-    -------
-    tuple of float
-        Lowest and highest value.
-
+    `name`: "place", "length" (m), "speed" (m/s), "frequency" (Hz) or "time" (s); `span`: range of place, speed and time
+    that the runs cover. Returns the lowest and highest value.
     """
     travel = span.x_max - span.x_min
     return {
@@ -155,25 +136,8 @@ def simulate_memory(
 ) -> Trajectory:
     """Simulate a run under a model with one effect with memory, friction_lag or presliding.
 
-    Parameters
-    ----------
-    model, values, conditions
-        As in `frictrack.simulate.simulate`.
-    t
-        Times of the frames, s, shape (n,).
-    start
-        Position (m) and velocity (m/s) at t[0].
-
-    Returns
-    -------
-    Trajectory
-        Motion at the frames.
-
-    Raises
-    ------
-    FrictrackError
-        If the mass does not start, or the integration fails.
-
+    `t`: times of the frames, s, shape (n,); `start`: position (m) and velocity (m/s) at t[0]. Returns the motion at the
+    frames. Raises FrictrackError if the mass does not start, or the integration fails.
     """
     lag = "friction_lag" in model
     name = "friction_lag" if lag else "presliding"

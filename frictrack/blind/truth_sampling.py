@@ -37,23 +37,9 @@ def place_effect(
 ) -> tuple[PlacedEffect, float] | None:
     """Put one effect into a study at a random size.
 
-    Parameters
-    ----------
-    detector
-        Ideal detector of the study without hidden effects.
-    name
-        Effect of the library or foreign effect.
-    rng
-        Source of the draws.
-    sizes
-        Smallest and largest size over the detection limit of the ideal detector.
-
-    Returns
-    -------
-    tuple or None
-        The study with the effect and its trace, and the size over the detection limit. None if no such size is
-        possible.
-
+    `detector`: ideal detector of the study without hidden effects; `name`: effect of the library or foreign effect;
+    `sizes`: smallest and largest size over the detection limit of the ideal detector. Returns the study with the effect
+    and its trace, and the size over the detection limit. None if no such size is possible.
     """
     effect = effect_named(name)
     size = float(np.exp(rng.uniform(*np.log(sizes))))
@@ -229,20 +215,8 @@ FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m; px, as measured on such 
 def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
     """List the effects that a study can hide, in a fixed order.
 
-    Parameters
-    ----------
-    kind
-        Kind of the study, one of `KINDS`.
-    law
-        Effects of the base law.
-    film
-        Whether the study consists of films.
-
-    Returns
-    -------
-    list of str
-        Names of effects.
-
+    `kind`: kind of the study, one of `KINDS`; `film`: whether the study consists of films. Returns the names of
+    effects.
     """
     if kind == "foreign":
         return list(FOREIGN)
@@ -268,29 +242,11 @@ def draw_truth(
 ) -> Truth:
     """Draw the truth of one study.
 
-    Parameters
-    ----------
-    seed
-        Seed of the draw.
-    kind
-        "none", "one", "two", "three", "foreign" or "fault": how many effects are hidden, and which.
-    turn
-        Number of the study among those of its kind; effects take turns, so that all are equally frequent.
-    film
-        Whether the study consists of films.
-    sizes
-        Smallest and largest size of a hidden effect, over what the ideal detector sees in 95 of 100 repeats.
-
-    Returns
-    -------
-    Truth
-        The truth, with hidden effects of a visible size.
-
-    Raises
-    ------
-    FrictrackError
-        If no visible effect was found in many draws.
-
+    `kind`: "none", "one", "two", "three", "foreign" or "fault": how many effects are hidden, and which; `turn`: number
+    of the study among those of its kind; effects take turns, so that all are equally frequent; `film`: whether the
+    study consists of films; `sizes`: smallest and largest size of a hidden effect, over what the ideal detector sees in
+    95 of 100 repeats. Returns the truth, with hidden effects of a visible size. Raises FrictrackError if no visible
+    effect was found in many draws.
     """
     rng = np.random.default_rng([seed, 2026])
     for attempt in range(MAX_EFFECTS_TRIED):

@@ -275,15 +275,13 @@ class HeldOutErrors:
     def __init__(self, bare: Solution) -> None:
         self._bare = bare
         self._of_bare: dict[str, float] = {}
-        self._of_models: list[tuple[Solution, float, str]] = []
+        self._of_models: dict[int, tuple[Solution, tuple[float, str]]] = {}  # by identity, and so kept alive
 
     def __call__(self, solution: Solution) -> tuple[float, float, str]:
         """Return the held-out errors of the bare model and of this one, and the hold-out method."""
-        known = next((one for one in self._of_models if one[0] is solution), None)
-        if known is None:
-            known = (solution, *heldout_rms(solution))
-            self._of_models.append(known)
-        _, after, how = known
+        if id(solution) not in self._of_models:
+            self._of_models[id(solution)] = solution, heldout_rms(solution)
+        after, how = self._of_models[id(solution)][1]
         if how not in self._of_bare:
             self._of_bare[how] = heldout_rms(self._bare, how)[0]
         return self._of_bare[how], after, how

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.effects import Effect, EffectRecord
+from frictrack.effects import Effect, EffectRecord, Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array, stretches
@@ -18,18 +18,8 @@ MIN_SHARE_OF_PEAK = 0.8  # of the largest contribution; the first stretch above 
 def describe_effect(effect: Effect, solution: Solution | None = None) -> dict[str, str]:
     """Describe an effect, and its fitted values if there are any.
 
-    Parameters
-    ----------
-    effect
-        The effect to describe.
-    solution
-        A fit; its numbers are added if its model contains the effect.
-
-    Returns
-    -------
-    dict of str
-        Keys "what", "looks_like" and "confirm". A fitted effect also has "here", with the numbers of this study.
-
+    `solution`: a fit; its numbers are added if its model contains the effect. The keys are "what", "looks_like" and
+    "confirm". A fitted effect also has "here", with the numbers of this study.
     """
     texts = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
     if solution is None or effect.name not in solution.problem.model:
@@ -68,11 +58,12 @@ class FittedEffect:
         return [self._block(r) for r in self.solution.responses]
 
     def _block(self, response: PieceResponse) -> Array:
-        problem, piece = self.solution.problem, response.piece
-        values, level = problem.layout.values(self.solution.p, piece.run)
-        x, v = position_and_velocity(response)
-        path = piece.at_frames(x, v, level)
-        return problem.model.effect_contribution(self.name, path, values)
+        return self.solution.problem.model.effect_contribution(self.name, *self._path_and_values(response))
+
+    def _path_and_values(self, response: PieceResponse) -> tuple[Path, dict[str, dict[str, float]]]:
+        """Path at the frames of a piece, and the parameter values of its run."""
+        values, level = self.solution.problem.layout.values(self.solution.p, response.piece.run)
+        return response.piece.at_frames(*position_and_velocity(response), level), values
 
     def value(self, parameter: str) -> float:
         """Return a parameter's value in the run in which the effect is largest."""
@@ -104,18 +95,13 @@ class FittedEffect:
             return ""
         x, v = position_and_velocity(response)
         if self.effect.acts_on == "force":
-            whole = abs(self._total(response)[i])
+            whole = abs(self.solution.problem.model.force(*self._path_and_values(response))[i])
             how = f"{format_number(size)} N of {format_number(whole)} N" if whole > size else f"{format_number(size)} N"
         else:
             pitch = piece.path.pixel_pitch
             how = format_length(size) + (f" ({format_number(size / pitch, 2)} px)" if pitch else "")
         where = f"frame {int(piece.frames[i])}, {format_number(1e3 * piece.t[i])} ms after release"
         return f"look at run {self.run}, {where}, x = {x[i]:.3f} m at {format_number(abs(v[i]), 2)} m/s: {how}"
-
-    def _total(self, response: PieceResponse) -> Array:
-        problem, piece = self.solution.problem, response.piece
-        values, level = problem.layout.values(self.solution.p, piece.run)
-        return np.asarray(problem.model.force(piece.at_frames(*position_and_velocity(response), level), values))
 
     def passes(self, spot: float) -> str:
         """Say in which frames and at what speeds the first runs pass the place `spot`, m."""

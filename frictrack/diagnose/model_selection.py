@@ -26,16 +26,7 @@ MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not 
 def expected_separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective if one model is true and a rival is fitted to its predictions.
 
-    Parameters
-    ----------
-    best
-        The model taken to be true.
-    rival
-        The other one.
-
-    Returns
-    -------
-    float
+    `best`: the model taken to be true.
 
     References
     ----------
@@ -56,15 +47,6 @@ def information_criterion(solution: Solution) -> float:
 
     The likelihood is not the restricted one, which cannot compare models with different fixed effects.
 
-    Parameters
-    ----------
-    solution
-        The fitted model.
-
-    Returns
-    -------
-    float
-
     References
     ----------
     Schwarz (1978), Ann. Stat. 6, 461-464.
@@ -77,15 +59,7 @@ def information_criterion(solution: Solution) -> float:
 def likelihood_gain(bare: Solution, fitted: Solution) -> float:
     """Compute the fall of minus twice the log-likelihood from a model to a larger one, levels integrated out.
 
-    Parameters
-    ----------
-    bare, fitted
-        The smaller and the larger model.
-
-    Returns
-    -------
-    float
-
+    `bare`, `fitted`: the smaller and the larger model.
     """
     gain = information_criterion(bare) - information_criterion(fitted)
     penalties = [parameter_penalty(s.problem.layout, s.problem) for s in (bare, fitted)]
@@ -100,15 +74,7 @@ def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> 
 def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect: Effect) -> float:
     """Return the penalty that a scan subtracts for the events of an effect in single runs.
 
-    Parameters
-    ----------
-    problem
-        The runs.
-    layout
-        A model of them with the effect.
-    effect
-        The effect.
-
+    `layout`: a model of them with the effect.
     """
     if not effect.single:
         return 0.0
@@ -151,18 +117,7 @@ def objection(solution: Solution, effect: Effect) -> str:
     must exceed three standard deviations with its shape held: a narrow strong patch and a wide weak one are
     interchangeable, although a patch is there.
 
-    Parameters
-    ----------
-    solution
-        The fit with the effect.
-    effect
-        The effect.
-
-    Returns
-    -------
-    str
-        Empty if there is no objection.
-
+    Empty if there is no objection.
     """
     return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
 
@@ -213,18 +168,8 @@ def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
 def is_special_case(formula: Solution, found: Solution) -> bool:
     """Return whether the effect of one fit can be exactly the formula of another, given the law that both have.
 
-    Parameters
-    ----------
-    formula
-        The fit with a formula in place of the effect.
-    found
-        The fit with one effect more than the law. Only effects whose force depends on the moment alone, with parameters
-        that all runs share, are compared.
-
-    Returns
-    -------
-    bool
-
+    `formula`: the fit with a formula in place of the effect; `found`: the fit with one effect more than the law. Only
+    effects whose force depends on the moment alone, with parameters that all runs share, are compared.
     """
     known = found.problem.model.names
     own = [e for e in found.problem.model.effects if e.name not in formula.problem.model.names]

@@ -73,22 +73,9 @@ def deconvolve_force(
 ) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
     """Deconvolve the force that a fitted model lacks.
 
-    Parameters
-    ----------
-    found
-        The local forces in the residual of the fit.
-    waves
-        The scan for waves in that residual.
-    forces
-        Smooth forces in that residual, if they were computed before.
-
-    Returns
-    -------
-    pieces : list of DeconvolvedForce
-        The missing force of every piece.
-    line : SpectralLine or None
-        The sinusoid that defines the phase: the model's own vibration, else the strongest in the residual.
-
+    `found`: the local forces in the residual of the fit; `waves`: the scan for waves in that residual; `forces`: smooth
+    forces in that residual, if they were computed before. Returns `pieces`, the missing force of every piece; `line`,
+    the sinusoid that defines the phase: the model's own vibration, else the strongest in the residual.
     """
     compressed = (forces or ResidualForces(found.solution, about_measurement=True)).compressed
     known_frequency = _vibration(found.solution)
@@ -268,22 +255,10 @@ def _with_parameters_of(explained: Solution, solution: Solution) -> Solution | N
 def residual_series(before: Solution, after: Solution | None, effects: Sequence[str]) -> dict[str, Array]:
     """Residual of a model and of the model with the effects found, for figures and files.
 
-    Parameters
-    ----------
-    before
-        The fit that is diagnosed.
-    after
-        The fit with the effects found; None if none was found.
-    effects
-        Names of the effects found.
-
-    Returns
-    -------
-    dict
-        One row per sample of all runs, all (n,): `run` (index), `t` since release (s), `x` (m) and `v` along the motion
-        (m/s) of the model; `before`, the residual, and `sigma`, its noise (m, or N for measured friction). With effects
-        found also `after`, the residual with them, and `F`, the force that they add against the motion (N).
-
+    `after`: the fit with the effects found; None if none was found. Returns one row per sample of all runs, all (n,):
+    `run` (index), `t` since release (s), `x` (m) and `v` along the motion (m/s) of the model; `before`, the residual,
+    and `sigma`, its noise (m, or N for measured friction). With effects found also `after`, the residual with them, and
+    `F`, the force that they add against the motion (N).
     """
     sizes = [len(r.piece.t) for r in before.responses]
     wanted = min(len({r.piece.run for r in before.responses}) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
@@ -314,23 +289,12 @@ def residual_figures(
 ) -> dict[str, dict[str, Array]]:
     """Curves of the missing force for plots and files.
 
-    Parameters
-    ----------
-    pieces
-        The deconvolved force of every piece.
-    line
-        The sinusoid that defines the phase; None without.
-    axis
-        The axis over which the misfit repeats: there runs are compared with and without their load.
-
-    Returns
-    -------
-    dict
-        `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and
-        sigma_F (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis,
-        `at`, F, sigma_F, (k,). If runs agree better in the force over the load, `residual_force` has the load (over
-        that of the reference run), and the mean curves are forces at the reference load.
-
+    `pieces`: the deconvolved force of every piece; `line`: the sinusoid that defines the phase; None without; `axis`:
+    the axis over which the misfit repeats: there runs are compared with and without their load. Returns
+    `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and sigma_F
+    (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis, `at`, F,
+    sigma_F, (k,). If runs agree better in the force over the load, `residual_force` has the load (over that of the
+    reference run), and the mean curves are forces at the reference load.
     """
     frames = [_run_series(p, line) for p in pieces]
     series = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
@@ -372,19 +336,8 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
     Each run is smoothed by itself. Runs differ by their noise and by a scatter that is estimated at every place, so the
     band shows how well they agree.
 
-    Parameters
-    ----------
-    run
-        Index of the run of every frame, (n,).
-    axis
-        Values of the axis, (n,).
-    force, sigma
-        Force and its standard deviation, N, (n,).
-
-    Returns
-    -------
-    dict
-        `at`, F and sigma_F, (k,); NaN where no run has been.
+    `run`: index of the run of every frame, (n,); `axis`: values of the axis, (n,); `force`, `sigma`: force and its
+    standard deviation, N, (n,). Returns `at`, F and sigma_F, (k,); NaN where no run has been.
 
     References
     ----------

@@ -35,17 +35,8 @@ MIN_ODDS = 100.0  # by which one delay and gain must lead to be called common
 def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | None]) -> tuple[Finding, ...]:
     """Find runs whose time stamps contradict the stated frame rate, or nearly but not quite those of the other runs.
 
-    Parameters
-    ----------
-    runs
-        The measured runs by name.
-    stated
-        The frame rate that is given of each, Hz; None where none is.
-
-    Returns
-    -------
-    tuple of Finding
-        At most one per run, or one for all where all say the same. Time stamps in another unit are an error.
+    `stated`: the frame rate that is given of each, Hz; None where none is. Returns at most one per run, or one for all
+    where all say the same. Time stamps in another unit are an error.
 
     Examples
     --------
@@ -126,14 +117,10 @@ def _extremes(x: Array) -> Array:
 def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, float]]:
     """Yield a record, the first one that swings, and how far from that one's its swing is centred, m.
 
-    Parameters
-    ----------
-    positions
-        Positions of each record, m; NaN where unknown.
-
+    `positions`: positions of each record, m; NaN where unknown.
     """
     known = {name: x[np.isfinite(x)] for name, x in positions.items()}
-    centres = {name: centre for name, x in known.items() if (centre := _swing_centre(x)) is not None}
+    centres = {name: found for name, x in known.items() if (found := _swing_centre(x)) is not None}
     first = next(iter(centres), "")
     for name, (centre, sigma) in centres.items():
         shift, spread = centre - centres[first][0], np.hypot(sigma, centres[first][1])
@@ -142,14 +129,7 @@ def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, f
 
 
 def different_origins(runs: Mapping[str, Run]) -> tuple[Finding, ...]:
-    """Find runs without a drive whose swing is centred elsewhere than that of the first run.
-
-    Parameters
-    ----------
-    runs
-        The measured runs by name.
-
-    """
+    """Find runs without a drive whose swing is centred elsewhere than that of the first run."""
     free = {name: run.displacement.x for name, run in runs.items() if run.drive is None and run.friction_N is None}
     found = []
     for name, first, shift in shifted_swings(free):
@@ -189,15 +169,8 @@ def implausible_sensors(clocks: Mapping[str, Mapping[str, Any]]) -> tuple[Findin
 
     The delay counts where the runs have one in common; otherwise each recording was started on its own.
 
-    Parameters
-    ----------
-    clocks
-        Alignment of the accelerometer in every run, as `Sensors.clocks` has it under "a".
-
-    Returns
-    -------
-    tuple of Finding
-        At most one per run, or one for all where no gain leads.
+    `clocks`: alignment of the accelerometer in every run, as `Sensors.clocks` has it under "a". Returns at most one per
+    run, or one for all where no gain leads.
 
     Examples
     --------

@@ -110,15 +110,7 @@ class EnteredValues:
 def implausible_entries(entered: EnteredValues) -> tuple[Finding, ...]:
     """Find values that no laboratory has, each with the likely correction.
 
-    Parameters
-    ----------
-    entered
-        The values of one run.
-
-    Returns
-    -------
-    tuple of Finding
-        At most one warning per value.
+    Returns at most one warning per value.
 
     Examples
     --------

@@ -38,18 +38,9 @@ MAX_DIRECTION_RATIO = 2.0
 def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None:
     """Propose an incline where a mass accelerates by itself and none is stated.
 
-    Parameters
-    ----------
-    run
-        A run without an incline, a drive or measured friction; other runs give None.
-    path_angle
-        Angle of the path in the picture to the horizontal, rad; None without a film.
-
-    Returns
-    -------
-    Finding or None
-        A warning; its `correction` is the line for the study file.
-
+    `run`: a run without an incline, a drive or measured friction; other runs give None; `path_angle`: angle of the path
+    in the picture to the horizontal, rad; None without a film. Returns a warning; its `correction` is the line for the
+    study file.
     """
     strokes = () if run.has_incline or _is_driven(run) else find_strokes(run)
     if not _accelerates_by_itself(strokes):
@@ -80,16 +71,8 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
 def wrong_incline(run: Run) -> Finding | None:
     """Find a stated incline that contradicts the motion, because friction would have to push the mass.
 
-    Parameters
-    ----------
-    run
-        A run with an incline; driven runs give None.
-
-    Returns
-    -------
-    Finding or None
-        An error if the opposite sign agrees with the motion; a warning if the incline is too small or too large.
-
+    `run`: a run with an incline; driven runs give None. Returns an error if the opposite sign agrees with the motion; a
+    warning if the incline is too small or too large.
     """
     if not run.has_incline or _is_driven(run) or run.incline == 0.0:
         return None
@@ -107,16 +90,8 @@ def wrong_incline(run: Run) -> Finding | None:
 def path_angle(track: Track) -> float | None:
     """Angle of a target's path in the picture to the horizontal.
 
-    Parameters
-    ----------
-    track
-        Positions of the target; the direction of their largest extent counts.
-
-    Returns
-    -------
-    float or None
-        Angle from 0 (level) to pi/2, rad; None if the target was not found in two frames.
-
+    `track`: positions of the target; the direction of their largest extent counts. Returns the angle from 0 (level) to
+    pi/2, rad; None if the target was not found in two frames.
     """
     place = np.stack([track.x_px[track.found], track.y_px[track.found]])
     if place.shape[1] < 2:
@@ -128,16 +103,9 @@ def path_angle(track: Track) -> float | None:
 def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     """Find one incline of all runs that is missing or has the wrong sign.
 
-    Parameters
-    ----------
-    runs
-        All runs of a study; driven ones and those whose friction was measured are left out.
-
-    Returns
-    -------
-    tuple of Finding
-        At most one: an error where the opposite sign agrees with the motion. Where no incline is stated, an error if
-        runs speed up one way, and a warning if they slow down more than twice as much one way as the other.
+    `runs`: all runs of a study; driven ones and those whose friction was measured are left out. Returns at most one: an
+    error where the opposite sign agrees with the motion. Where no incline is stated, an error if runs speed up one way,
+    and a warning if they slow down more than twice as much one way as the other.
 
     Examples
     --------

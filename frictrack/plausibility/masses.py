@@ -51,16 +51,8 @@ class _MassEvidence:
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     """Find runs that disagree with all others by a power of ten.
 
-    Parameters
-    ----------
-    runs
-        All runs of a study; fewer than three undriven runs cannot disagree with each other.
-
-    Returns
-    -------
-    tuple of Finding
-        At most one per run, with the value that would agree; an error if the motion shows the power of ten.
-
+    `runs`: all runs of a study; fewer than three undriven runs cannot disagree with each other. Returns at most one per
+    run, with the value that would agree; an error if the motion shows the power of ten.
     """
     found = [_check_against_drive(run, run.mass) for run in runs if run.drive is not None and run.mass is not None]
     slides = [evidence for run in runs if (evidence := _mass_evidence(run)) is not None]

@@ -225,18 +225,9 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
 def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
     """Find an implausible speed, friction coefficient or energy of a run.
 
-    Parameters
-    ----------
-    run
-        A run with displacement and motion.
-    film
-        Whether it was filmed: then scale and fps may be wrong, else the units of the table.
-
-    Returns
-    -------
-    tuple of Finding
-        An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand explains.
-
+    `run`: a run with displacement and motion; `film`: whether it was filmed: then scale and fps may be wrong, else the
+    units of the table. An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand
+    explains.
     """
     slide = estimate_slide(run)
     if slide is None:

@@ -71,15 +71,7 @@ class EvenClock:
 def is_even(t: Array) -> bool:
     """Test whether time stamps rise by whole multiples (within 1 %) of the median interval.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Time stamps, s.
-
-    Returns
-    -------
-    bool
-        Gaps are allowed.
+    `t` (n,): time stamps, s. Gaps are allowed.
 
     Examples
     --------
@@ -168,14 +160,8 @@ def count_intervals(t: Array, rounding: float, interval: float | None = None) ->
     A row is one interval after the row before unless the rounding excludes it: then others are missing, or the row is
     there twice. The interval comes from the whole record.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Time stamps, s, rising or equal.
-    rounding : float
-        Step to which they are rounded, s.
-    interval : float, optional
-        Interval of the clock, s, if it is known.
+    `t` (n,): time stamps, s, rising or equal; `rounding`: step to which they are rounded, s; `interval`: interval of
+    the clock, s, if it is known.
 
     Examples
     --------
@@ -268,15 +254,7 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> E
 def robust_speed(t: Array, x: Array) -> Array:
     """Compute the speed as the median over several spans, which outliers do not affect.
 
-    Parameters
-    ----------
-    t, x : array (n,)
-        Times (s) and positions (m).
-
-    Returns
-    -------
-    array (n,)
-        Speed, m/s.
+    `t`, `x` (n,): times (s) and positions (m). Returns the speed, m/s.
 
     Examples
     --------
@@ -295,14 +273,8 @@ def robust_speed(t: Array, x: Array) -> Array:
 def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
     """Jitter of samples (s, rms) and the noise of a sample at rest (m); 0 and 0 where no jitter shows.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Even time stamps, s.
-    x : array (n,)
-        Positions, m.
-    slowest : float
-        Speed below which rows are not looked at, m/s: slower ones share the error of their pixel, or of their step.
+    `t` (n,): even time stamps, s; `x` (n,): positions, m; `slowest`: speed below which rows are not looked at, m/s:
+    slower ones share the error of their pixel, or of their step.
 
     Examples
     --------
@@ -344,11 +316,7 @@ def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
 def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
     """Jitter of samples (s, rms) by which the noise of several records grows with their speed; 0 where it does not.
 
-    Parameters
-    ----------
-    records : sequence of tuple
-        Even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
-
+    `records`: even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
     """
     found = [_bin_by_speed(*record) for record in records]
     usable = [(squares, size) for squares, size in found if len(squares) and np.min(size) > SMALLEST_VARIANCE]

@@ -123,21 +123,9 @@ class _Positions:
 def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outliers:
     """Find the outliers of a displacement.
 
-    Parameters
-    ----------
-    frames : array (n,)
-        Number of the frame of every row, rising.
-    x : array (n,)
-        Position, m.
-    sigma : array (n,)
-        Standard deviations of the rows; only their ratios count.
-    floor : float
-        Noise that a row has at the least, m: the step of quantised positions over sqrt(12).
-
-    Returns
-    -------
-    Outliers
-        None where nothing is found, or where more than a tenth of the rows lie off: the noise has tails then.
+    `frames` (n,): number of the frame of every row, rising; `x` (n,): position, m; `sigma` (n,): standard deviations of
+    the rows; only their ratios count; `floor`: noise that a row has at the least, m: the step of quantised positions
+    over sqrt(12). None where more than a tenth of the rows lie off: the noise has tails then.
 
     References
     ----------
@@ -191,13 +179,13 @@ def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
     return rows, off
 
 
-def consecutive_noise(x: Array, frames: Array) -> float:
+def consecutive_noise(x: Array, frames: Array | Rows) -> float:
     """White noise from the median fourth difference of consecutive frames."""
     difference, whole = fourth_differences(x, frames)
     return noise_of_differences(difference[whole], 4)
 
 
-def fourth_differences(x: Array, frames: Array) -> tuple[Array, Mask]:
+def fourth_differences(x: Array, frames: Array | Rows) -> tuple[Array, Mask]:
     """Fourth differences (n - 4,), and where their frames are consecutive."""
     return np.diff(x, 4), np.asarray(frames[4:] - frames[:-4] == 4)
 

@@ -31,18 +31,10 @@ Rows = NDArray[np.int64]
 def screened(displacement: Displacement, numbers: Rows | None = None) -> Displacement:
     """Leave the outliers of a displacement out and say so.
 
-    Parameters
-    ----------
-    displacement : Displacement
-        Positions as they were measured; they stay as they are.
-    numbers : array (n,), optional
-        Number of each row's frame in its recording, for the findings; counted from 0 by default.
-
-    Returns
-    -------
-    Displacement
-        With `valid` false at the outliers of x and y, the step of quantised positions in `resolution`, and findings in
-        `notes`. The same object where nothing is found.
+    `displacement`: positions as they were measured; they stay as they are; `numbers` (n,): number of each row's frame
+    in its recording, for the findings; counted from 0 by default. `valid` becomes false at the outliers of x and y,
+    the step of quantised positions in `resolution`, and findings in `notes`. The same object where nothing is
+    found.
 
     Examples
     --------
@@ -83,15 +75,7 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
 def frame_numbers(t: Array) -> Array:
     """Convert times to frame numbers, counted from the first.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Times, s.
-
-    Returns
-    -------
-    array (n,)
-        Whole numbers; gaps are kept.
+    `t` (n,): times, s. Returns the whole numbers; gaps are kept.
 
     Examples
     --------
@@ -127,15 +111,7 @@ def _describe_outliers(found: Outliers, numbers: Rows, where: str) -> str:
 def describe_length(metres: float) -> str:
     """Format a length with a suitable unit.
 
-    Parameters
-    ----------
-    metres : float
-        Length, m.
-
-    Returns
-    -------
-    str
-        Three significant digits.
+    `metres`: length, m. Three significant digits.
 
     Examples
     --------
@@ -156,15 +132,7 @@ def _unit_of(metres: float) -> tuple[str, float]:
 def describe_frames(numbers: Sequence[int] | Rows) -> str:
     """List frame numbers, the first ones by number.
 
-    Parameters
-    ----------
-    numbers : sequence of int
-        Frames.
-
-    Returns
-    -------
-    str
-        At most `MAX_LISTED_FRAMES` numbers.
+    Returns at most `MAX_LISTED_FRAMES` numbers.
 
     Examples
     --------
@@ -180,15 +148,7 @@ def describe_frames(numbers: Sequence[int] | Rows) -> str:
 def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
     """Find pairs of displacements that are the same measurement.
 
-    Parameters
-    ----------
-    displacements : sequence of Displacement
-        Records of a study.
-
-    Returns
-    -------
-    list of tuple of int
-        Numbers of the records of each pair.
+    Returns the numbers of the records of each pair.
 
     Examples
     --------

@@ -110,18 +110,8 @@ class SampledPath:
 def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
     """Find doubled and missing frames, in any pattern.
 
-    Parameters
-    ----------
-    path : SampledPath
-        Positions of all frames.
-    held : bool
-        Whether, where every frame comes several times, the time stamps are right and the position was held; else the
-        frames were put in, and time counts pictures.
-
-    Returns
-    -------
-    tuple of Slip
-        In order.
+    `held`: whether, where every frame comes several times, the time stamps are right and the position was held; else
+    the frames were put in, and time counts pictures.
 
     Examples
     --------
@@ -143,19 +133,8 @@ def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
 def correct_ticks(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
     """Correct ticks for doubled and missing frames.
 
-    Parameters
-    ----------
-    ticks : array of int (n,)
-        Frame intervals since the first frame.
-    found : sequence of Slip
-        Faults of the time base.
-
-    Returns
-    -------
-    ticks : array of int (n,)
-        With gaps where frames are missing.
-    keep : array of bool (n,)
-        False for doubled frames.
+    `ticks` (n,): frame intervals since the first frame. Returns `ticks` (n,), with gaps where frames are missing;
+    `keep` (n,), false for doubled frames.
 
     Examples
     --------

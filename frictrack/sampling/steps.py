@@ -30,12 +30,8 @@ def noise_of_differences(differences: Array, order: int) -> float:
 def usual_steps(steps: Array, share: float = 0.5) -> Array:
     """Quantile (n,) of the steps near every step; NaN where fewer than `MIN_KNOWN_STEPS` are known.
 
-    Parameters
-    ----------
-    steps : array (n,)
-        Steps from one sample to the next, NaN where one is not known.
-    share : float
-        Quantile: the median, or a higher one where many samples may repeat the one before.
+    `steps` (n,): steps from one sample to the next, NaN where one is not known; `share`: quantile: the median, or a
+    higher one where many samples may repeat the one before.
 
     Examples
     --------

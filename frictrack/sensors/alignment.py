@@ -90,16 +90,7 @@ class Alignment:
     def lag(self, t: Array) -> Array:
         """Compute by how much the sensor's clock is behind the camera's.
 
-        Parameters
-        ----------
-        t : array (n,)
-            Camera times, s.
-
-        Returns
-        -------
-        array (n,)
-            s.
-
+        `t` (n,): camera times, s. The result is in s.
         """
         return np.asarray(self.offset - self.rate * (t - self.middle))
 
@@ -130,16 +121,7 @@ class AlignmentProblem:
     def rows(self, alignment: Alignment) -> Mask:
         """Find the differences during which the sensor was running.
 
-        Parameters
-        ----------
-        alignment : Alignment
-            Clock of the sensor.
-
-        Returns
-        -------
-        array of bool (r,)
-            Rows of the problem.
-
+        Returns the rows of the problem.
         """
         first, last = self.frames.ends()
         return self.series.covers(first - alignment.lag(first), last - alignment.lag(last))
@@ -147,16 +129,7 @@ class AlignmentProblem:
     def select(self, rows: Mask) -> AlignmentProblem:
         """Select some of the differences.
 
-        Parameters
-        ----------
-        rows : array of bool (r,)
-            Differences to keep.
-
-        Returns
-        -------
-        AlignmentProblem
-            With these rows.
-
+        `rows` (r,): differences to keep.
         """
         return replace(self, frames=self.frames.select(rows), other_regressors=self.other_regressors[rows])
 
@@ -191,17 +164,8 @@ def _unaligned(frames: FrameDifferences, offset: float = 0.0, reason: str = "") 
 def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
     """Align a sensor with the camera.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor.
-    offset : float, optional
-        Known offset, s; by default it is estimated.
-
-    Returns
-    -------
-    Alignment
-        Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
+    `offset`: known offset, s; by default it is estimated. Where the data do not determine the offset it is 0,
+    its standard deviation None, and `reason` says why.
 
     References
     ----------
@@ -473,22 +437,7 @@ def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, ma
 def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, drift: bool = False) -> AlignmentFit:
     """Solve the linear problem about an alignment.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor, rows with both.
-    at : Alignment
-        Point of linearisation.
-    free : bool
-        Whether the offset is free.
-    drift : bool
-        Whether the rate is free as well.
-
-    Returns
-    -------
-    AlignmentFit
-        The last regressor is the bias.
-
+    `problem`: rows with both; `drift`: whether the rate is free as well. The last regressor is the bias.
     """
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
@@ -520,19 +469,9 @@ def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, d
 def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     """Test whether a residual is white.
 
-    Parameters
-    ----------
-    regressors : array (r, p)
-        Whitened regressors, whose degrees of freedom are subtracted from each band.
-    residual : array (r,)
-        Whitened residual.
-
-    Returns
-    -------
-    p : float
-        Probability of the strongest octave or line under white noise, times the number of octaves and lines.
-    excess : array (r,)
-        Cosine power spectrum less its expectation.
+    `regressors` (r, p): whitened regressors, whose degrees of freedom are subtracted from each band; `residual` (r,):
+    whitened residual. Returns `p`, probability of the strongest octave or line under white noise, times the number of
+    octaves and lines; `excess` (r,), cosine power spectrum less its expectation.
 
     Examples
     --------
@@ -625,24 +564,8 @@ def align_drive(
     are taken as white, and their level is estimated. The standard deviation of the offset comes from the scatter over
     parts of the record. Frames at rest do not count, because static friction is undetermined.
 
-    Parameters
-    ----------
-    displacement : Displacement
-        Displacement of the slider, m.
-    motion : Motion
-        Its velocity, m/s.
-    series : SensorRecord
-        Drive force, N.
-    offset : float, optional
-        Known offset, s.
-    until : float
-        Time after which frames do not count, s.
-
-    Returns
-    -------
-    Alignment
-        Clock of the drive and 1/m.
-
+    `displacement`: displacement of the slider, m; `motion`: its velocity, m/s; `series`: drive force, N; `offset`:
+    known offset, s; `until`: time after which frames do not count, s. Returns the clock of the drive and 1/m.
     """
     frames = second_differences(displacement.rows(displacement.span))
     moving = _moving(frames, motion) & (frames.ends()[1] <= until)

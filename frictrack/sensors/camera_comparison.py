@@ -72,20 +72,7 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
     sensor in m/s^2 within a factor `MAX_GAIN_FACTOR`, its zero error is below gravity, and the difference is white.
     Gain and zero error are then taken out.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor.
-    alignment : Alignment
-        Result of `align`.
-    scale_error : float
-        Relative standard deviation of the camera's scale.
-
-    Returns
-    -------
-    SensorComparison
-        Verdict and findings.
-
+    `scale_error`: relative standard deviation of the camera's scale. Returns the verdict and findings.
     """
     if alignment.rivals:
         fixed = 'its clock is ambiguous: give the delay of your set-up, as in {table = "..", offset = "1.2 ms"}'
@@ -122,20 +109,8 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
     its
     noise is scaled such that the frames, taken as independent, have the right weight together.
 
-    Parameters
-    ----------
-    series : SensorRecord
-        Accelerometer, m/s^2.
-    alignment : Alignment
-        Result of `align`, with gain and bias.
-    t : array (n,)
-        Times of the frames, s.
-
-    Returns
-    -------
-    KnownAcceleration
-        Acceleration with its noise; NaN where the sensor was not running.
-
+    `series`: accelerometer, m/s^2; `alignment`: result of `align`, with gain and bias; `t` (n,): times of the frames,
+    s. Returns the acceleration with its noise; NaN where the sensor was not running.
     """
     assert alignment.gain is not None
     assert alignment.bias is not None
@@ -298,19 +273,8 @@ def release_energy(
 ) -> ReleaseEnergy:
     """Compare the kinetic energy m v^2 / 2 at release with the stated energy of the impact.
 
-    Parameters
-    ----------
-    mass, speed : tuple of float
-        Value and standard deviation, kg and m/s.
-    stated : float
-        Energy of the impact, J.
-    scale_error : float
-        Relative standard deviation of the scale; the energy is proportional to its square.
-
-    Returns
-    -------
-    ReleaseEnergy
-        Energy and verdict.
+    `mass`, `speed`: value and standard deviation, kg and m/s; `stated`: energy of the impact, J; `scale_error`:
+    relative standard deviation of the scale; the energy is proportional to its square. Returns the energy and verdict.
 
     Examples
     --------

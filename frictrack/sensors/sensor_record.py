@@ -113,18 +113,8 @@ class SensorRecord:
     def integral(self, at: Array, order: int) -> Array:
         """Evaluate the spline or its integrals; outside the record it keeps its end value.
 
-        Parameters
-        ----------
-        at : array
-            Times on the sensor's clock, s.
-        order : int
-            0 for the spline, 1 or 2 for its integrals.
-
-        Returns
-        -------
-        array
-            In the shape of `at`.
-
+        `at`: times on the sensor's clock, s; `order`: 0 for the spline, 1 or 2 for its integrals.
+        The result is in the shape of `at`.
         """
         end = float(self.t[-1] - self.t[0])
         u = at - self.t[0]
@@ -136,18 +126,9 @@ class SensorRecord:
     def average(self, at: Array, width: float) -> Array:
         """Average the record about given times, so that frequencies above the frame rate are not aliased.
 
-        Parameters
-        ----------
-        at : array (k,)
-            Times on the sensor's clock, s.
-        width : float
-            Duration of the average, s. Where the samples are further apart, the spline itself is returned.
-
-        Returns
-        -------
-        array (k,)
-            NaN where the sensor was not running, had a gap or was clipped over more than half of the width.
-
+        `at` (k,): times on the sensor's clock, s; `width`: duration of the average, s. Where the samples are further
+        apart, the spline itself is returned. Returns NaN where the sensor was not running, had a gap or was clipped
+        over more than half of the width.
         """
         covered = self.covers(at - width / 2.0, at + width / 2.0)
         if self.interval >= width:
@@ -161,16 +142,8 @@ class SensorRecord:
     def covers(self, start: Array, end: Array) -> Mask:
         """Test whether the sensor was running without a gap.
 
-        Parameters
-        ----------
-        start, end : array (k,)
-            Begin and end of each interval on the sensor's clock, s.
-
-        Returns
-        -------
-        array of bool (k,)
-            Half of an interval, or half a sample, may lie outside the record.
-
+        `start`, `end` (k,): begin and end of each interval on the sensor's clock, s. Half of an interval,
+        or half a sample, may lie outside the record.
         """
         slack = 0.5 * np.maximum(end - start, self.interval) * (1.0 + 1e-9)
         inside = (start >= self.t[0] - slack) & (end <= self.t[-1] + slack)
@@ -263,18 +236,7 @@ class FrameDifferences:
 
         Every sample acts through its own spline, which decays within a few samples.
 
-        Parameters
-        ----------
-        series : SensorRecord
-            Clock of the sensor.
-        offset : float
-            Offset of this clock, s.
-
-        Returns
-        -------
-        sparse array (r, r)
-            Covariance per unit variance of a sample.
-
+        `offset`: offset of this clock, s. Returns the covariance per unit variance of a sample.
         """
         d, centre = series.interval, self.t[self.centre]
         first, last = self.ends()
@@ -311,16 +273,8 @@ def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
 def second_differences(displacement: Displacement) -> FrameDifferences:
     """Compute second differences over each three neighbouring valid frames.
 
-    Parameters
-    ----------
-    displacement : Displacement
-        Displacement of the slider, m.
-
-    Returns
-    -------
-    FrameDifferences
-        The noise is white, at the level that the displacement shows; `sigma_x` gives relative weights.
-
+    `displacement`: displacement of the slider, m. The noise is white, at the level that the displacement shows;
+    `sigma_x` gives relative weights.
     """
     known = displacement.valid & np.isfinite(displacement.x)
     at, t = np.flatnonzero(known), displacement.t

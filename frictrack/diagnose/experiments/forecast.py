@@ -485,7 +485,8 @@ def start_rival(planned: LinearisedRun, p: Array, tau: float) -> Array:
         return p
     t, own = planned.pieces[0].t, np.array([s.run == run for s in layout.slots])
     tried = []
-    for trial in [p, *(_with_value(p, i, t[0] + share * (t[-1] - t[0])) for i in times for share in START_TIMES)]:
+    started = ((i, t[0] + share * (t[-1] - t[0])) for i in times for share in START_TIMES)
+    for trial in [p, *(np.where(np.arange(len(p)) == i, time, p) for i, time in started)]:
         with suppress(FrictrackError):  # a start too wild to be integrated
             tried.append((predicted_objective(planned, trial, [planned.first_start], tau=tau, free=own)[0], trial))
     return min(tried, key=lambda one: one[0], default=(0.0, p))[1]
@@ -502,9 +503,3 @@ def _phase_shift(response: PieceResponse, layout: ParameterLayout, size: int, ph
     pair = [response.active.index(i) for i in (size, phase)]
     step = np.linalg.lstsq(response.jac[:, [*others, *pair]], response.r, rcond=None)[0]
     return float(np.arctan2(p[size] * step[-1], p[size] + step[-2]))
-
-
-def _with_value(p: Array, i: int, value: float) -> Array:
-    out = p.copy()
-    out[i] = value
-    return out

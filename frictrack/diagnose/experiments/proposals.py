@@ -52,10 +52,14 @@ from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.threads import one_thread
 
 MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run that excludes it
-MIN_BIC_SEPARATED = 10.0  # expected difference that separates two explanations
 MAX_EXPLANATIONS = 3  # that are compared with each other
 MAX_EXPERIMENTS = 5  # that are proposed
 AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that separate axes
+SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
+MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
+MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
+MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
+MAX_EFFECTS = 4  # that are compared
 
 Progress = Callable[[str], None]
 Pair = tuple[str, str]  # true explanation, the other one
@@ -77,7 +81,7 @@ class RatedExperiment:
         return [
             (a, b)
             for a, b in self.evidence
-            if a < b and min(self._expected(a, b), self._expected(b, a)) >= MIN_BIC_SEPARATED
+            if a < b and min(self._expected(a, b), self._expected(b, a)) >= MIN_CHI2_SEPARATED
         ]
 
     def weakest(self) -> EvidenceForecast:
@@ -92,10 +96,10 @@ class RatedExperiment:
     def summary(self, explanations: Sequence[FittedExplanation]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
         pairs, weakest = self.separated_pairs(), self.weakest()
-        told = [e for e in explanations if any(e.name in pair for pair in pairs)]
-        names = [e.name for e in told]
+        separated = [e for e in explanations if any(e.name in pair for pair in pairs)]
+        names = [e.name for e in separated]
         groups = _group_names(names, pairs)
-        single = [e.fitted_effect for e in told if not e.freed]  # a freed value has no invariant of its own
+        single = [e.fitted_effect for e in separated if not e.freed]  # a freed value has no invariant of its own
         why = explain_separation(single) if self.design else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
@@ -131,22 +135,9 @@ def propose_experiments(
 ) -> list[dict[str, Any]]:
     """Propose experiments that separate explanations of the same runs, best first.
 
-    Parameters
-    ----------
-    explanations
-        The explanations, best first; at most `MAX_EXPLANATIONS` are compared.
-    notify
-        Called with the current step.
-    keys
-        Keys of the candidate runs to rate; all by default.
-    costs
-        Costs of the experiments.
-
-    Returns
-    -------
-    list of dict
-        JSON entries. A pair that no run separates gets an entry that names other measurements.
-
+    `explanations`: the explanations, best first; at most `MAX_EXPLANATIONS` are compared; `keys`: keys of the candidate
+    runs to rate; all by default. Returns JSON entries. A pair that no run separates gets an entry that names other
+    measurements.
     """
     explanations = list(explanations)[:MAX_EXPLANATIONS]
     if len(explanations) < 2 or any(not e.solution.problem.simulates for e in explanations):
@@ -168,20 +159,8 @@ def plan_for_unexplained(
 ) -> list[dict[str, Any]]:
     """Propose runs that tell whether an unexplained force depends on place, time or speed.
 
-    Parameters
-    ----------
-    solution
-        The fitted model that leaves it.
-    notify
-        Called with the current step.
-    costs
-        Costs of the experiments.
-
-    Returns
-    -------
-    list of dict
-        JSON entries; empty for measured friction and for runs with reversals.
-
+    `solution`: the fitted model that leaves it. Returns JSON entries; empty for measured friction and for runs with
+    reversals.
     """
     if not solution.problem.simulates or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
@@ -197,25 +176,9 @@ def plan_for_candidates(
 ) -> list[dict[str, Any]]:
     """Propose experiments that separate the candidates of a diagnosis.
 
-    Parameters
-    ----------
-    bare
-        The model without any candidate.
-    passing
-        Name, fit and difference of BIC of the passing candidates, best first.
-    rivals
-        Names of those that the runs cannot distinguish from the best. They are compared, and so are those within
-        `MAX_BIC_NEAR` of it.
-    notify
-        Called with the current step.
-    costs
-        Costs of the experiments.
-
-    Returns
-    -------
-    list of dict
-        JSON entries.
-
+    `passing`: name, fit and difference of BIC of the passing candidates, best first; `rivals`: names of those that the
+    runs cannot distinguish from the best. They are compared, and so are those within `MAX_BIC_NEAR` of it. Returns JSON
+    entries.
     """
     if not passing:
         return []
@@ -274,7 +237,7 @@ def rate_runs(
         evidence: dict[Pair, EvidenceForecast] = {}
         for pair in pairs:
             reverse = evidence.get((pair.rival.name, pair.truth.name))
-            if forecast is None and reverse is not None and reverse.expected < MIN_BIC_SEPARATED:
+            if forecast is None and reverse is not None and reverse.expected < MIN_CHI2_SEPARATED:
                 continue
             with suppress(FrictrackError):
                 made = forecast(pair, entry.design) if forecast else pair.forecast_after(entry.design)
@@ -369,14 +332,6 @@ def describe_separation(groups: Sequence[Sequence[str]]) -> str:
         *most, last = (group[0] for group in groups)
         return f"{', '.join(most)} and {last} apart"
     return " from ".join(" or ".join(group) for group in groups)
-
-
-DECISIVE_DELTA_BIC = MIN_CHI2_SEPARATED  # at which a diagnosis no longer lists a rival
-SOUGHT_SHARE = 0.10  # of the mean friction: size of an effect that the runs should show
-MIN_WEIGHT_RATIO = 0.1  # to the likeliest explanation, from which on a prediction is stated if it is true
-MAX_P_SUSPECTED = 0.05  # p-value above which an effect is no suspicion, whatever its delta BIC
-MIN_GAIN = 0.05  # share of decisive evidence, over all questions, below which a run is not worth filming
-MAX_EFFECTS = 4  # that are compared
 
 
 @dataclass(frozen=True)
@@ -533,19 +488,8 @@ class Weighted:
 def list_explanations(solution: Solution, diagnosis: Mapping[str, Any]) -> list[Weighted]:
     """List the explanations of what a diagnosis leaves open.
 
-    Parameters
-    ----------
-    solution
-        The fit that was diagnosed.
-    diagnosis
-        JSON of its diagnosis.
-
-    Returns
-    -------
-    list of Weighted
-        Free curves over place, time or speed where nothing explains the misfit; else the effect with rivals, these,
-        and a formula that may be the cause in place of one effect. Empty if the effects found have no rival.
-
+    Returns the free curves over place, time or speed where nothing explains the misfit; else the effect with rivals,
+    these, and a formula that may be the cause in place of one effect. Empty if the effects found have no rival.
     """
     if diagnosis["verdict"] == "unexplained":
         return _weighted(explain_by_axes(solution), None)
@@ -609,7 +553,7 @@ def _rival_questions(found: Sequence[Weighted], costs: Costs, *, further: bool) 
     questions = []
     for pair in pairs:
         true, now = pair.truth.name, pair.truth.gain - pair.rival.gain
-        decisive = DECISIVE_DELTA_BIC + (now if further and now >= DECISIVE_DELTA_BIC else 0.0)
+        decisive = MIN_CHI2_SEPARATED + (now if further and now >= MIN_CHI2_SEPARATED else 0.0)
         questions.append(Question(true, pair.rival.name, probability[true], decisive, now, pair))
     entries = candidate_experiments(found[0].explanation.solution, costs, combined=True)
     return questions, list(rate_runs(pairs, entries, costs, forecast=_added_to_measured))
