@@ -14,7 +14,7 @@ import numpy as np
 from frictrack import effects
 from frictrack.blind.equivalents import equivalent_effects
 from frictrack.blind.ideal_detector import MIN_SPEED, limits_over_ideal
-from frictrack.blind.truth import RunTruth, Truth, effect_named
+from frictrack.blind.truth import RunTruth, Truth, effect_named, lists_as_tuples
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
@@ -80,11 +80,7 @@ class Outcome:
 
 def read_outcome(raw: dict[str, Any]) -> Outcome:
     """Read an outcome from its JSON."""
-    lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
-    equivalents = {name: tuple(others) for name, others in raw["alike"].items()}
-    sets = tuple(map(tuple, raw.get("sets", ())))
-    known = {key: value for key, value in raw.items() if key not in ("alike", "sets")}
-    return Outcome(**known | lists, sets=sets, equivalents=equivalents)
+    return Outcome(**lists_as_tuples({"equivalents" if key == "alike" else key: value for key, value in raw.items()}))
 
 
 def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:

@@ -397,13 +397,12 @@ def effect_named(name: str) -> Effect:
 
 def read_truth(raw: dict[str, Any]) -> Truth:
     """Read a truth from its JSON."""
-    runs = tuple(_read_run(run) for run in raw["runs"])
-    lists = {name: tuple(raw[name]) for name in ("model", "hidden", "size", "rise")}
-    pairs = {name: raw[name] and tuple(raw[name]) for name in ("lift", "turn")}
-    return Truth(**raw | lists | pairs | {"runs": runs})
+    known = lists_as_tuples(raw)
+    return Truth(**known | {"runs": tuple(RunTruth(**run) for run in known["runs"])})
 
 
-def _read_run(raw: dict[str, Any]) -> RunTruth:
-    """Read the truth of one run from its JSON."""
-    earlier = raw.get("earlier")
-    return RunTruth(**raw | {"earlier": None if earlier is None else tuple((rest, slid) for rest, slid in earlier)})
+def lists_as_tuples(value: Any) -> Any:
+    """The same JSON value with tuples in place of its lists, as the frozen records have them."""
+    if isinstance(value, dict):
+        return {key: lists_as_tuples(one) for key, one in value.items()}
+    return tuple(map(lists_as_tuples, value)) if isinstance(value, list | tuple) else value

@@ -13,14 +13,13 @@ from frictrack.sampling.clock import (
     stamp_rounding,
     unevenness,
 )
-from frictrack.sampling.outlier_search import Outliers, outliers
+from frictrack.sampling.outlier_search import outliers
 from frictrack.sampling.screen import copies, describe_frames, describe_length, frame_numbers, screened
 from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips
 from frictrack.sampling.steps import quantum, rounding_noise, unwrapped
 
 __all__ = [
     "EvenClock",
-    "Outliers",
     "SampledPath",
     "Slip",
     "base_interval",

@@ -2,19 +2,16 @@
 
 from frictrack.sensors.alignment import Alignment, AlignmentProblem, align, align_drive
 from frictrack.sensors.camera_comparison import (
-    ReleaseEnergy,
     SensorComparison,
     compare_with_camera,
     known_acceleration,
     release_energy,
 )
-from frictrack.sensors.sensor_record import FrameDifferences, SensorRecord, second_differences
+from frictrack.sensors.sensor_record import SensorRecord, second_differences
 
 __all__ = [
     "Alignment",
     "AlignmentProblem",
-    "FrameDifferences",
-    "ReleaseEnergy",
     "SensorComparison",
     "SensorRecord",
     "align",
