@@ -19,6 +19,7 @@ How = Literal["track", "interpolate", "leave_out"]
 TRACKED_AGAIN, LEFT_OUT = 1, 3
 CODES: dict[str, int] = {"track": TRACKED_AGAIN, "interpolate": INTERPOLATED, "leave_out": LEFT_OUT}
 MEANINGS = {"track": "tracked again", "interpolate": "interpolated", "leave_out": "left out"}
+_EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, width, height]}]'
 
 
 @dataclass(frozen=True)
@@ -130,9 +131,6 @@ def read_repairs(raw: Any) -> tuple[Repair, ...]:
                 "common; shorten one of them"
             )
     return tuple(found)
-
-
-_EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, width, height]}]'
 
 
 def _read_one(raw: Any) -> Repair:

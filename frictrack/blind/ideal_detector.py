@@ -37,6 +37,7 @@ MIN_SPEED = 0.02  # m/s; a slower run counts as stuck
 LAW_STEP = 1e-6  # relative step of a parameter of the law
 EFFECT_STEP = 1e-3  # relative step of a non-linear parameter of an effect
 MIN_SCATTER, MAX_SCATTER, N_SCATTERS = 1e-4, 0.5, 40  # relative; grid on which the likeliest scatter is found
+N_PHASES = 8  # tried to find the least favourable one
 
 
 @cache
@@ -307,9 +308,6 @@ def _force_sensitivities(base: Model, law: EffectValues, path: Path) -> list[Arr
                 out.append((base.force(path, law | {effect.name: own}) - force) / step)
     heavier = replace(path, load=path.load * (1 + LAW_STEP))
     return [*out, (base.force(heavier, law) - force) / LAW_STEP]
-
-
-N_PHASES = 8  # tried to find the least favourable one
 
 
 def limits_over_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:

@@ -24,6 +24,8 @@ FILM_WIDTH_PX, FILM_HEIGHT_PX = 480, 72  # px
 BLOCK_SIZE_PX = (76.0, 48.0)  # px
 FULL_WELL_E, READ_NOISE_E = 3500.0, 50.0  # electrons: a short exposure in a dim room
 WALL = Surface(size=5.0, level=0.3, contrast=0.2, seed=2)  # more contrast than the noise, so that it shows a shake
+SEAL_FILE = "seal.json"
+SEALED_SUFFIXES = (".csv", ".toml", ".avi")
 
 
 def render_run(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
@@ -124,10 +126,6 @@ def study_lines(truth: Truth, name: str) -> Iterator[str]:
             yield f"pause = {run.earlier[-1][0]:.6g}"
         if truth.clamp is not None:
             yield f"clamp_x = {truth.clamp:.6g}"
-
-
-SEAL_FILE = "seal.json"
-SEALED_SUFFIXES = (".csv", ".toml", ".avi")
 
 
 def seal(folder: Path, truths: dict[str, Truth]) -> None:

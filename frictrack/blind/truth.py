@@ -31,6 +31,10 @@ from frictrack.simulate.rendering import Oscillation
 Shape = Callable[[Path, dict[str, float]], Array]
 RESONANCE_WIDTH = 0.15  # width of a resonance in speed, over that speed
 N_HARMONICS = 5  # one more than the harmonics of a sawtooth
+UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
+RTOL, ATOL = 1e-10, 1e-12
+START_X_M = 0.05  # start of runs toward +x; runs toward -x start at the other end of the course
+EffectValues = dict[str, dict[str, float]]  # effect -> parameter -> value (SI)
 
 
 def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
@@ -80,7 +84,6 @@ def _heat(path: Path, q: dict[str, float]) -> Array:
     return -path.load * path.s * temperature[-len(path.t) :]
 
 
-UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
 FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
     "speed_resonance": (_speed_resonance, ("speed",)),
     "joint": (_joint, ("place",)),
@@ -126,9 +129,6 @@ def parameter_range(name: str, span: Span) -> tuple[float, float]:
         "frequency": (15.0, 60.0),
         "time": (0.1 * span.duration, 0.4 * span.duration),
     }[name]
-
-
-RTOL, ATOL = 1e-10, 1e-12
 
 
 def simulate_memory(
@@ -228,10 +228,6 @@ def _friction_parts(model: Model, values: Values) -> Callable[[Path], tuple[Arra
         return np.sum(dry, axis=0), np.sum(rest, axis=0)
 
     return parts
-
-
-START_X_M = 0.05  # start of runs toward +x; runs toward -x start at the other end of the course
-EffectValues = dict[str, dict[str, float]]  # effect -> parameter -> value (SI)
 
 
 @dataclass(frozen=True)

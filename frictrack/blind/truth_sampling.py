@@ -30,6 +30,22 @@ SHAKE_RANGE_PX = (0.05, 0.5)  # of a film, whose background shows the shake
 MAX_MOMENTUM_SHARE = 0.3  # of the momentum at the start that a collision may take
 
 PlacedEffect = tuple[Truth, Array]  # the study with one hidden effect, and its whitened trace (N,)
+KINDS = ("one", "none", "two", "three", "foreign", "fault")
+N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others
+LAWS = (  # base laws, and the share of each
+    (("coulomb", "stribeck", "viscous"), 0.6),
+    (("coulomb", "viscous"), 0.25),
+    (("coulomb", "drag"), 0.15),
+)
+PAUSES_S = (5.0, 600.0)  # shortest and longest pause between two runs
+UNUSED_SENSOR_SHARE = 0.15  # of the studies measure a drive, a vertical motion or a clamp that no effect needs
+PUSH_S = 0.012  # duration of a measured push
+MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # of a run
+FRAMES_AFTER_STOP = 8
+MIN_FRAMES = 80  # of a run
+MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per effect; fewer with memory, because its simulation is slow
+MAX_EFFECTS_TRIED = 8  # until one is visible
+FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m; px, as measured on such films
 
 
 def place_effect(
@@ -192,24 +208,6 @@ def _exceeds_momentum(truth: Truth, effect: Effect, i: int) -> bool:
     run = truth.runs[i]
     impulse = run.values[effect.name][effect.linear[0].name]
     return abs(impulse) > MAX_MOMENTUM_SHARE * truth.mass * run.mass_ratio * abs(run.speed)
-
-
-KINDS = ("one", "none", "two", "three", "foreign", "fault")
-N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others
-LAWS = (  # base laws, and the share of each
-    (("coulomb", "stribeck", "viscous"), 0.6),
-    (("coulomb", "viscous"), 0.25),
-    (("coulomb", "drag"), 0.15),
-)
-PAUSES_S = (5.0, 600.0)  # shortest and longest pause between two runs
-UNUSED_SENSOR_SHARE = 0.15  # of the studies measure a drive, a vertical motion or a clamp that no effect needs
-PUSH_S = 0.012  # duration of a measured push
-MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # of a run
-FRAMES_AFTER_STOP = 8
-MIN_FRAMES = 80  # of a run
-MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per effect; fewer with memory, because its simulation is slow
-MAX_EFFECTS_TRIED = 8  # until one is visible
-FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m; px, as measured on such films
 
 
 def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:

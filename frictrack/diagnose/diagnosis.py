@@ -20,6 +20,9 @@ from frictrack.records import Array, NotebookView
 
 if TYPE_CHECKING:
     import pandas as pd
+MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
+MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
+MAX_OTHERS_LISTED = 6  # further effects in the table of importance
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,11 +265,6 @@ class Diagnosis(NotebookView):
             "detection_limits": self.detection_limits,
             "remarks": self.remarks,
         }
-
-
-MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
-MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
-MAX_OTHERS_LISTED = 6  # further effects in the table of importance
 
 
 class HeldOutErrors:

@@ -21,6 +21,8 @@ MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Rafte
 PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
+MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
+MAX_RESIDUAL_SHARE = 1e-4  # of the force of a formula that a special case leaves; imitations leave more
 
 
 def expected_separation(best: Solution, rival: Solution) -> float:
@@ -33,13 +35,17 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     Hunter & Reiner (1965), Technometrics 7, 307-323; Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
     """
-    ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
-    pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
-    problem = rival.problem.rebuild(rival.problem.layout, pieces)
-    tau = best.tau_of_other_runs
-    fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15, min_fall=MIN_CHI2_FALL)
-    held = penalty_residual(best.problem.layout, best.p, tau)
+    fitted = fitted_to_predictions(rival, best, 15, MIN_CHI2_FALL)
+    held = penalty_residual(best.problem.layout, best.p, best.tau_of_other_runs)
     return fitted.objective - float(held @ held)
+
+
+def fitted_to_predictions(rival: Solution, truth: Solution, max_steps: int, min_fall: float) -> Solution:
+    """Fit a rival to what another fit predicts of the same runs, without noise."""
+    true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in truth.responses}
+    pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
+    problem, tau = rival.problem.rebuild(rival.problem.layout, pieces), truth.tau_of_other_runs
+    return refine(problem, rival.p, rival.starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
 
 
 def information_criterion(solution: Solution) -> float:
@@ -104,10 +110,6 @@ def log_prior_of_set(count: int) -> float:
 
     """
     return (count - 1) * log(PRIOR_ONE_MORE) - log(comb(len(LIBRARY), count))
-
-
-MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
-MAX_RESIDUAL_SHARE = 1e-4  # of the force of a formula that a special case leaves; imitations leave more
 
 
 def objection(solution: Solution, effect: Effect) -> str:

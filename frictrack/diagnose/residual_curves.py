@@ -39,6 +39,10 @@ MIN_RELATIVE_FORCE = 1e-5  # of the largest force, below which all count alike
 MIN_FREE_SCATTER = 2e-3  # relative scatter of the friction levels, above which the model may shift them
 
 _Columns = Callable[[int, Path], Array]  # forces of known form along the path of piece i, N per unit of size, (m, k)
+N_POINTS = 161  # of a common curve
+SMOOTHING_WIDTH = 1 / 80  # of the axis
+MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point of a run's range, for the run to count there
+MAX_SAMPLES_PER_RUN, MAX_SAMPLES = 300, 40_000  # of a figure; a panel of a page shows no more
 
 
 @dataclass(frozen=True)
@@ -172,12 +176,6 @@ def _deconvolved_piece(response: PieceResponse, mean: Array, variance: Array) ->
     measured = isinstance(piece, MeasuredFrictionPiece)
     a = np.gradient(v, piece.t) if measured else np.interp(piece.t, piece.panels.t, response.motion.a)
     return DeconvolvedForce(piece.run, piece.t, x, v, a, mean, np.sqrt(variance), float(np.mean(piece.path.load)))
-
-
-N_POINTS = 161  # of a common curve
-SMOOTHING_WIDTH = 1 / 80  # of the axis
-MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point of a run's range, for the run to count there
-MAX_SAMPLES_PER_RUN, MAX_SAMPLES = 300, 40_000  # of a figure; a panel of a page shows no more
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,8 @@ MAX_ROUNDS, ROBUST_STEPS = 40, 15
 WINDOW_ROWS, OVERLAP_ROWS = 1 << 15, 200  # of a long record that are searched at once, and more on either side
 
 Rows = NDArray[np.int64]
+SIDES_QUANTILE = 0.998  # of chi-squared, that the sides may leave about their common cubic
+MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,6 @@ class _BurstRule:
 
 WIDE_RULE = _BurstRule(SIDE_ROWS, 4, 6.0, 16.0)  # 2e-9 by chance
 CLOSE_RULE = _BurstRule(4, 4, 12.0, 64.0)
-SIDES_QUANTILE = 0.998  # of chi-squared, that the sides may leave about their common cubic
-MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)

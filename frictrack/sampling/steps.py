@@ -18,6 +18,16 @@ REACH_STEPS = 12  # steps on either side from which the usual step is taken
 MIN_KNOWN_STEPS = 3  # known steps that can show it
 ROWS_AT_ONCE = 1 << 14  # whose quantiles are computed together
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
+MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
+MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
+MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
+FIRST_GAPS = 8  # smallest gaps from which a step is first estimated
+MIN_POSITIONS = 3  # distinct positions that can show a step
+TURNS = (360.0, 2 * np.pi)  # of angles
+MIN_BITS = 8  # of a counter
+MAX_STEP_RATIO = 3.0  # an unwrapped step may differ from the usual one by so many times what its neighbours do
+MAX_SPREAD = 0.15  # of the range of a counter; steps that scatter by more show no jump
+MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
 
 
 def noise_of_differences(differences: Array, order: int) -> float:
@@ -59,18 +69,6 @@ def _row_quantile(values: Array, share: float) -> Array:
     below, above = ordered[rows, low], ordered[rows, np.ceil(place).astype(np.intp)]
     quantile: Array = below + (place - low) * (above - below)
     return quantile
-
-
-MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
-MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
-MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
-FIRST_GAPS = 8  # smallest gaps from which a step is first estimated
-MIN_POSITIONS = 3  # distinct positions that can show a step
-TURNS = (360.0, 2 * np.pi)  # of angles
-MIN_BITS = 8  # of a counter
-MAX_STEP_RATIO = 3.0  # an unwrapped step may differ from the usual one by so many times what its neighbours do
-MAX_SPREAD = 0.15  # of the range of a counter; steps that scatter by more show no jump
-MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
 
 
 def quantum(x: Array) -> float:

@@ -45,6 +45,7 @@ FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which no
 ALPHA_WHITENESS = 1e-3  # significance level at which the residual is judged not to be white
 LOWEST_BAND_SIZE = 8  # coefficients in the lowest band of the residual's spectrum
 SCORE_BLOCKS = 24  # parts of the record whose scores are summed where the residual is not white
+MIN_SPEED_SIGMAS = 3.0  # |v| over sigma_v; above it friction has the sign of the motion
 
 
 @dataclass(frozen=True)
@@ -544,9 +545,6 @@ def _with_rivals(found: Alignment) -> Alignment:
     spread = np.sqrt(sum(p * (o - found.offset) ** 2 for o, _, p in others))
     reason = f"ambiguous, {1e3 * offset:.4g} ms with gain {gain:.3g} agrees, too (probability {probability:.2g})"
     return replace(found, rivals=others, reason=reason, sigma_offset=float(np.hypot(found.sigma_offset, spread)))
-
-
-MIN_SPEED_SIGMAS = 3.0  # |v| over sigma_v; above it friction has the sign of the motion
 
 
 def align_drive(

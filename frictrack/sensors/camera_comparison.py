@@ -33,6 +33,8 @@ GAIN_EXPLANATIONS = {
     -GRAVITY: 'it is in units of gravity and its axis points the other way: columns = {a = "-a (g)"}',
     1e-3: 'it is in mm/s^2: say so with columns = {a = "a (mm/s^2)"}',
 }  # gain -> what explains it
+IMPOSSIBLE_SIGMAS = 3.0  # standard deviations above the stated energy that cannot be chance
+SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, frame rate or mass
 
 
 @dataclass(frozen=True)
@@ -238,10 +240,6 @@ def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[fl
     difference = covariance @ (columns.T @ white(residual))
     window = len(residual) / count * frames.interval
     return float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.mean(np.diag(covariance)))), window
-
-
-IMPOSSIBLE_SIGMAS = 3.0  # standard deviations above the stated energy that cannot be chance
-SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, frame rate or mass
 
 
 @dataclass(frozen=True)

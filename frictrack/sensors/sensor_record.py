@@ -26,6 +26,11 @@ MAX_HELD_SHARE = 0.05  # of all samples equal to the one before; in a coarser re
 MAX_CLIPPED_SHARE = 0.2  # of the record; an extreme that more samples share is a level, not clipping
 MIN_SAMPLES = 2
 MAX_MISSING_SHARE = 0.5  # of the samples
+SPLINE_REACH_SAMPLES = 16  # samples on either side from which the spline of one sample is made
+SPLINE_TAIL_SAMPLES = 4  # samples beyond the triangle in which a spline still acts: it falls to 0.27 per sample
+GAP_RESOLUTION = 0.02  # of the frame interval; gaps that differ by less share one table
+POINTS_PER_SAMPLE = 32  # of the table of a sample's effect, per sample or frame, whichever is shorter
+MAX_FRAME_GAP = 4.5  # frame intervals between two frames; no difference is taken over a longer gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,13 +183,6 @@ def _long_runs(mask: Mask, least: int) -> Mask:
     for s in stretches(mask):
         out[s] = s.stop - s.start >= least
     return out
-
-
-SPLINE_REACH_SAMPLES = 16  # samples on either side from which the spline of one sample is made
-SPLINE_TAIL_SAMPLES = 4  # samples beyond the triangle in which a spline still acts: it falls to 0.27 per sample
-GAP_RESOLUTION = 0.02  # of the frame interval; gaps that differ by less share one table
-POINTS_PER_SAMPLE = 32  # of the table of a sample's effect, per sample or frame, whichever is shorter
-MAX_FRAME_GAP = 4.5  # frame intervals between two frames; no difference is taken over a longer gap
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ from frictrack.diagnose.experiments.virtual_runs import (
     simulate_run,
 )
 from frictrack.diagnose.formulas import AXIS_SYMBOLS
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import MIN_CHI2_FALL, fitted_to_predictions, information_criterion
 from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import PLANNED_SHARE, Effect, Nonlinear, Parameter, Path
 from frictrack.errors import FrictrackError
@@ -69,7 +69,10 @@ N_HATS = 14  # knots of a free curve
 PRIOR_STD_RATIO = 0.5  # of friction: prior standard deviation of a height
 MAX_AXES = 2  # over which an unexplained force is compared
 MAX_STEPS_CURVE = 8  # Gauss-Newton steps
-MIN_CHI2_FALL = 0.1  # of a step; less does not change which runs separate two explanations
+START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
+MAX_STEPS = 12  # Gauss-Newton steps of a rival
+QUANTILES_95 = (0.025, 0.975)
+N_DEVIATES = 10_000  # of every quantity that is uncertain
 
 
 @dataclass(frozen=True)
@@ -246,12 +249,6 @@ def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) ->
     )
 
 
-START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
-MAX_STEPS = 12  # Gauss-Newton steps of a rival
-QUANTILES_95 = (0.025, 0.975)
-N_DEVIATES = 10_000  # of every quantity that is uncertain
-
-
 @dataclass(frozen=True)
 class EvidenceForecast:
     """The evidence that an experiment is expected to give if one explanation is true.
@@ -337,11 +334,7 @@ class ModelDiscrimination:
     @cached_property
     def fitted_rival(self) -> Solution:
         """The rival fitted to what the truth predicts of the present runs, without noise."""
-        rival, truth = self.rival.solution, self.truth.conservative
-        true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in truth.responses}
-        pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
-        problem = rival.problem.rebuild(rival.problem.layout, pieces)
-        return _refine(problem, rival.p, rival.starts, truth.tau_of_other_runs)
+        return fitted_to_predictions(self.rival.solution, self.truth.conservative, MAX_STEPS, MIN_CHI2_FALL)
 
     @cached_property
     def _compressed(self) -> list[PieceResponse]:

@@ -100,7 +100,8 @@ class RatedExperiment:
         names = [e.name for e in separated]
         groups = _group_names(names, pairs)
         single = [e.fitted_effect for e in separated if not e.freed]  # a freed value has no invariant of its own
-        why = explain_separation(single) if self.design else ""
+        kept = dict.fromkeys(effect.invariant for effect in single if effect.invariant)  # whatever the next run is like
+        why = ", ".join(kept) if self.design else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": names,
@@ -290,31 +291,16 @@ def _inseparable_entry(pair: Sequence[FittedExplanation]) -> dict[str, Any]:
     )
     measurement = settled_by(effects) or "; ".join(e.confirm.rstrip(".").replace("`", "") for e in effects if e.confirm)
     return {
-        "what": f"{sentence}; {measurement}" if measurement else sentence,
+        "what": "; ".join(filter(None, [sentence, measurement])),
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_interval": None,
         "expected_if_true": {},
         "groups": [names],
         "tells": "",
-        "kind": "none",
-        "key": "none",
-        "cost": None,
-        "settings": None,
+        **dict.fromkeys(("kind", "key"), "none"),
+        **dict.fromkeys(("cost", "settings")),
     }
-
-
-def explain_separation(effects: Sequence[Effect]) -> str:
-    """Return what each of the separated effects keeps when a run is made differently, joined by commas.
-
-    Examples
-    --------
-    >>> from frictrack import effects
-    >>> explain_separation([effects.get("drag"), effects.get("spring")])
-    'drag is proportional to the square of the speed, a spring pulls by place, in either direction of motion'
-
-    """
-    return ", ".join(dict.fromkeys(effect.invariant for effect in effects if effect.invariant))
 
 
 def describe_separation(groups: Sequence[Sequence[str]]) -> str:
@@ -574,13 +560,10 @@ def _unseen_effects(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def _suspected_effects(diagnosis: Mapping[str, Any]) -> dict[str, float]:
     """Effects with much evidence that is nearly significant, the best first, and their evidence as chi-squared."""
-    likely = [
-        c
-        for c in diagnosis["candidates"]
-        if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and c["p"] < MAX_P_SUSPECTED and not c["implausible"]
-    ]
-    ordered = sorted(likely, key=lambda c: -c["delta_bic"])
-    return {c["effect"]: float(chi2_isf(c["p"], 1)) for c in ordered if c["effect"] in effects.LIBRARY}
+    ordered = sorted(diagnosis["candidates"], key=lambda c: -(c["delta_bic"] or 0.0))
+    likely = (c for c in ordered if (c["delta_bic"] or 0.0) > MAX_BIC_EQUAL and not c["implausible"])
+    suspected = (c for c in likely if c["p"] < MAX_P_SUSPECTED and c["effect"] in effects.LIBRARY)
+    return {c["effect"]: float(chi2_isf(c["p"], 1)) for c in suspected}
 
 
 def _power_questions(
