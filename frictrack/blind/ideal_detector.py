@@ -7,8 +7,8 @@ and the trace d of the effect, the likelihood ratio is chi-squared with the non-
 
     rise = min_b |d/noise - J b|^2
 
-The detection limit is the rise that exceeds the threshold of the whole scan in 95 of 100 repeats. Detection
-limits that a diagnosis states are compared with it.
+The detection limit is the rise that exceeds the threshold of the whole scan in 95 of 100 repeats. Detection limits that
+a diagnosis states are compared with it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Draw the truth of a study: law, mass, speeds and camera, then hidden effects of a visible size.
 
-The ranges of law, runs and camera do not depend on the hidden effects, whose sizes are multiples of what the
-ideal detector sees.
+The ranges of law, runs and camera do not depend on the hidden effects, whose sizes are multiples of what the ideal
+detector sees.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Curves of a residual for figures and files: along every run, and the missing force with its mean over each axis.
 
-Local forces (Gaussian bumps), one wave over the place, or one sinusoid in time describe what they can; what they leave
-of the residual is a smooth force of its own in every run (see `smooth_forces`). The part of a slow force that the model
-can absorb is not determined by any run, and not in the band. Where neither a wave nor a sinusoid describes the force,
-the curve is the one of least absolute value among those that differ by what the model can absorb: a local force stays
-local, and a smooth one is centred.
+Of the missing force, local forces (Gaussian bumps), one wave over the place, or one sinusoid in time describe what they
+can; what they leave of the residual is a smooth force of its own in every run (see `smooth_forces`). The part of a slow
+force that the model can absorb is not determined by any run, and not in the band. Where neither a wave nor a sinusoid
+describes the force, the curve is the one of least absolute value among those that differ by what the model can absorb:
+a local force stays local, and a smooth one is centred.
 
 References
 ----------

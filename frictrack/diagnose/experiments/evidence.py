@@ -13,6 +13,7 @@ Summed over runs, the part of a trace that neither the law nor the rival explain
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -46,11 +47,15 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One simulated run of a set-up, and the effect that each column (n, P) of its sensitivities belongs to."""
+    """One simulated run of a set-up."""
 
     experiment: Experiment
     run: VirtualRun
-    effects: list[str]
+
+    @property
+    def effects(self) -> list[str]:
+        """The effect that each column (n, P) of its sensitivities belongs to."""
+        return [self.run.layout.slots[i].effect for i in self.run.response.active]
 
     def columns_of_law(self, without: str = "") -> Array:
         """Sensitivities (n, P') to the unknowns that the runs share, without those of one effect."""
@@ -66,10 +71,8 @@ def simulate_runs(setup: ExperimentSetup, entries: Sequence[Experiment]) -> list
     """Simulate the candidate runs that are long enough; raise FrictrackError if there are none."""
     made = []
     for experiment in entries:
-        try:
+        with suppress(FrictrackError):  # the mass would not get far enough
             made.append(_simulate_run(setup, experiment))
-        except FrictrackError:  # the mass would not get far enough
-            continue
     if not made:
         raise FrictrackError(
             f"expected a course long enough for a run but on {setup.course:.2g} m at {setup.fps:g} frames/s every "
@@ -85,8 +88,7 @@ def _simulate_run(setup: ExperimentSetup, experiment: Experiment) -> PlannedRun:
         return layout, np.array(p)
 
     near = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps)
-    run = make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME)
-    return PlannedRun(experiment, run, [run.layout.slots[i].effect for i in run.response.active])
+    return PlannedRun(experiment, make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME))
 
 
 def span_of_runs(runs: Sequence[PlannedRun]) -> Span:

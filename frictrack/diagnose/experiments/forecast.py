@@ -211,11 +211,9 @@ def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
         likeliest.setdefault(smooth.axis.name, smooth)
     found = []
     for name in [name for name in likeliest if name in AXIS_SYMBOLS][:MAX_AXES]:
-        try:
+        with suppress(FrictrackError):  # a curve under which no motion can be integrated
             made = _fit_free_curve(solution, likeliest[name], PRIOR_STD_RATIO * friction)
-        except FrictrackError:  # a curve under which no motion can be integrated
-            continue
-        found.append(FittedExplanation(AXES[name].name, made, max(solution.objective - made.objective, 0.0), made))
+            found.append(FittedExplanation(AXES[name].name, made, max(solution.objective - made.objective, 0.0), made))
     return sorted(found, key=lambda e: -e.gain)
 
 
