@@ -67,33 +67,29 @@ class FittedEffect:
 
     def value(self, parameter: str) -> float:
         """Return a parameter's value in the run in which the effect is largest."""
-        values, _ = self.solution.problem.layout.values(self.solution.p, self.most[0])
+        values, _ = self.solution.problem.layout.values(self.solution.p, self._largest[0].piece.run)
         return float(values[self.name][parameter])
 
     @cached_property
-    def most(self) -> tuple[int, PieceResponse, int]:
-        """Run, piece and frame in the middle of the first stretch where the effect is near its largest value."""
+    def _largest(self) -> tuple[PieceResponse, int, float]:
+        """Piece and frame in the middle of the first stretch where the effect is near its largest value; its size."""
         tops = [float(np.max(np.abs(b), initial=0.0)) for b in self.blocks]
         k = int(np.argmax(tops))
         high = stretches(np.abs(self.blocks[k]) >= MIN_SHARE_OF_PEAK * tops[k])[0]
         i = (high.start + high.stop - 1) // 2
-        response = self.solution.responses[k]
-        return response.piece.run, response, i
+        return self.solution.responses[k], i, abs(float(self.blocks[k][i]))
 
     @property
     def run(self) -> str:
         """Name of the run in which the effect is largest."""
-        return self.solution.problem.layout.run_names[self.most[0]]
+        return self.solution.problem.layout.run_names[self._largest[0].piece.run]
 
     def strongest(self) -> str:
         """Say where the effect is largest: run, frame, time since release, place, speed and size."""
-        _, response, i = self.most
-        piece = response.piece
-        k = next(n for n, r in enumerate(self.solution.responses) if r is response)
-        size = abs(float(self.blocks[k][i]))
+        response, i, size = self._largest
         if size == 0:
             return ""
-        x, v = position_and_velocity(response)
+        piece, (x, v) = response.piece, position_and_velocity(response)
         if self.effect.acts_on == "force":
             whole = abs(self.solution.problem.model.force(*self._path_and_values(response))[i])
             how = f"{format_number(size)} N of {format_number(whole)} N" if whole > size else f"{format_number(size)} N"
@@ -118,17 +114,17 @@ class FittedEffect:
     @property
     def mass(self) -> float:
         """Moving mass of the run in which the effect is largest, kg."""
-        return float(self.most[1].piece.mass)
+        return float(self._largest[0].piece.mass)
 
     @property
     def pixel_pitch(self) -> float | None:
         """Length of a pixel in the run in which the effect is largest, m; None for a table."""
-        return self.most[1].piece.path.pixel_pitch
+        return self._largest[0].piece.path.pixel_pitch
 
     @property
     def typical_speed(self) -> float:
         """Median speed of the run in which the effect is largest, m/s."""
-        return float(np.median(np.abs(position_and_velocity(self.most[1])[1])))
+        return float(np.median(np.abs(position_and_velocity(self._largest[0])[1])))
 
     @property
     def reference_weight(self) -> float:

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from frictrack.friction import is_moving
 from frictrack.plausibility.findings import ERROR, WARNING, Finding
@@ -191,7 +190,7 @@ def _viscous_rate(run: Run) -> float | None:
     if len(rows) < MIN_FRAMES:
         return None
     t, v = run.motion.t[rows], run.motion.v[rows]
-    u, moved = t - t[0], cumulative_trapezoid(cumulative_trapezoid(v, t, initial=0), t, initial=0)
+    u, moved = t - t[0], _integrated(t, _integrated(t, v))
     design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -moved], axis=1)
     found, std, _ = fit_columns(design, run.displacement.x[rows])
     return float(found[3]) if found[3] > MIN_SIGMAS * CORRELATION_FACTOR * std[3] else None
@@ -207,6 +206,11 @@ def _decelerating_frames(run: Run) -> Array:
     last = min([*ends, *stops[:1].tolist(), len(speed)])
     begin = next((e[1] + 1 for e in run.motion.events if e[0] <= first <= e[1]), first)
     return np.arange(begin, last)
+
+
+def _integrated(t: Array, values: Array) -> Array:
+    """Integral of values (n,) from the first time (trapezoidal rule)."""
+    return np.append(0.0, np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2))
 
 
 def _check_against_drive(run: Run, mass: float) -> Finding | None:
