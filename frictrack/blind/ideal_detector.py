@@ -226,25 +226,24 @@ class IdealDetector:
         return max(min_deviance - float(np.linalg.slogdet(np.eye(n) + known**2 * gram)[1]), 0.0)
 
     def _remove_starts(self, moved: list[Array], use: list[Mask]) -> tuple[Array, Array]:
-        """Whitened sensitivities to law and levels (N, P + runs) and changes of x (N,), with starts projected out."""
-        pairs = enumerate(zip(self._runs, moved, use, strict=True))
-        split = [self._remove_start(i, linearised, change, frames) for i, (linearised, change, frames) in pairs]
-        return np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split])
+        """Whitened sensitivities to law and levels (N, P + runs) and changes of x (N,), with starts projected out.
 
-    def _remove_start(self, i: int, linearised: _LinearisedRun, moved: Array, frames: Mask) -> tuple[Array, Array]:
-        """The same of one run, the change (n,) first; `use` selects its frames."""
-        whole = np.zeros((len(moved), linearised.sensitivity.shape[1]))
-        whole[linearised.moving] = linearised.sensitivity
-        sensitivity, change = whole[frames] / self.base_study.noise, moved[frames] / self.base_study.noise
-        q, _ = np.linalg.qr(sensitivity[:, :2])
-        left = np.zeros(len(frames))
-        left[frames] = change - q @ (q.T @ change)
-        rest = sensitivity[:, 2:] - q @ (q.T @ sensitivity[:, 2:])
-        laws = rest.shape[1] - 1
-        part = np.zeros((len(frames), laws + len(self._runs)))
-        part[frames, :laws] = rest[:, :-1]
-        part[frames, laws + i] = rest[:, -1]
-        return left, part
+        `moved` (n,) are the changes of each run, and `use` (n,) its frames that count; the others are zero.
+        """
+        blocks, n = [], len(self._runs)
+        for i, (linearised, change, frames) in enumerate(zip(self._runs, moved, use, strict=True)):
+            columns = np.zeros((len(change), 1 + linearised.sensitivity.shape[1]))  # start, law, level, then the change
+            columns[linearised.moving, :-1] = linearised.sensitivity
+            columns[:, -1] = change
+            white = columns[frames] / self.base_study.noise
+            q, _ = np.linalg.qr(white[:, :2])
+            left = white[:, 2:] - q @ (q.T @ white[:, 2:])
+            laws = left.shape[1] - 2
+            block = np.zeros((len(frames), laws + n + 1))
+            block[np.ix_(frames, [*range(laws), laws + i, laws + n])] = left
+            blocks.append(block)
+        every = np.vstack(blocks)
+        return every[:, :-1], every[:, -1]
 
 
 def unexplained_part(trace: Array, columns: Array) -> Array:
