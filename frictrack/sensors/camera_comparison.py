@@ -88,8 +88,8 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
     faults = [
         "" if free else _offset_fault(problem, alignment),
         _describe_misfit(overlapping, fitted, excess) if p < ALPHA_WHITENESS else "",
-        _gain_fault(alignment, scale_error),
-        _bias_fault(alignment),
+        _gain_fault(alignment.gain, alignment.sigma_gain, scale_error),
+        _bias_fault(alignment.bias or 0.0, alignment.sigma_bias or 0.0),
     ]
     faults = [fault for fault in faults if fault]
     difference, expected, window = _rms_difference(overlapping, alignment)
@@ -121,11 +121,8 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
     return KnownAcceleration(a, abs(alignment.gain) * float(np.sqrt(series.density / h)))
 
 
-def _gain_fault(alignment: Alignment, scale_error: float) -> str:
+def _gain_fault(gain: float, sigma: float, scale_error: float) -> str:
     """Report a gain that no sensitivity explains, with its likely cause; a smaller error is taken out."""
-    gain, sigma = alignment.gain, alignment.sigma_gain
-    assert gain is not None
-    assert sigma is not None
     spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
     if 1.0 / MAX_GAIN_FACTOR - spread <= gain <= MAX_GAIN_FACTOR + spread:
         return ""
@@ -142,11 +139,8 @@ def _gain_fault(alignment: Alignment, scale_error: float) -> str:
     )
 
 
-def _bias_fault(alignment: Alignment) -> str:
+def _bias_fault(bias: float, sigma: float) -> str:
     """Report a zero error larger than any tilt can cause."""
-    bias, sigma = alignment.bias, alignment.sigma_bias
-    assert bias is not None
-    assert sigma is not None
     if abs(bias) <= GRAVITY + REPORT_SIGMAS * sigma:
         return ""
     return (
@@ -207,7 +201,7 @@ def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) ->
     found = []
     gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
     spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
-    if abs(gain - 1.0) > spread and not _gain_fault(alignment, scale_error):
+    if abs(gain - 1.0) > spread and not _gain_fault(gain, sigma, scale_error):
         check = "; check scale and frame rate, forces go with both" if abs(gain - 1.0) > GAIN_TOLERANCE + spread else ""
         seen = f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says"
         found.append(f"{seen}; taken out as its sensitivity{check}")
