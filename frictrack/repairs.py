@@ -19,6 +19,7 @@ How = Literal["track", "interpolate", "leave_out"]
 TRACKED_AGAIN, LEFT_OUT = 1, 3
 CODES: dict[str, int] = {"track": TRACKED_AGAIN, "interpolate": INTERPOLATED, "leave_out": LEFT_OUT}
 MEANINGS = {"track": "tracked again", "interpolate": "interpolated", "leave_out": "left out"}
+_EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, width, height]}]'
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Repair:
     target: tuple[float, ...] | Polygon | None = None
 
     @property
+    def rows(self) -> slice:
+        """The frames as a slice."""
+        return slice(self.first, self.last + 1)
+
+    @property
     def start_frame(self) -> int:
         """Number of the frame in which `target` is given."""
         return self.first if self.frame is None else self.frame
@@ -70,11 +76,6 @@ class Repair:
         return float(x), float(y), float(right - x), float(bottom - y)
 
     @property
-    def code(self) -> int:
-        """The code of its frames in the column `repaired`."""
-        return CODES[self.how]
-
-    @property
     def frames_text(self) -> str:
         """The frames, as "frames 120 to 160"."""
         return f"frame {self.first}" if self.first == self.last else f"frames {self.first} to {self.last}"
@@ -87,18 +88,8 @@ class Repair:
     def check(self, n_frames: int, shape: tuple[int, int] | None = None) -> None:
         """Check that the repair lies in the film.
 
-        Parameters
-        ----------
-        n_frames
-            Number of frames of the film, or of rows of a table.
-        shape
-            Height and width of the picture, px.
-
-        Raises
-        ------
-        FrictrackError
-            For frames beyond the end, or a target outside the picture.
-
+        `n_frames`: number of frames of the film, or of rows of a table; `shape`: height and width of the picture, px.
+        Raises FrictrackError for frames beyond the end, or a target outside the picture.
         """
         if self.last >= n_frames:
             raise FrictrackError(
@@ -121,20 +112,8 @@ _KEYS = ("from", "to", *(f.name for f in fields(Repair) if f.name not in ("first
 def read_repairs(raw: Any) -> tuple[Repair, ...]:
     """Read the repairs of a run, as a study file has them, in order of their frames.
 
-    Parameters
-    ----------
-    raw : list of dict or Repair
-        Tables with the keys from, to, how, frame and target.
-
-    Returns
-    -------
-    tuple of Repair
-        In order of their frames.
-
-    Raises
-    ------
-    FrictrackError
-        For unknown keys, frames that are no numbers, repairs that overlap, and a missing or superfluous target.
+    `raw`: tables with the keys from, to, how, frame and target. Raises FrictrackError
+    for unknown keys, frames that are no numbers, repairs that overlap, and a missing or superfluous target.
 
     Examples
     --------
@@ -152,9 +131,6 @@ def read_repairs(raw: Any) -> tuple[Repair, ...]:
                 "common; shorten one of them"
             )
     return tuple(found)
-
-
-_EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, width, height]}]'
 
 
 def _read_one(raw: Any) -> Repair:
@@ -201,17 +177,7 @@ def _read_target(raw: Any) -> tuple[float, ...] | Polygon:
 def repair_codes(repairs: Sequence[Repair], n: int) -> NDArray[np.int8]:
     """Return the code of each frame.
 
-    Parameters
-    ----------
-    repairs
-        The repairs.
-    n
-        Number of frames.
-
-    Returns
-    -------
-    array of int8 (n,)
-        0 measured and unchanged, 1 tracked again, 2 interpolated, 3 left out.
+    The codes are 0 measured and unchanged, 1 tracked again, 2 interpolated, 3 left out.
 
     Examples
     --------
@@ -221,5 +187,5 @@ def repair_codes(repairs: Sequence[Repair], n: int) -> NDArray[np.int8]:
     """
     codes = np.zeros(n, np.int8)
     for one in repairs:
-        codes[one.first : one.last + 1] = one.code
+        codes[one.rows] = CODES[one.how]
     return codes

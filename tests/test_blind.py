@@ -15,19 +15,20 @@ from scipy.integrate import solve_ivp
 
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import truth_sampling as drawing
-from frictrack.blind.detection_limits import ideal_detection_limit, limits_over_ideal
-from frictrack.blind.effect_placement import SIZE_RANGE
 from frictrack.blind.equivalents import NOTHING, equivalent_effects, solution_at_truth
-from frictrack.blind.failure_overlap import overlap
-from frictrack.blind.foreign_effects import FOREIGN
-from frictrack.blind.ideal_detector import IdealDetector, degrees_of_freedom, is_event, noncentrality_limit
-from frictrack.blind.memory_motion import simulate_memory
-from frictrack.blind.outcome import Outcome, parameter_deviations
-from frictrack.blind.seal import SEAL_FILE, open_seal
-from frictrack.blind.study_files import run_table, write_study
+from frictrack.blind.ideal_detector import (
+    IdealDetector,
+    degrees_of_freedom,
+    ideal_detection_limit,
+    is_event,
+    limits_over_ideal,
+    noncentrality_limit,
+)
+from frictrack.blind.outcome import Outcome, overlap, parameter_deviations
+from frictrack.blind.study_files import SEAL_FILE, open_seal, run_table, write_study
 from frictrack.blind.tally import tally, wilson
-from frictrack.blind.truth import RunTruth, Truth, effect_named
-from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
+from frictrack.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory
+from frictrack.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError

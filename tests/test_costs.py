@@ -19,8 +19,8 @@ from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.experiments import selection
 from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
-from frictrack.diagnose.experiments.discrimination import EvidenceForecast
-from frictrack.diagnose.experiments.rating import RatedExperiment, _rank
+from frictrack.diagnose.experiments.forecast import EvidenceForecast
+from frictrack.diagnose.experiments.proposals import RatedExperiment, _rank
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
 from diagnosis import force, ours, sparse, studies
 
-from frictrack.blind.detection_limits import ideal_detection_limit, unit_values
+from frictrack.blind.ideal_detector import ideal_detection_limit, unit_values
 from frictrack.blind.outcome import Outcome
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import effect_named

@@ -16,7 +16,7 @@ import pytest
 import frictrack
 from frictrack import effects, plots
 from frictrack.compare import find_local_forces
-from frictrack.diagnose.missing_force import deconvolve_force
+from frictrack.diagnose.residual_curves import deconvolve_force
 from frictrack.diagnose.waves import WaveScan
 from frictrack.study import schema
 

@@ -15,10 +15,10 @@ from runs import Slider, integrate, measured
 from frictrack import effects
 from frictrack.costs import Costs
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
-from frictrack.diagnose.admissible import is_special_case
 from frictrack.diagnose.conclusion import _limits
 from frictrack.diagnose.examination import examine
-from frictrack.diagnose.experiments.run_to_film import Question, Weighted, _rival_questions, list_explanations
+from frictrack.diagnose.experiments.proposals import Question, Weighted, _rival_questions, list_explanations
+from frictrack.diagnose.model_selection import is_special_case
 from frictrack.diagnose.power import find_undetermined, mean_friction
 from frictrack.diagnose.preparation import MAX_PIECES, subsample_pieces
 from frictrack.diagnose.unexplained import _log_prior_odds, _probability

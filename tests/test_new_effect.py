@@ -70,15 +70,15 @@ from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
 from frictrack.effects import LIBRARY
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study, plan
-from frictrack.diagnose.experiments import candidates, selection
+from frictrack.diagnose.experiments import candidates as planned_runs, selection
 from frictrack.workbench.summaries import effect_library
 
 # less work of what is not asked here: the searches of a report, and a plan of many runs
 for module, name, value in (
     (global_search, "MAX_EVALUATIONS", 4000),
     (selection, "MAX_RUNS", 1),
-    (candidates, "SPEEDS_M_S", (4.0,)),
-    (candidates, "RETURN_SPEEDS_M_S", (4.0,)),
+    (planned_runs, "SPEEDS_M_S", (4.0,)),
+    (planned_runs, "RETURN_SPEEDS_M_S", (4.0,)),
 ):
     assert hasattr(module, name)
     setattr(module, name, value)

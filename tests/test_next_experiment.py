@@ -20,11 +20,17 @@ from frictrack.cli import plan_output
 from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.experiments import discrimination, plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.experiments import forecast as forecasts
+from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.experiments.candidates import candidate_experiments
-from frictrack.diagnose.experiments.discrimination import EvidenceForecast, ModelDiscrimination, PresentRun
-from frictrack.diagnose.experiments.explanations import FittedExplanation, make_explanation
-from frictrack.diagnose.experiments.rating import (
+from frictrack.diagnose.experiments.forecast import (
+    EvidenceForecast,
+    FittedExplanation,
+    ModelDiscrimination,
+    PresentRun,
+    make_explanation,
+)
+from frictrack.diagnose.experiments.proposals import (
     compare_all,
     describe_separation,
     direct_checks,
@@ -43,7 +49,7 @@ from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.least_squares import white_noise_covariance
 from frictrack.fit.stepwise import refine_to_end
-from frictrack.plan import fitted_setup
+from frictrack.plan import candidate_runs, fitted_setup
 from frictrack.records import GRAVITY
 from frictrack.report import tables
 from frictrack.results import to_builtins
@@ -430,8 +436,8 @@ def test_what_is_uncertain_of_a_planned_run_is_what_other_parameters_make_of_it(
 @pytest.mark.few(1)
 def test_a_forecast_knows_what_the_rival_cannot_follow(pair, monkeypatch):
     """Slopes and curvatures, against the rival fitted anew to a planned run that is moved in each direction."""
-    monkeypatch.setattr(discrimination, "MIN_CHI2_FALL", 1e-9)
-    monkeypatch.setattr(discrimination, "MAX_STEPS", 60)
+    monkeypatch.setattr(forecasts, "MIN_CHI2_FALL", 1e-9)
+    monkeypatch.setattr(forecasts, "MAX_STEPS", 60)
     true, rival = pair[-1]
     design = next(e.design for e in candidate_experiments(true.solution) if e.key == "double mass")
     told = ModelDiscrimination(true, rival)
@@ -463,6 +469,6 @@ def test_a_film_has_no_more_frames_than_the_camera_holds():
     assert any("give frames in [costs]" in line for line in fitted_setup(fit(LAW, still_moving)).assumed)
     declared = fitted_setup(fit(LAW, still_moving), Costs(frames=150))
     assert not any("give frames" in line for line in declared.assumed)
-    assert declared.plain_run(4.0).frames == 150
+    assert {e.design.frames for e in candidate_runs(declared)} == {150}
     alone = fit(LAW, still_moving[:1]).solution
     assert max_frames_of_film(alone) > max_frames_of_film(solution)  # nothing shows that it did not leave the picture

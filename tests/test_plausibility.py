@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from frictrack import samples
+from frictrack.arrays import displacement_of_table
 from frictrack.blind.study_files import write_study
 from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
@@ -37,6 +38,7 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
+from frictrack.study import TableData
 from frictrack.workbench.summaries import check_fields, refuse_implausible
 
 NOISE = 1e-5  # m
@@ -638,6 +640,18 @@ def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     assert found["c"].contradicts
     (found,) = implausible_clocks({"a": runs["a"], "b": runs["b"], "d": runs["d"]}, {"a": 5000.0})
     assert found.correction == "fps = 4000"  # as the other runs have it
+
+
+def test_a_rate_that_replaced_that_of_the_time_stamps_is_a_contradiction():
+    t = np.arange(400) / 4000
+    seen = displacement_of_table(TableData(t, 2 * t - t**2), fps=4200.0)
+    assert seen.stamped_rate == pytest.approx(4000.0)
+    assert displacement_of_table(TableData(t, 2 * t - t**2), fps=4001.0).stamped_rate is None  # within one per cent
+    run = Run(seen, differentiate(low_pass(seen)), mass=1.0, name="a")
+    (found,) = implausible_clocks({"a": run}, {"a": 4200.0})
+    assert found.contradicts
+    assert found.correction == "fps = 4000"
+    assert "the time stamps say 4000 Hz but fps = 4200 is given" in found.words
 
 
 @pytest.mark.few(1)

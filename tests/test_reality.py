@@ -15,7 +15,7 @@ from test_series import given, swing, tustin_force
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.admissible import physical_objection
+from frictrack.diagnose.model_selection import physical_objection
 from frictrack.diagnose.preparation import subsample
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit, restore, state

@@ -20,7 +20,7 @@ from frictrack.diagnose.data_faults import chi2_without
 from frictrack.export import write as export_tables
 from frictrack.flow import Session, open_study, read_results
 from frictrack.records import Displacement, Motion, Track
-from frictrack.repairs import Repair, read_repairs
+from frictrack.repairs import Repair, read_repairs, repair_codes
 from frictrack.study import load
 
 N, FPS, SHAPE, SIZE = 300, 4000.0, (128, 512), (60, 90)
@@ -393,5 +393,6 @@ def test_the_slow_error_of_a_track_is_in_its_interpolated_positions_too():
 
 
 def test_a_mark_says_how_a_frame_was_repaired():
-    assert [Repair(1, 2, how).code for how in ("track", "interpolate", "leave_out")] == [1, 2, 3]
+    repairs = [Repair(i, i, how) for i, how in enumerate(("track", "interpolate", "leave_out"))]
+    assert repair_codes(repairs, 3).tolist() == [1, 2, 3]
     assert Motion.__dataclass_fields__["repaired"].default is None

@@ -132,6 +132,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
             pixel_pitch=pitch,
             relative_scale_error=relative,
             notes=(*data.notes, *table.notes),
+            stamped_rate=data.stamped_rate,
         ),
         table.numbers,
     )
@@ -377,7 +378,7 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
     if time_unit(fps / rate):  # the times are in another unit; the check of the clocks says which
         return data, ()
     if differs > MAX_RELATIVE_DIFFERENCE:
-        note = f"{note}; {CONTRADICTION}"
+        note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
     return replace(data, t=data.t[0] + frames / fps), (note,) if differs > MIN_RATE_DIFFERENCE else ()
 
 

@@ -4,8 +4,8 @@
     make(Path("blind"), n=42)           # studies and their sealed truth
     score(Path("blind"))                # shares of effects named first, false alarms, misses, ... with intervals
 
-A study is drawn at random (`truth_sampling`), a hidden effect is scaled to a size that an ideal detector can just see
-(`effect_placement`, `ideal_detector`), its tables or films are written (`study_files`), and each diagnosis becomes an
+A study is drawn at random and a hidden effect is scaled to a size that an ideal detector can just see
+(`truth_sampling`, `ideal_detector`), its tables or films are written (`study_files`), and each diagnosis becomes an
 `Outcome`. Effects that fit as well as the hidden one (`equivalents`) count as correct within a group.
 """
 

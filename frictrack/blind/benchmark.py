@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.blind.outcome import Outcome, judge_study, read_outcome
-from frictrack.blind.seal import SEAL_FILE, open_seal, seal
-from frictrack.blind.study_files import write_study
+from frictrack.blind.study_files import SEAL_FILE, open_seal, seal, write_study
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
 from frictrack.blind.truth_sampling import KINDS, draw_truth
@@ -87,7 +86,7 @@ def make(  # noqa: PLR0913 - named settings
     jobs = _plan_studies(n, of, seed)
     names = [f"study_{i + 1:0{len(str(n))}d}" for i in range(n)]
     work = {name: partial(_make_study, folder / name, *job, film=film) for name, job in zip(names, jobs, strict=True)}
-    truths = dict(_run_with_progress(work, workers, progress, "studies"))
+    truths = dict(_run_with_progress(work, workers, progress))
     seal(folder, {name: truths[name] for name in names})
     return {"studies": n, "seed": seed, "film": film, "seal": str(folder / SEAL_FILE), "output": str(folder)}
 
@@ -156,9 +155,9 @@ def score(
         for name, truth in truths.items()
         if name not in rows
     }
-    for name, row in _run_with_progress(work, workers, progress, "studies"):
+    for name, row in _run_with_progress(work, workers, progress):
         rows[name] = row
-        _write_kept(kept / f"{name}.json", row, key)
+        _write_json(kept / f"{name}.json", {"key": key, "outcome": _to_json(row)})
     counted = tally([rows[name] for name in truths])
     result: dict[str, Any] = to_builtins({"output": str(folder), "seed": seed} | counted)
     _write_json(folder / "score.json", result | {"outcomes": [_to_json(rows[name]) for name in truths]})
@@ -179,20 +178,16 @@ def _read_kept(path: Path, key: str) -> Outcome | None:
     return read_outcome(stored["outcome"]) if stored["key"] == key else None
 
 
-def _write_kept(path: Path, row: Outcome, key: str) -> None:
-    _write_json(path, {"key": key, "outcome": _to_json(row)})
-
-
 def _write_json(path: Path, value: Any) -> None:
     """Replace a JSON file atomically."""
     replace_text(path, json.dumps(value, indent=1, ensure_ascii=False))
 
 
 def _run_with_progress(
-    work: dict[str, partial[Any]], workers: int | None, progress: Progress, what: str
+    work: dict[str, partial[Any]], workers: int | None, progress: Progress
 ) -> Iterator[tuple[str, Any]]:
     """Yield names and results as they finish, and report the progress."""
-    progress(0, len(work), what)
+    progress(0, len(work), "studies")
     for done, pair in enumerate(run_parallel(work, workers), 1):
-        progress(done, len(work), what)
+        progress(done, len(work), "studies")
         yield pair

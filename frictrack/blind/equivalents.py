@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from frictrack import effects
 from frictrack.blind.ideal_detector import MIN_SCATTER
-from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
+from frictrack.blind.truth import Truth, effect_named
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
@@ -25,19 +26,9 @@ SCREEN_SHARE, SCREEN_CHI2 = 0.3, 60.0  # share of the rise, and chi-squared, bel
 def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
     """Find for each hidden effect the library effects that can replace it, the others staying.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    base
-        Fitted base law. Its pieces and layout are used; its data are replaced by the true motion.
-
-    Returns
-    -------
-    dict
-        For each hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the
-        other hidden effects and the law, fitted again, leave no more without it.
-
+    `base`: fitted base law. Its pieces and layout are used; its data are replaced by the true motion. Returns for each
+    hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the other hidden
+    effects and the law, fitted again, leave no more without it.
     """
     full = solution_at_truth(truth, base)
     return {name: (name, *_equivalents(full, name)) for name in truth.hidden}
@@ -48,50 +39,31 @@ def _equivalents(full: Solution, name: str) -> list[str]:
     reduced = remove_effect(full, name)
     if reduced.objective - full.objective < MAX_CHI2_EXCESS:
         return [NOTHING]
-    fits = _replacements(full, reduced, name)
+    fits = replacements(full, name, reduced=reduced)
     return [other for other, fitted in fits.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
 
 
-def replacements(full: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
+def replacements(
+    full: Solution, name: str, max_chi2: float = np.inf, reduced: Solution | None = None
+) -> dict[str, Solution]:
     """Fit every effect of the library in place of a hidden one to data without noise.
 
-    Parameters
-    ----------
-    full
-        Solution at the truth; see `solution_at_truth`.
-    name
-        The hidden effect.
-    max_chi2
-        Chi-squared that an effect may leave along the true motion; those that leave more are not simulated.
-
-    Returns
-    -------
-    dict
-        The best fit by effect; only effects that are not far worse along the true motion. The objective of a fit less
-        that of `full` is the chi-squared by which these runs separate the two effects in the mean.
-
+    `full`: solution at the truth; see `solution_at_truth`; `max_chi2`: chi-squared that an effect may leave along the
+    true motion; those that leave more are not simulated. Returns the best fit by effect; only effects that are not far
+    worse along the true motion. The objective of a fit less that of `full` is the chi-squared by which these runs
+    separate the two effects in the mean.
     """
-    return _replacements(full, remove_effect(full, name), name, max_chi2)
-
-
-def _replacements(full: Solution, reduced: Solution, name: str, max_chi2: float = np.inf) -> dict[str, Solution]:
-    """Fit every effect of the library in place of a hidden one; `reduced` is the solution without it."""
-    linearised = linearise(reduced)
-    chi2_rise = reduced.objective - full.objective
-    screen = min(SCREEN_SHARE * chi2_rise + SCREEN_CHI2, max_chi2) + _level_penalty(full)
-    out = {}
+    reduced = reduced or remove_effect(full, name)
+    linearised, levels = linearise(reduced), penalty_residual(full.problem.layout, full.p, full.tau)
+    screen = min(SCREEN_SHARE * (reduced.objective - full.objective) + SCREEN_CHI2, max_chi2) + float(levels @ levels)
+    model, out = reduced.problem.model, dict[str, Solution]()
+    kinds = {e.kind for e in model.effects}
     for effect in effects.LIBRARY.values():
-        if effect.name in reduced.problem.model or effect.replaces or effect.name == name:
-            continue
-        kinds = {e.kind for e in reduced.problem.model.effects}
-        if effect.modifies and not kinds & effect.modifies:
-            continue
-        try:
-            fitted = _replacement(linearised, effect, full.tau, screen)
-        except FrictrackError:
-            continue
-        if fitted is not None:
-            out[effect.name] = fitted
+        fits_in = not effect.replaces and (not effect.modifies or kinds & effect.modifies)
+        if fits_in and effect.name not in model and effect.name != name:
+            with suppress(FrictrackError):
+                fitted = _replacement(linearised, effect, full.tau, screen)
+                out |= {} if fitted is None else {effect.name: fitted}
     return out
 
 
@@ -108,27 +80,10 @@ def _replacement(linearised: LinearisedModel, effect: Effect, tau: float, screen
     return refine(extended.problem, extended.p, extended.starts, tau=tau)
 
 
-def _level_penalty(full: Solution) -> float:
-    """Penalty of the true friction levels, which scatter about 1."""
-    penalty = penalty_residual(full.problem.layout, full.p, full.tau)
-    return float(penalty @ penalty)
-
-
 def solution_at_truth(truth: Truth, base: Solution) -> Solution:
     """Fit the true law to the true motion, from the true parameters; only rounding errors remain.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    base
-        Fitted base law of the study.
-
-    Returns
-    -------
-    Solution
-        The refined solution with all hidden effects.
-
+    `base`: fitted base law of the study. Returns the refined solution with all hidden effects.
     """
     trajectories = [truth.trajectory(run) for run in truth.runs]
     pieces = [replace(p, y=(trajectories[p.run].x + trajectories[p.run].shift)[p.frames]) for p in base.problem.pieces]
@@ -139,16 +94,8 @@ def solution_at_truth(truth: Truth, base: Solution) -> Solution:
     absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
     layout = replace(base_layout, model=model, absent=absent)
     problem = rebuild_problem(base.problem.rebuild(base_layout, pieces), layout)
-    starts = [
-        np.array([np.interp(p.t[0], s.t - _release_time(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
-        for p, s in ((p, trajectories[p.run]) for p in pieces)
-    ]
+    starts = [np.array([s.x[i], s.v[i]]) for s, i in ((trajectories[p.run], p.frames[0]) for p in pieces)]
     return refine(problem, _true_parameters(truth, layout), starts, tau=max(truth.scatter, MIN_SCATTER))
-
-
-def _release_time(time: Array, recorded: Array) -> float:
-    """Time of release on the clock of the table, s."""
-    return float(recorded[0] - time[0])
 
 
 def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
@@ -161,12 +108,6 @@ def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
         elif slot.effect in truth.law:
             out.append(truth.law[slot.effect][slot.parameter])
         else:
-            out.append(_hidden_values(truth, slot.effect, slot.run)[slot.parameter])
+            chosen = truth.runs if slot.run is None else (run,)  # the first run that has it
+            out.append(next(r.values[slot.effect] for r in chosen if slot.effect in r.values)[slot.parameter])
     return np.array(out)
-
-
-def _hidden_values(truth: Truth, name: str, run: int | None) -> dict[str, float]:
-    """Parameter values of a hidden effect in one run, or in the first run that has it."""
-    chosen: tuple[RunTruth, ...] = truth.runs if run is None else (truth.runs[run],)
-    found: list[EffectValues] = [r.values for r in chosen if name in r.values]
-    return found[0][name]

@@ -7,19 +7,22 @@ and the trace d of the effect, the likelihood ratio is chi-squared with the non-
 
     rise = min_b |d/noise - J b|^2
 
-The detection limit is the rise that exceeds the threshold of the whole scan in 95 of 100 repeats.
+The detection limit is the rise that exceeds the threshold of the whole scan in 95 of 100 repeats. Detection limits that
+a diagnosis states are compared with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.special import chndtrinc
 
-from frictrack.blind.truth import EffectValues, RunTruth, Truth
-from frictrack.distributions import chi2_isf, noncentral_chi2_sf
+from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
+from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect, Path
 from frictrack.models import Model
 from frictrack.records import Array, Mask
@@ -34,23 +37,15 @@ MIN_SPEED = 0.02  # m/s; a slower run counts as stuck
 LAW_STEP = 1e-6  # relative step of a parameter of the law
 EFFECT_STEP = 1e-3  # relative step of a non-linear parameter of an effect
 MIN_SCATTER, MAX_SCATTER, N_SCATTERS = 1e-4, 0.5, 40  # relative; grid on which the likeliest scatter is found
+N_PHASES = 8  # tried to find the least favourable one
 
 
 @cache
 def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
     """Non-centrality of chi-squared that exceeds the detection threshold in 95 of 100 repeats.
 
-    Parameters
-    ----------
-    degrees_of_freedom
-        Free coefficients of an effect.
-    forms
-        Independent forms that are scanned; the threshold is corrected for them (Bonferroni).
-
-    Returns
-    -------
-    float
-        Rise of chi-squared at the detection limit.
+    `forms`: independent forms that are scanned; the threshold is corrected for them (Bonferroni). Returns the rise of
+    chi-squared at the detection limit.
 
     Examples
     --------
@@ -58,8 +53,7 @@ def noncentrality_limit(degrees_of_freedom: int, forms: int = 1) -> float:
     True
 
     """
-    threshold = detection_threshold(degrees_of_freedom, forms)
-    return float(brentq(lambda nc: noncentral_chi2_sf(threshold, degrees_of_freedom, nc) - POWER, 1.0, 1e4))
+    return float(chndtrinc(detection_threshold(degrees_of_freedom, forms), degrees_of_freedom, 1 - POWER))
 
 
 def detection_threshold(degrees_of_freedom: int, forms: int = 1) -> float:
@@ -70,18 +64,8 @@ def detection_threshold(degrees_of_freedom: int, forms: int = 1) -> float:
 def degrees_of_freedom(effect: Effect, runs: int) -> int:
     """Count the free coefficients of an effect in a scan.
 
-    Parameters
-    ----------
-    effect
-        The effect. A phase doubles a coefficient, and a phase per run does so in each run.
-    runs
-        Number of runs. Events in single runs are tested one by one, so they count once.
-
-    Returns
-    -------
-    int
-        At least 1.
-
+    `effect`: the effect. A phase doubles a coefficient, and a phase per run does so in each run; `runs`: number of
+    runs. Events in single runs are tested one by one, so they count once. Returns at least 1.
     """
     if is_event(effect):
         return 1
@@ -151,49 +135,23 @@ class IdealDetector:
     def trace_and_rise(self, truth: Truth) -> tuple[Array, float]:
         """Compute the trace of the hidden effects by simulation.
 
-        Parameters
-        ----------
-        truth
-            The study with hidden effects.
-
-        Returns
-        -------
-        trace : Array
-            The part of their whitened displacement that law, levels and starts cannot explain, (N + runs,). Its squared
-            norm is the rise of chi-squared.
-        rise : float
-            The rise if the scatter of the levels is not known but estimated.
-
+        Returns `trace`, the part of their whitened displacement that law, levels and starts cannot explain, (N +
+        runs,). Its squared norm is the rise of chi-squared; `rise`, the rise if the scatter of the levels is not known
+        but estimated.
         """
-        split = self._remove_starts(*self._changes(truth))
-        return self._unexplained(*split), self._rise_with_unknown_scatter(*split)
-
-    def _changes(self, truth: Truth) -> tuple[list[Array], list[Mask]]:
-        """For each run the change of the recorded x (n,), m, by the hidden effects, and the frames where both move."""
-        changes = []
+        changes, both_move = [], []
         for linearised, run in zip(self._runs, truth.runs, strict=True):
-            if not run.values:
-                changes.append((np.zeros(len(linearised.trajectory.t)), linearised.moving))
-                continue
-            full = truth.trajectory(run)
-            changes.append((full.x + full.shift - linearised.trajectory.x, linearised.moving & _moving_frames(full)))
-        return [d for d, _ in changes], [frames for _, frames in changes]
+            full = truth.trajectory(run) if run.values else linearised.trajectory
+            changes.append(full.x + full.shift - linearised.trajectory.x)
+            both_move.append(linearised.moving & _moving_frames(full))
+        split = self._remove_starts(changes, both_move)
+        return self._unexplained(*split), self._rise_with_unknown_scatter(*split)
 
     def linear_trace(self, effect: Effect, values: list[EffectValues]) -> Array:
         """Compute the trace of an effect to first order in its size.
 
-        Parameters
-        ----------
-        effect
-            The effect.
-        values
-            Its parameter values in each run; empty in runs without it.
-
-        Returns
-        -------
-        Array
-            Trace as in `trace_and_rise`, (N + runs,).
-
+        `values`: its parameter values in each run; empty in runs without it. Returns the trace as in `trace_and_rise`,
+        (N + runs,).
         """
         moved = [self._response(linearised, effect, own) for linearised, own in zip(self._runs, values, strict=True)]
         return self._unexplained(*self._remove_starts(moved, [linearised.moving for linearised in self._runs]))
@@ -268,42 +226,30 @@ class IdealDetector:
         return max(min_deviance - float(np.linalg.slogdet(np.eye(n) + known**2 * gram)[1]), 0.0)
 
     def _remove_starts(self, moved: list[Array], use: list[Mask]) -> tuple[Array, Array]:
-        """Whitened sensitivities to law and levels (N, P + runs) and changes of x (N,), with starts projected out."""
-        pairs = enumerate(zip(self._runs, moved, use, strict=True))
-        split = [self._remove_start(i, linearised, change, frames) for i, (linearised, change, frames) in pairs]
-        return np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split])
+        """Whitened sensitivities to law and levels (N, P + runs) and changes of x (N,), with starts projected out.
 
-    def _remove_start(self, i: int, linearised: _LinearisedRun, moved: Array, frames: Mask) -> tuple[Array, Array]:
-        """The same of one run, the change (n,) first; `use` selects its frames."""
-        whole = np.zeros((len(moved), linearised.sensitivity.shape[1]))
-        whole[linearised.moving] = linearised.sensitivity
-        sensitivity, change = whole[frames] / self.base_study.noise, moved[frames] / self.base_study.noise
-        q, _ = np.linalg.qr(sensitivity[:, :2])
-        left = np.zeros(len(frames))
-        left[frames] = change - q @ (q.T @ change)
-        rest = sensitivity[:, 2:] - q @ (q.T @ sensitivity[:, 2:])
-        laws = rest.shape[1] - 1
-        part = np.zeros((len(frames), laws + len(self._runs)))
-        part[frames, :laws] = rest[:, :-1]
-        part[frames, laws + i] = rest[:, -1]
-        return left, part
+        `moved` (n,) are the changes of each run, and `use` (n,) its frames that count; the others are zero.
+        """
+        blocks, n = [], len(self._runs)
+        for i, (linearised, change, frames) in enumerate(zip(self._runs, moved, use, strict=True)):
+            columns = np.zeros((len(change), 1 + linearised.sensitivity.shape[1]))  # start, law, level, then the change
+            columns[linearised.moving, :-1] = linearised.sensitivity
+            columns[:, -1] = change
+            white = columns[frames] / self.base_study.noise
+            q, _ = np.linalg.qr(white[:, :2])
+            left = white[:, 2:] - q @ (q.T @ white[:, 2:])
+            laws = left.shape[1] - 2
+            block = np.zeros((len(frames), laws + n + 1))
+            block[np.ix_(frames, [*range(laws), laws + i, laws + n])] = left
+            blocks.append(block)
+        every = np.vstack(blocks)
+        return every[:, :-1], every[:, -1]
 
 
 def unexplained_part(trace: Array, columns: Array) -> Array:
     """Residual of a trace after a least-squares fit of columns.
 
-    Parameters
-    ----------
-    trace
-        Values to explain, (N,).
-    columns
-        Columns that may explain them, (N, k).
-
-    Returns
-    -------
-    Array
-        Residual, (N,).
-
+    `trace`: values to explain, (N,); `columns`: columns that may explain them, (N, k). Returns the residual, (N,).
     """
     norm = np.linalg.norm(columns, axis=0)
     columns = columns / np.where(norm > 0, norm, 1.0)
@@ -361,3 +307,68 @@ def _force_sensitivities(base: Model, law: EffectValues, path: Path) -> list[Arr
                 out.append((base.force(path, law | {effect.name: own}) - force) / step)
     heavier = replace(path, load=path.load * (1 + LAW_STEP))
     return [*out, (base.force(heavier, law) - force) / LAW_STEP]
+
+
+def limits_over_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Divide stated detection limits by those of the ideal detector.
+
+    `truth`: truth of a study without hidden effect; `limits`: `detection_limits` of its diagnosis: value and setting
+    ("at") by effect. Returns the ratio by effect; only effects whose size can be compared.
+    """
+    detector = IdealDetector(truth)
+    out = {}
+    for name, stated in limits.items():
+        if stated["value"] is None or ":" in name or not _comparable(effect_named(name), truth):
+            continue
+        ideal = ideal_detection_limit(detector, effect_named(name), dict(stated["at"]))
+        if ideal is not None:
+            out[name] = float(stated["value"]) / ideal
+    return out
+
+
+def _comparable(effect: Effect, truth: Truth) -> bool:
+    """Whether an effect has one size, no memory, and needs no signal that the truth lacks.
+
+    A film yields a vertical motion and an angle of each target even where the truth has neither.
+    """
+    available = {"drive": truth.push, "lift": truth.lift, "clamp_x": truth.clamp, "angle": truth.turn}
+    available |= {"earlier": truth.paused}
+    known = all(available.get(need, True) for need in effect.needs)
+    return known and effect.sized and not effect.memory and not is_event(effect)
+
+
+def ideal_detection_limit(detector: IdealDetector, effect: Effect, at: dict[str, float]) -> float | None:
+    """Smallest size that the ideal detector sees in 95 of 100 repeats.
+
+    Phases and further coefficients take their least favourable values.
+
+    Returns the size in the unit of the effect's first coefficient; None if it can never be seen.
+    """
+    runs = len(detector.base_study.runs)
+    phases = [p.name for p in effect.parameters if p.role == "phase"]
+    tried = np.arange(N_PHASES) * np.pi / N_PHASES if phases else [0.0]
+    forms = [unit_values(effect, at, dict.fromkeys(phases, float(q)), runs) for q in tried]
+    rise = min(_rise(detector, effect, form) for form in forms)
+    return float(np.sqrt(detector.limit(effect) / rise)) if rise > 1e-12 else None
+
+
+def _rise(detector: IdealDetector, effect: Effect, form: list[EffectValues]) -> float:
+    """Rise of chi-squared by an effect of size one that its further coefficients cannot compensate."""
+    first, *others = [p.name for p in effect.linear] or [""]
+    left = detector.linear_trace(effect, form)
+    for name in others:
+        swapped = [{effect.name: values[effect.name] | {first: 0.0, name: 1.0}} for values in form]
+        other = detector.linear_trace(effect, swapped)
+        left = left - other * float(other @ left) / max(float(other @ other), 1e-300)
+    return float(left @ left)
+
+
+def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[EffectValues]:
+    """Parameter values of an effect of size one in each run; its first coefficient is the size.
+
+    `at`, `phases`: values of non-linear parameters and of phases, by name. Returns the values by effect and parameter,
+    the same for each run.
+    """
+    size = next(p.name for p in effect.parameters if p.role in ("amplitude", "depth") or p.linear)
+    own = {p.name: p.fixed or 0.0 for p in effect.parameters} | at | dict(phases) | {size: 1.0}
+    return [{effect.name: own} for _ in range(runs)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.blind.detection_limits import limits_over_ideal
 from frictrack.blind.equivalents import equivalent_effects
-from frictrack.blind.failure_overlap import overlap
-from frictrack.blind.truth import Truth, effect_named
+from frictrack.blind.ideal_detector import MIN_SPEED, limits_over_ideal
+from frictrack.blind.truth import RunTruth, Truth, effect_named, lists_as_tuples
+from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.flow import Session, open_study
+from frictrack.records import Mask
+from frictrack.simulate import Trajectory
 
 
 @dataclass(frozen=True)
@@ -78,32 +80,13 @@ class Outcome:
 
 def read_outcome(raw: dict[str, Any]) -> Outcome:
     """Read an outcome from its JSON."""
-    lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
-    equivalents = {name: tuple(others) for name, others in raw["alike"].items()}
-    sets = tuple(map(tuple, raw.get("sets", ())))
-    known = {key: value for key, value in raw.items() if key not in ("alike", "sets")}
-    return Outcome(**known | lists, sets=sets, equivalents=equivalents)
+    return Outcome(**lists_as_tuples({"equivalents" if key == "alike" else key: value for key, value in raw.items()}))
 
 
 def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
     """Diagnose a study, add the named effects, and compare with the truth.
 
-    Parameters
-    ----------
-    name
-        Name of the study.
-    truth
-        Its truth.
-    folder
-        Folder with its study file.
-    seed
-        Seed of the diagnosis.
-
-    Returns
-    -------
-    Outcome
-        The result; an error becomes an outcome with the verdict "failed".
-
+    Returns the result; an error becomes an outcome with the verdict "failed".
     """
     blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
     try:
@@ -136,7 +119,15 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         seconds=seconds,
     )
     noise = (_tracking_error(session, truth) or diagnosis["noise_um"]) if truth.film else 1e6 * truth.noise
-    return _with_additions(session, truth, noise, out) if named else _without_additions(session, noise, out)
+    for name in named:
+        after = session.add(name)
+    errors = after["error_after"] if named else session.fit()["errors"]
+    return replace(
+        out,
+        reduced_chi2=errors["reduced_chi2"],
+        heldout=errors["heldout_rms_um"] / noise,
+        z=parameter_deviations(truth, named, after["parameters"]) if named else {},
+    )
 
 
 def _tracking_error(session: Session, truth: Truth) -> float | None:
@@ -179,39 +170,12 @@ def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 def _equivalents(truth: Truth, fit: Fit, named: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Equivalents of the hidden effects; none where a law without one of these cannot be followed from the truth."""
-    if _needs_equivalents(truth, named):
+    retimed = truth.film and "dropped_frame" in truth.hidden  # frames do not correspond to the truth
+    found = len(truth.hidden) > 1 and set(named) == set(truth.hidden)  # they decide nothing
+    if truth.hidden and truth.kind != "foreign" and not retimed and not found:
         with suppress(FrictrackError):
             return equivalent_effects(truth, fit.solution)
     return {}
-
-
-def _needs_equivalents(truth: Truth, named: Sequence[str]) -> bool:
-    """Whether equivalents are computed: effects of the library are hidden, and frames correspond to the truth.
-
-    Where exactly several hidden effects are named, they decide nothing.
-    """
-    retimed = truth.film and "dropped_frame" in truth.hidden
-    found = len(truth.hidden) > 1 and set(named) == set(truth.hidden)
-    return bool(truth.hidden) and truth.kind != "foreign" and not retimed and not found
-
-
-def _without_additions(session: Session, noise: float, out: Outcome) -> Outcome:
-    """Errors of the fitted law when no effect was named."""
-    errors = session.fit()["errors"]
-    return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / noise)
-
-
-def _with_additions(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcome:
-    """Add the named effects one after the other; return the errors and deviations afterwards."""
-    for name in out.named:
-        after = session.add(name)
-    errors = after["error_after"]
-    return replace(
-        out,
-        reduced_chi2=errors["reduced_chi2"],
-        heldout=errors["heldout_rms_um"] / noise,
-        z=parameter_deviations(truth, out.named, after["parameters"]),
-    )
 
 
 def _faults_in_notes(session: Session) -> tuple[str, ...]:
@@ -224,20 +188,8 @@ def _faults_in_notes(session: Session) -> tuple[str, ...]:
 def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
     """(Estimate - truth) / stated standard deviation of all parameters that the runs share.
 
-    Parameters
-    ----------
-    truth
-        Truth of the study.
-    named
-        Effects named by the diagnosis.
-    parameters
-        JSON `parameters` of the fit: value and std by address ("effect.parameter").
-
-    Returns
-    -------
-    dict
-        Deviation by address; empty unless exactly the hidden effects were named.
-
+    `parameters`: JSON `parameters` of the fit: value and std by address ("effect.parameter"). Returns the deviation by
+    address; empty unless exactly the hidden effects were named.
     """
     if set(named) != set(truth.hidden):
         return {}
@@ -257,3 +209,36 @@ def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[
                 error = float(np.angle(np.exp(1j * error)))
             out[f"{name}.{p.name}"] = error / estimate["std"]
     return out
+
+
+def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapping[str, float]) -> float | None:
+    """F1 score over all frames of where the hidden effect acts and where the model is said to fail.
+
+    `spans`: `fails_at` of the diagnosis: run and first and last time t (s) of each span; `low_pass_half_width`: half
+    width of the low-pass of each run, s: it widens a collision by that much. Returns 0 to 1; None unless exactly one
+    local effect, such as a patch or a collision, is hidden.
+    """
+    if len(truth.hidden) != 1 or effect_named(truth.hidden[0]).acts_within is None:
+        return None
+    effect = effect_named(truth.hidden[0])
+    n_both = n_reported = n_true = 0
+    for run in truth.runs:
+        trajectory = truth.trajectory(run)
+        t, acts = trajectory.t, acting(effect, run, trajectory, low_pass_half_width.get(run.name, 0.0))
+        within = [
+            (t >= first - 1e-9) & (t <= last + 1e-9) for first, last in (s["t"] for s in spans if s["run"] == run.name)
+        ]
+        reported = np.any([np.zeros(len(t), np.bool_), *within], axis=0)
+        n_both += int((acts & reported).sum())
+        n_reported += int(reported.sum())
+        n_true += int(acts.sum())
+    return 2 * n_both / max(n_reported + n_true, 1)
+
+
+def acting(effect: Effect, run: RunTruth, trajectory: Trajectory, low_pass_half_width: float) -> Mask:
+    """Frames (n,) of a run in which a local effect acts while the mass moves."""
+    values = run.values.get(effect.name)
+    if values is None or effect.acts_within is None:
+        return np.zeros(len(trajectory.t), dtype=bool)
+    acts = effect.acts_within(trajectory.t, trajectory.x, values, low_pass_half_width)
+    return np.asarray(acts & (np.abs(trajectory.v) > MIN_SPEED))

@@ -143,17 +143,8 @@ def _within_chi2(row: Outcome) -> bool:
 def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
     """Compute all figures of the benchmark.
 
-    Parameters
-    ----------
-    rows
-        Outcomes of the studies.
-
-    Returns
-    -------
-    dict
-        JSON: number of studies, then shares by kind of study, errors after adding the named effects, overlap of
-        failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
-
+    Returns JSON: number of studies, then shares by kind of study, errors after adding the named effects, overlap of
+    failing spans, detection limits, confusion table, CPU time and failed studies. A share of no studies is null.
     """
     kind = {k: [r for r in rows if r.kind == k] for k in KINDS}
     one = kind["one"]
@@ -176,17 +167,14 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "false_alarms": _share(kind["none"], lambda r: r.verdict not in VERDICTS_WITHOUT_NAMES),
             "undetermined": _share(kind["none"], lambda r: r.verdict == "undetermined"),
         },
-        "two": {
-            "both": _share(kind["two"], are_all_named),
-            "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),
-            "both_stated": _share(kind["two"], are_all_stated),
-            "wrong_without_doubt": _share(kind["two"], is_wrong_without_doubt),
-        },
-        "three": {
-            "all": _share(kind["three"], are_all_named),
-            "all_by_name": _share(kind["three"], lambda r: set(r.hidden) <= set(r.named)),
-            "all_stated": _share(kind["three"], are_all_stated),
-            "wrong_without_doubt": _share(kind["three"], is_wrong_without_doubt),
+        **{
+            name: {
+                word: _share(kind[name], are_all_named),
+                f"{word}_by_name": _share(kind[name], lambda r: set(r.hidden) <= set(r.named)),
+                f"{word}_stated": _share(kind[name], are_all_stated),
+                "wrong_without_doubt": _share(kind[name], is_wrong_without_doubt),
+            }
+            for name, word in (("two", "both"), ("three", "all"))
         },
         "foreign": {
             "unexplained_or_reproduced": _share(kind["foreign"], is_reproduced),

@@ -20,9 +20,8 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
     evidence_curves,
 )
-from frictrack.diagnose.candidate_table import HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
-from frictrack.diagnose.diagnosis import Diagnosis
+from frictrack.diagnose.diagnosis import Diagnosis, HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.examination import ALPHA, Examination
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.explanations import MAX_SIZE
@@ -113,7 +112,9 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    _check_fit(fit)
+    given: object = fit
+    if not isinstance(given, Fit):
+        raise FrictrackError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}", usage=True)
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     settings = SearchSettings(own, auxiliary, rng, alpha / 2, shapes_of_functions(functions), notify)
@@ -125,12 +126,6 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_SIZE, MAX_SIZE, what))
     notify(MAX_SIZE, MAX_SIZE, "diagnosed")
     return diagnosis
-
-
-def _check_fit(given: object) -> None:
-    """Raise an error for anything but a fit."""
-    if not isinstance(given, Fit):
-        raise FrictrackError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}", usage=True)
 
 
 def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
@@ -177,12 +172,11 @@ class Conclusion:
     @cached_property
     def verdict(self) -> Diagnosis:
         """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
-        first, grounds, formulas = self.search.first, self._grounds, self._formulas
-        compared = {} if formulas is None else formulas.summary
-        is_formula, rival = bool(compared.get("decisive")), compared.get("rival") is not None
+        first, grounds, formulas, is_formula = self.search.first, self._grounds, self._formulas, self._is_formula
+        rival = formulas is not None and formulas.summary["rival"] is not None
         verdict = judge(replace(grounds, is_formula=is_formula, has_rivals=grounds.has_rivals or rival))
         keeps_unexplained = self._verdict_of_effects == "unexplained" and not is_formula
-        named = [t.effect.title for t in self._named if not t.objection and not is_formula]
+        named = [] if is_formula else self._plausible_names
         in_um = self._observation.unit == "um"
         noise, misfit = self._noise
         limits, curves = self._limits
@@ -208,21 +202,13 @@ class Conclusion:
             figures=dict(curves),
             complete=False,
             alpha=2 * first.level,
-            rests_on_repairs=rests_on_repairs(
-                self.fit.runs, verdict, first, self.search.last.solution, self.search.found
-            ),
+            rests_on_repairs=rests_on_repairs(self.fit.runs, verdict, self.search),
         )
 
     def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
         """Return the whole diagnosis: failure pattern, importance, evidence of other signals, next experiments.
 
-        Parameters
-        ----------
-        auxiliary
-            Other measurements; see `diagnose`.
-        notify
-            Called with the current step.
-
+        `auxiliary`: other measurements; see `diagnose`.
         """
         notify("finding where the model fails")
         found = replace(
@@ -247,13 +233,15 @@ class Conclusion:
         """What the verdict rests on, before the effects are compared with formulas."""
         search, found = self.search, self.search.found
         _, curves = self._limits
+        # with all effects found: one alone need not lower the error where others are missing too
+        before, after, _ = self._heldout(found[-1].law) if found else (1.0, 0.0, "")
         return Grounds(
             something_missing=search.something_is_missing,
             n_found=len(found),
             misfit_left=search.last.leaves_misfit,
             has_objection=any(t.objection for t in found),
             has_rivals=any(t.indistinguishable_from for t in found),
-            error_ratio=self._error_ratio,
+            error_ratio=after / before,
             reduced_chi2=self._noise[1],
             gaps=find_undetermined(self.fit, search.first, curves, found[-1].law if found else None),
         )
@@ -262,21 +250,14 @@ class Conclusion:
     def _verdict_of_effects(self) -> str:
         return judge(self._grounds)
 
-    @property
-    def _error_ratio(self) -> float:
-        """Held-out error with all effects found over that of the model without them; 0 if none was found.
-
-        An effect alone need not lower the error where others are missing too.
-        """
-        if not self.search.found:
-            return 0.0
-        before, after, _ = self._heldout(self.search.found[-1].law)
-        return after / before
-
     @cached_property
     def _named(self) -> list[RefinedCandidate]:
         """The effects found; none if the runs leave the model itself undetermined."""
         return [] if self._verdict_of_effects == "undetermined" else self.search.found
+
+    @property
+    def _plausible_names(self) -> list[str]:
+        return [t.effect.title for t in self._named if not t.objection]
 
     @cached_property
     def _formulas(self) -> UnexplainedForce | None:
@@ -347,8 +328,7 @@ class Conclusion:
         if not search.start.problem.simulates:
             return []  # there is no motion that signals could be compared with
         if search.found:
-            names = [t.effect.title for t in self._named if not t.objection]
-            known = KnownFindings(search.found[0].delta_bic, search.last.solution, names)
+            known = KnownFindings(search.found[0].delta_bic, search.last.solution, self._plausible_names)
         return assess_auxiliary_signals(search.start, self.fit.runs, search.generators[0], auxiliary, known)
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from frictrack.diagnose.examination import Examination, lack_of_fit
-from frictrack.diagnose.finished_search import RefinedCandidate
+from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.null_distribution import draw_null_ensemble
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, fit
@@ -43,33 +43,16 @@ MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must 
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
 
-def rests_on_repairs(
-    runs: Sequence[Run], verdict: str, first: Examination, last: Solution, found: Sequence[RefinedCandidate]
-) -> str | None:
+def rests_on_repairs(runs: Sequence[Run], verdict: str, search: FinishedSearch) -> str | None:
     """Return a sentence if the verdict would change without the frames that were tracked again.
 
     For every effect found, the fall of chi-squared without these frames is compared with what the search demands of it;
     for a misfit that nothing explains, the misfit that is left.
 
-    Parameters
-    ----------
-    runs
-        The fitted runs.
-    verdict
-        The verdict.
-    first
-        Examination of the model that is diagnosed.
-    last
-        The model with all effects found.
-    found
-        The effects found, in order.
-
-    Returns
-    -------
-    str or None
-        None if no frame was tracked again, or if the verdict stands without them.
-
+    `search`: the search that led to it. None if no frame was tracked again, or if the verdict stands without
+    them.
     """
+    first = search.first
     if verdict not in ("missing", "ambiguous", "unexplained") or not first.solution.problem.simulates:
         return None
     repaired = [run.motion.repaired for run in runs]
@@ -79,9 +62,9 @@ def rests_on_repairs(
     if not counts.total():
         return None
     if verdict == "unexplained":
-        change = _misfit_without(first.solution, last, repaired)
+        change = _misfit_without(first.solution, search.last.solution, repaired)
     else:
-        change = _effects_without(first, found, repaired)
+        change = _effects_without(first, search.found, repaired)
     frames = " and ".join(f'{n} frame{"s" * (n > 1)} of run "{name}"' for name, n in counts.items() if n)
     return change and f"this verdict rests on {frames} that were tracked again: without them {change}; {ADVICE}"
 
@@ -116,18 +99,12 @@ def _effects_without(first: Examination, found: Sequence[RefinedCandidate], repa
 
 def _misfit_without(first: Solution, last: Solution, repaired: Repaired) -> str | None:
     """Say that the misfit is insignificant without the repaired frames: of the model, or with the effects found."""
-    if _is_misfit_gone(first, repaired):
-        return "the model agrees with the data"
-    if last is not first and _is_misfit_gone(last, repaired):
-        return "the effects found explain the misfit"
+    for solution, words in ((first, "the model agrees with the data"), (last, "the effects found explain the misfit")):
+        n_kept = sum(int(np.count_nonzero(_kept(r, repaired))) for r in solution.responses)
+        left, excess = chi2_without(solution, repaired) - n_kept, solution.chi2 - solution.problem.n_frames
+        if left <= min(MAX_SHARE_LEFT * excess, MIN_EXCESS_SIGMAS * float(np.sqrt(2.0 * n_kept))):
+            return words
     return None
-
-
-def _is_misfit_gone(solution: Solution, repaired: Repaired) -> bool:
-    """Whether most of the misfit, and what is significant of it, goes with the repaired frames."""
-    n_kept = sum(int(np.count_nonzero(_kept(r, repaired))) for r in solution.responses)
-    left, excess = chi2_without(solution, repaired) - n_kept, solution.chi2 - solution.problem.n_frames
-    return left <= min(MAX_SHARE_LEFT * excess, MIN_EXCESS_SIGMAS * float(np.sqrt(2.0 * n_kept)))
 
 
 def chi2_without(solution: Solution, repaired: Repaired) -> float:
@@ -150,20 +127,8 @@ def chi2_without(solution: Solution, repaired: Repaired) -> float:
 def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[str]:
     """Describe what may be wrong with one run: masses that would explain what is left, or the run that disagrees.
 
-    Parameters
-    ----------
-    last
-        The model with the effects found, which leaves a significant misfit.
-    runs
-        The fitted runs.
-    rng
-        Random generator of the tests.
-
-    Returns
-    -------
-    list of str
-        At most one sentence. Empty for fewer than three runs, or where many runs or frames would make it slow.
-
+    `last`: the model with the effects found, which leaves a significant misfit. Returns at most one sentence. Empty for
+    fewer than three runs, or where many runs or frames would make it slow.
     """
     fitted = [run for run in runs if run.role != "validation"]
     frames = sum(len(run.motion) for run in fitted)
@@ -235,13 +200,7 @@ def held_remarks(model: Solution, grown: Solution) -> list[str]:
 
     Linear coefficients are not named, because another sign of them is no law.
 
-    Parameters
-    ----------
-    model
-        The model that is diagnosed.
-    grown
-        The model with the effects found.
-
+    `grown`: the model with the effects found.
     """
     slots = model.problem.layout.slots
     named = [i for i, held in enumerate(model.held) if held and not slots[i].linear]

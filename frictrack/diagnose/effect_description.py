@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.effects import Effect, EffectRecord
+from frictrack.effects import Effect, EffectRecord, Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
 from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array, stretches
@@ -18,18 +18,8 @@ MIN_SHARE_OF_PEAK = 0.8  # of the largest contribution; the first stretch above 
 def describe_effect(effect: Effect, solution: Solution | None = None) -> dict[str, str]:
     """Describe an effect, and its fitted values if there are any.
 
-    Parameters
-    ----------
-    effect
-        The effect to describe.
-    solution
-        A fit; its numbers are added if its model contains the effect.
-
-    Returns
-    -------
-    dict of str
-        Keys "what", "looks_like" and "confirm". A fitted effect also has "here", with the numbers of this study.
-
+    `solution`: a fit; its numbers are added if its model contains the effect. The keys are "what", "looks_like" and
+    "confirm". A fitted effect also has "here", with the numbers of this study.
     """
     texts = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
     if solution is None or effect.name not in solution.problem.model:
@@ -68,54 +58,46 @@ class FittedEffect:
         return [self._block(r) for r in self.solution.responses]
 
     def _block(self, response: PieceResponse) -> Array:
-        problem, piece = self.solution.problem, response.piece
-        values, level = problem.layout.values(self.solution.p, piece.run)
-        x, v = position_and_velocity(response)
-        path = piece.at_frames(x, v, level)
-        return problem.model.effect_contribution(self.name, path, values)
+        return self.solution.problem.model.effect_contribution(self.name, *self._path_and_values(response))
+
+    def _path_and_values(self, response: PieceResponse) -> tuple[Path, dict[str, dict[str, float]]]:
+        """Path at the frames of a piece, and the parameter values of its run."""
+        values, level = self.solution.problem.layout.values(self.solution.p, response.piece.run)
+        return response.piece.at_frames(*position_and_velocity(response), level), values
 
     def value(self, parameter: str) -> float:
         """Return a parameter's value in the run in which the effect is largest."""
-        values, _ = self.solution.problem.layout.values(self.solution.p, self.most[0])
+        values, _ = self.solution.problem.layout.values(self.solution.p, self._largest[0].piece.run)
         return float(values[self.name][parameter])
 
     @cached_property
-    def most(self) -> tuple[int, PieceResponse, int]:
-        """Run, piece and frame in the middle of the first stretch where the effect is near its largest value."""
+    def _largest(self) -> tuple[PieceResponse, int, float]:
+        """Piece and frame in the middle of the first stretch where the effect is near its largest value; its size."""
         tops = [float(np.max(np.abs(b), initial=0.0)) for b in self.blocks]
         k = int(np.argmax(tops))
         high = stretches(np.abs(self.blocks[k]) >= MIN_SHARE_OF_PEAK * tops[k])[0]
         i = (high.start + high.stop - 1) // 2
-        response = self.solution.responses[k]
-        return response.piece.run, response, i
+        return self.solution.responses[k], i, abs(float(self.blocks[k][i]))
 
     @property
     def run(self) -> str:
         """Name of the run in which the effect is largest."""
-        return self.solution.problem.layout.run_names[self.most[0]]
+        return self.solution.problem.layout.run_names[self._largest[0].piece.run]
 
     def strongest(self) -> str:
         """Say where the effect is largest: run, frame, time since release, place, speed and size."""
-        _, response, i = self.most
-        piece = response.piece
-        k = next(n for n, r in enumerate(self.solution.responses) if r is response)
-        size = abs(float(self.blocks[k][i]))
+        response, i, size = self._largest
         if size == 0:
             return ""
-        x, v = position_and_velocity(response)
+        piece, (x, v) = response.piece, position_and_velocity(response)
         if self.effect.acts_on == "force":
-            whole = abs(self._total(response)[i])
+            whole = abs(self.solution.problem.model.force(*self._path_and_values(response))[i])
             how = f"{format_number(size)} N of {format_number(whole)} N" if whole > size else f"{format_number(size)} N"
         else:
             pitch = piece.path.pixel_pitch
             how = format_length(size) + (f" ({format_number(size / pitch, 2)} px)" if pitch else "")
         where = f"frame {int(piece.frames[i])}, {format_number(1e3 * piece.t[i])} ms after release"
         return f"look at run {self.run}, {where}, x = {x[i]:.3f} m at {format_number(abs(v[i]), 2)} m/s: {how}"
-
-    def _total(self, response: PieceResponse) -> Array:
-        problem, piece = self.solution.problem, response.piece
-        values, level = problem.layout.values(self.solution.p, piece.run)
-        return np.asarray(problem.model.force(piece.at_frames(*position_and_velocity(response), level), values))
 
     def passes(self, spot: float) -> str:
         """Say in which frames and at what speeds the first runs pass the place `spot`, m."""
@@ -132,17 +114,17 @@ class FittedEffect:
     @property
     def mass(self) -> float:
         """Moving mass of the run in which the effect is largest, kg."""
-        return float(self.most[1].piece.mass)
+        return float(self._largest[0].piece.mass)
 
     @property
     def pixel_pitch(self) -> float | None:
         """Length of a pixel in the run in which the effect is largest, m; None for a table."""
-        return self.most[1].piece.path.pixel_pitch
+        return self._largest[0].piece.path.pixel_pitch
 
     @property
     def typical_speed(self) -> float:
         """Median speed of the run in which the effect is largest, m/s."""
-        return float(np.median(np.abs(position_and_velocity(self.most[1])[1])))
+        return float(np.median(np.abs(position_and_velocity(self._largest[0])[1])))
 
     @property
     def reference_weight(self) -> float:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.admissible import objection, physical_objection
 from frictrack.diagnose.examination import Examination, ScannedCandidate, list_candidates
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
@@ -24,7 +23,9 @@ from frictrack.diagnose.model_selection import (
     expected_separation,
     information_criterion,
     log_prior_of_effects,
+    objection,
     parameter_penalty,
+    physical_objection,
 )
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of

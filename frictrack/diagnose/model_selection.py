@@ -1,15 +1,19 @@
-"""Compare fitted models: Bayesian information criterion, and the expected separation of two rivals."""
+"""Compare fitted models, and judge whether a fitted effect can be the cause of a misfit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import comb, log
 
-from frictrack.effects import LIBRARY, Effect
-from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
-from frictrack.fit.parameters import ParameterLayout, penalty_residual
+import numpy as np
+from scipy.optimize import least_squares
+
+from frictrack.effects import LIBRARY, Effect, Path
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, inverse_normal_matrix, refine
+from frictrack.fit.parameters import ParameterLayout, penalty_jacobian, penalty_residual
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty
+from frictrack.records import Array
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
@@ -17,49 +21,37 @@ MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Rafte
 PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
+MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
+MAX_RESIDUAL_SHARE = 1e-4  # of the force of a formula that a special case leaves; imitations leave more
 
 
 def expected_separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective if one model is true and a rival is fitted to its predictions.
 
-    Parameters
-    ----------
-    best
-        The model taken to be true.
-    rival
-        The other one.
-
-    Returns
-    -------
-    float
+    `best`: the model taken to be true.
 
     References
     ----------
     Hunter & Reiner (1965), Technometrics 7, 307-323; Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
     """
-    ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
-    pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
-    problem = rival.problem.rebuild(rival.problem.layout, pieces)
-    tau = best.tau_of_other_runs
-    fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15, min_fall=MIN_CHI2_FALL)
-    held = penalty_residual(best.problem.layout, best.p, tau)
+    fitted = fitted_to_predictions(rival, best, 15, MIN_CHI2_FALL)
+    held = penalty_residual(best.problem.layout, best.p, best.tau_of_other_runs)
     return fitted.objective - float(held @ held)
+
+
+def fitted_to_predictions(rival: Solution, truth: Solution, max_steps: int, min_fall: float) -> Solution:
+    """Fit a rival to what another fit predicts of the same runs, without noise."""
+    true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in truth.responses}
+    pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
+    problem, tau = rival.problem.rebuild(rival.problem.layout, pieces), truth.tau_of_other_runs
+    return refine(problem, rival.p, rival.starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
 
 
 def information_criterion(solution: Solution) -> float:
     """Bayesian information criterion with the friction levels integrated out; smaller is better.
 
     The likelihood is not the restricted one, which cannot compare models with different fixed effects.
-
-    Parameters
-    ----------
-    solution
-        The fitted model.
-
-    Returns
-    -------
-    float
 
     References
     ----------
@@ -73,15 +65,7 @@ def information_criterion(solution: Solution) -> float:
 def likelihood_gain(bare: Solution, fitted: Solution) -> float:
     """Compute the fall of minus twice the log-likelihood from a model to a larger one, levels integrated out.
 
-    Parameters
-    ----------
-    bare, fitted
-        The smaller and the larger model.
-
-    Returns
-    -------
-    float
-
+    `bare`, `fitted`: the smaller and the larger model.
     """
     gain = information_criterion(bare) - information_criterion(fitted)
     penalties = [parameter_penalty(s.problem.layout, s.problem) for s in (bare, fitted)]
@@ -96,15 +80,7 @@ def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> 
 def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect: Effect) -> float:
     """Return the penalty that a scan subtracts for the events of an effect in single runs.
 
-    Parameters
-    ----------
-    problem
-        The runs.
-    layout
-        A model of them with the effect.
-    effect
-        The effect.
-
+    `layout`: a model of them with the effect.
     """
     if not effect.single:
         return 0.0
@@ -134,3 +110,116 @@ def log_prior_of_set(count: int) -> float:
 
     """
     return (count - 1) * log(PRIOR_ONE_MORE) - log(comb(len(LIBRARY), count))
+
+
+def objection(solution: Solution, effect: Effect) -> str:
+    """Return why a fitted effect cannot be the cause.
+
+    The effect's own check (`Effect.plausible`) must pass in at least one run where it acts. At least one of its sizes
+    must exceed three standard deviations with its shape held: a narrow strong patch and a wide weak one are
+    interchangeable, although a patch is there.
+
+    Empty if there is no objection.
+    """
+    return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
+
+
+def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str:
+    """Return the effect's own objection to its fitted values, if it holds in every run in which it acts."""
+    if effect.plausible is None:
+        return ""
+    found = []
+    for run in range(len(layout.run_names)):
+        values, _ = layout.values(p, run)
+        if effect.name not in values or (effect.name, run) in layout.absent:
+            continue
+        span = layout.spans[run] if any(p.per_run for p in effect.parameters if p.linear) else layout.span
+        found.append(effect.plausible(values[effect.name], span))
+    return found[0] if found and all(found) else ""
+
+
+def _insignificant(solution: Solution, effect: Effect) -> str:
+    """Objection that no size of the effect is significant."""
+    layout = solution.problem.layout
+    sizes = {p.name: p.unit for p in effect.parameters if p.linear or p.role == "depth"}
+    at = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and s.parameter in sizes]
+    if not at:
+        return ""
+    std = _std_in_shape(solution, effect, at)
+    value = solution.p[at]
+    if np.any(np.abs(value) > MIN_SIGNIFICANCE * std):
+        return ""
+    k = int(np.argmax(np.abs(value) / np.maximum(std, 1e-300)))
+    slot = layout.slots[at[k]]
+    return (
+        f"{slot.parameter} = {value[k]:.2g} +/- {std[k]:.2g} {sizes[slot.parameter]} is not larger than "
+        f"{MIN_SIGNIFICANCE:g} of its standard deviations"
+    )
+
+
+def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
+    """Standard deviations of some parameters while the others of their effect, and those at a bound, are held."""
+    layout = solution.problem.layout
+    others = [s.effect != effect.name and not held for s, held in zip(layout.slots, solution.held, strict=True)]
+    free = [i for i, is_free in enumerate(others) if is_free or i in at]
+    rows = np.vstack([solution.few_rows, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])
+    covariance, _ = inverse_normal_matrix(rows[:, free])
+    return np.sqrt(np.maximum(np.diag(covariance)[[free.index(i) for i in at]], 0.0))
+
+
+def is_special_case(formula: Solution, found: Solution) -> bool:
+    """Return whether the effect of one fit can be exactly the formula of another, given the law that both have.
+
+    `formula`: the fit with a formula in place of the effect; `found`: the fit with one effect more than the law. Only
+    effects whose force depends on the moment alone, with parameters that all runs share, are compared.
+    """
+    known = found.problem.model.names
+    own = [e for e in found.problem.model.effects if e.name not in formula.problem.model.names]
+    if len(own) != 1 or not _is_comparable(own[0]):
+        return False
+    target, law, paths = _force_of_others(formula, known)
+    slots = [(i, s) for i, s in enumerate(found.problem.layout.slots) if s.effect == own[0].name]
+    nonlinear = {p.name for p in own[0].nonlinear}
+    moved = [(i, s) for i, s in slots if s.parameter in nonlinear]
+    fixed = found.problem.layout.values(found.p, 0)[0][own[0].name]
+
+    def residual(z: Array) -> Array:
+        values = fixed | {s.parameter: float(one) for (_, s), one in zip(moved, z, strict=True)}
+        columns = np.vstack([own[0].columns(path, values) for path in paths])
+        return _unexplained_share(target, np.hstack([law, columns]))
+
+    start = np.array([found.p[i] for i, _ in moved])
+    if not moved:
+        return float(np.linalg.norm(residual(start))) < MAX_RESIDUAL_SHARE
+    low, high = np.array([s.bounds for _, s in moved]).T
+    best = least_squares(residual, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 1e-9), ftol=1e-12)
+    return float(np.linalg.norm(best.fun)) < MAX_RESIDUAL_SHARE
+
+
+def _is_comparable(effect: Effect) -> bool:
+    """Whether the force of an effect depends on the moment alone, with parameters that all runs share."""
+    of_moment = effect.acts_on == "force" and not (effect.modifies or effect.memory or effect.counts_from_release)
+    return of_moment and not any(p.per_run for p in effect.parameters)
+
+
+def _force_of_others(formula: Solution, known: list[str]) -> tuple[Array, Array, list[Path]]:
+    """Force (n,) of the effects that are not `known`, columns (n, k) of those that are, and the paths."""
+    model, layout = formula.problem.model, formula.problem.layout
+    forces, columns, paths = [], [], []
+    for r in formula.responses:
+        values, level = layout.values(formula.p, r.piece.run)
+        path = r.piece.path_at_nodes(r.motion.x, r.motion.v, level)
+        made: Mapping[str, Array] = model.force_columns(path, values)
+        others = [made[name] @ model.coefficients(name, values) for name in made if name not in known]
+        forces.append(np.sum(others, axis=0))
+        columns.append(np.hstack([made[name] for name in made if name in known]))
+        paths.append(path)
+    return np.concatenate(forces), np.vstack(columns), paths
+
+
+def _unexplained_share(target: Array, columns: Array) -> Array:
+    """Residual (n,) of a force after a least-squares fit of columns (n, k), over the norm of the force."""
+    norm = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(norm > 0, norm, 1.0)
+    fitted = unit @ np.linalg.lstsq(unit, target, rcond=None)[0]
+    return np.asarray((target - fitted) / max(float(np.linalg.norm(target)), 1e-300))

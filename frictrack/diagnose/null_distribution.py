@@ -71,22 +71,7 @@ def count_draws(level: float) -> int:
 
 
 def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:
-    """Draw data of the null hypothesis that the fitted model is complete.
-
-    Parameters
-    ----------
-    solution
-        The fitted model.
-    rng
-        Random generator.
-    draws
-        Number of draws.
-
-    Returns
-    -------
-    NullEnsemble
-
-    """
+    """Draw data of the null hypothesis that the fitted model is complete."""
     law = linearise(solution)
     fitted, basis = law.solution, law.basis
     data = np.empty((len(basis.u), 1 + draws), dtype=np.float32)
@@ -156,17 +141,7 @@ def _whitened(piece: Piece, errors: Float32Array) -> Float32Array:
 def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
     """Slow errors of rms one, equally large in every octave from a few frames to the whole piece.
 
-    Parameters
-    ----------
-    shape
-        Frames and draws, (n, D).
-    rng
-        Random generator.
-
-    Returns
-    -------
-    ndarray, shape (n, D)
-
+    `shape`: frames and draws, (n, D).
     """
     waves, size = np.zeros(shape, dtype=np.float32), slow_spectrum(shape[0]).astype(np.float32)
     waves[1 : 1 + len(size)] = size[:, None] * rng.standard_normal((len(size), shape[1]), dtype=np.float32)
@@ -179,19 +154,7 @@ def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> F
 
     They change slowly where the target moves a whole number of pixels per frame, or stops.
 
-    Parameters
-    ----------
-    place
-        Positions, px, (n,).
-    draws
-        Number of draws D.
-    rng
-        Random generator.
-
-    Returns
-    -------
-    ndarray, shape (n, D)
-
+    `place`: positions, px, (n,).
     """
     return (random_tones(place, draws, rng) + random_tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
 
@@ -201,21 +164,7 @@ def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Genera
 
     While a mass moves less than a step per frame they are equal from frame to frame, so they are not white.
 
-    Parameters
-    ----------
-    place
-        Positions, m, (n,).
-    step
-        Rounding step, m.
-    draws
-        Number of draws D.
-    rng
-        Random generator.
-
-    Returns
-    -------
-    ndarray, shape (n, D)
-        Errors, m.
+    `place`: positions, m, (n,); `step`: rounding step, m. Returns the errors, m.
 
     References
     ----------

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chndtrinc
 
-from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.examination import Examination, ScannedCandidate
+from frictrack.diagnose.model_selection import MIN_SIGNIFICANCE
 from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit import Fit
@@ -52,22 +52,9 @@ def detection_limit(
     It is the first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of
     the whole search; phases and further coefficients are at their least favourable.
 
-    Parameters
-    ----------
-    scanned
-        The effect's scans.
-    draws
-        Data and draws of the null hypothesis.
-    critical
-        Critical excess of the whole search.
-
-    Returns
-    -------
-    limit : dict
-        JSON: value, unit and setting at the least favourable setting that the runs visit.
-    curve : dict of ndarray
-        Settings and limit at all G grid points, (G,).
-
+    `scanned`: the effect's scans; `draws`: data and draws of the null hypothesis; `critical`: critical excess of the
+    whole search. Returns `limit`, JSON: value, unit and setting at the least favourable setting that the runs visit;
+    `curve`, settings and limit at all G grid points, (G,).
     """
     first_scan = scanned.scans[0]
     family = first_scan.grid
@@ -149,23 +136,10 @@ def find_undetermined(
 ) -> list[Undetermined]:
     """List what the runs of a fit leave open.
 
-    Parameters
-    ----------
-    fit
-        The fit.
-    first
-        Examination of the model.
-    curves
-        Detection limits over all settings, by effect.
-    grown
-        The model with the effects found; None if there are none. A coefficient of the law is open if it is uncertain
-        with and without them: without them, its standard deviation also holds what the effects explain; with them,
-        it may be uncertain because one of them replaces its force.
-
-    Returns
-    -------
-    list of Undetermined
-
+    `curves`: detection limits over all settings, by effect; `grown`: the model with the effects found; None if there
+    are none. A coefficient of the law is open if it is uncertain with and without them: without them, its standard
+    deviation also holds what the effects explain; with them, it may be uncertain because one of them replaces its
+    force.
     """
     friction = mean_friction(first)
     uncertain = list(_uncertain_coefficients(fit.parameters, first, friction))

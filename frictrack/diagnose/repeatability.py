@@ -121,21 +121,8 @@ def assess_repeatability(
 ) -> Repeatability:
     """Test over which axis the misfit of a fit repeats from run to run.
 
-    Parameters
-    ----------
-    solution
-        The fit.
-    rng
-        Random generator.
-    waves
-        Scan for waves in its residual, if there is one.
-    forces
-        Smooth forces in its residual, if they were computed before.
-
-    Returns
-    -------
-    Repeatability
-
+    `waves`: scan for waves in its residual, if there is one; `forces`: smooth forces in its residual, if they were
+    computed before.
     """
     forces, waves = forces or ResidualForces(solution, about_measurement=True), waves or WaveScan(linearise(solution))
     misfit = _Misfit.of(forces.compressed, rng)

@@ -1,7 +1,14 @@
 """Curves of a residual for figures and files: along every run, and the missing force with its mean over each axis.
 
+Of the missing force, local forces (Gaussian bumps), one wave over the place, or one sinusoid in time describe what they
+can; what they leave of the residual is a smooth force of its own in every run (see `smooth_forces`). The part of a slow
+force that the model can absorb is not determined by any run, and not in the band. Where neither a wave nor a sinusoid
+describes the force, the curve is the one of least absolute value among those that differ by what the model can absorb:
+a local force stays local, and a smooth one is centred.
+
 References
 ----------
+Bloomfield & Steiger (1983), Least Absolute Deviations.
 DerSimonian & Laird (1986), Control. Clin. Trials 7, 177-188.
 
 """
@@ -17,19 +24,158 @@ import numpy as np
 from frictrack.axes import AXES
 from frictrack.compare import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.effect_description import FittedEffect
-from frictrack.diagnose.missing_force import DeconvolvedForce, deconvolve_force
 from frictrack.diagnose.repeatability import Repeatability, assess_repeatability
-from frictrack.diagnose.smooth_forces import ResidualForces
+from frictrack.diagnose.smooth_forces import ResidualForces, separate_curves
 from frictrack.diagnose.waves import SpectralLine, WaveScan
+from frictrack.effects import Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
-from frictrack.fit.observations import keep_compared_frames
+from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.records import Array
 
+ALPHA = 0.01  # significance level of a wave
+N_REWEIGHTED = 40  # steps of iteratively reweighted least squares
+MIN_RELATIVE_FORCE = 1e-5  # of the largest force, below which all count alike
+MIN_FREE_SCATTER = 2e-3  # relative scatter of the friction levels, above which the model may shift them
+
+_Columns = Callable[[int, Path], Array]  # forces of known form along the path of piece i, N per unit of size, (m, k)
 N_POINTS = 161  # of a common curve
 SMOOTHING_WIDTH = 1 / 80  # of the axis
 MIN_WEIGHT_SHARE = 0.2  # of the median number of frames near a point of a run's range, for the run to count there
 MAX_SAMPLES_PER_RUN, MAX_SAMPLES = 300, 40_000  # of a figure; a panel of a page shows no more
+
+
+@dataclass(frozen=True)
+class DeconvolvedForce:
+    """The missing force along one piece, all (n,).
+
+    Parameters
+    ----------
+    run
+        Index of the run among the fitted ones.
+    t, x, v, a
+        Time since release s, and the motion in m, m/s, m/s^2.
+    F, sigma_F
+        Force and its standard deviation, N.
+    load
+        Mean normal load over that of the reference run.
+
+    """
+
+    run: int
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    F: Array
+    sigma_F: Array
+    load: float = 1.0
+
+
+def deconvolve_force(
+    found: LocalForces, waves: WaveScan, forces: ResidualForces | None = None
+) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
+    """Deconvolve the force that a fitted model lacks.
+
+    `found`: the local forces in the residual of the fit; `waves`: the scan for waves in that residual; `forces`: smooth
+    forces in that residual, if they were computed before. Returns `pieces`, the missing force of every piece; `line`,
+    the sinusoid that defines the phase: the model's own vibration, else the strongest in the residual.
+    """
+    compressed = (forces or ResidualForces(found.solution, about_measurement=True)).compressed
+    known_frequency = _vibration(found.solution)
+    line = waves.line(known_frequency)
+    wave = _wave_columns(found, waves, line if known_frequency is None else None)
+    columns = wave or _bump_columns(found)
+    traces = compressed.traces_of([columns(i, path) for i, path in enumerate(compressed.paths)])
+    precision = np.zeros(traces.shape[1])
+    if wave is None:
+        precision[2::3] = 1.0  # a width that the runs do not determine is known within a factor of e
+    covariance = np.linalg.pinv(traces.T @ traces + np.diag(precision), hermitian=True)
+    sizes, curves = covariance @ (traces.T @ compressed.residual), separate_curves(compressed, traces)
+    means, variances = [], []
+    for i, (response, along) in enumerate(zip(found.law.responses, found.model.pieces, strict=True)):
+        piece = response.piece
+        form = columns(i, piece.at_frames(*position_and_velocity(response), along.path_level))
+        mean, variance = curves.at(piece.run, piece.t)
+        means.append(mean + form @ sizes)
+        variances.append(variance + np.einsum("nk,kl,nl->n", form, covariance, form))
+    if wave is None:
+        means = _least_absolute(means, found.model.solution)
+    pieces = zip(found.law.responses, means, variances, strict=True)
+    return [_deconvolved_piece(response, mean, variance) for response, mean, variance in pieces], line
+
+
+def _vibration(solution: Solution) -> float | None:
+    """Frequency of the model's first vibration, Hz; None if it has none."""
+    values, _ = solution.problem.layout.values(solution.p, solution.problem.pieces[0].run)
+    return next((q["frequency"] for name, q in values.items() if name.startswith("vibration")), None)
+
+
+def _wave_columns(found: LocalForces, waves: WaveScan, line: SpectralLine | None) -> _Columns | None:
+    """The significant wave, over the place or in time, that explains more than the bumps do."""
+    in_place, in_time = waves.in_place, None if line is None else waves.in_time
+    gain_in_time = 0.0 if in_time is None else float(in_time.gains.max())
+    if in_place is not None and in_place.p < ALPHA and in_place.gains.max() > max(found.explained, gain_in_time):
+        frequency = float(in_place.f[in_place.best])
+
+        def over_place(_: int, path: Path) -> Array:
+            wave = _sine_cosine(frequency * path.x) * (path.load * path.s)[:, None]
+            return np.hstack([wave, path.x[:, None] * wave])  # times x: a small change of frequency
+
+        return over_place
+    if line is not None and in_time is not None and in_time.p < ALPHA and gain_in_time > found.explained:
+        runs, of = list(line.amplitudes), [r.piece.run for r in found.law.responses]
+        return lambda i, path: np.kron(np.eye(len(runs))[runs.index(of[i])], _sine_cosine(line.frequency * path.t))
+    return None
+
+
+def _sine_cosine(turns: Array) -> Array:
+    return np.column_stack([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)])
+
+
+def _bump_columns(found: LocalForces) -> _Columns:
+    """The bumps found: by size, relative to it by centre and by log width."""
+
+    def columns(i: int, path: Path) -> Array:
+        out = np.zeros((len(found.bumps), 3, len(path.t)))
+        for k, bump in enumerate(found.bumps):
+            if bump.acts_in(i):
+                out[k] = bump.derivatives(path) * np.array([[1.0], [bump.size], [bump.size]])
+        return out.reshape(-1, len(path.t)).T
+
+    return columns
+
+
+def _least_absolute(forces: list[Array], solution: Solution) -> list[Array]:
+    """Subtract from forces (n,) per piece what the model can absorb, so that the sum of absolute values is least."""
+    free = [slot.run is None or solution.tau > MIN_FREE_SCATTER for slot in solution.problem.layout.slots]
+    columns = np.vstack([_force_sensitivities(solution, response)[:, free] for response in solution.responses])
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    force = np.concatenate(forces)
+    left, floor = force, MIN_RELATIVE_FORCE * float(np.max(np.abs(force), initial=1e-12))
+    for _ in range(N_REWEIGHTED):
+        weighted = columns / np.sqrt(np.abs(left) + floor)[:, None]
+        right = weighted.T @ (force / np.sqrt(np.abs(left) + floor))
+        left = force - columns @ np.linalg.lstsq(weighted.T @ weighted, right, rcond=1e-8)[0]
+    return np.split(left, np.cumsum([len(f) for f in forces])[:-1])
+
+
+def _force_sensitivities(solution: Solution, response: PieceResponse) -> Array:
+    """Friction force at the frames of a piece per unit of every unknown, N, (n, P)."""
+    piece = response.piece
+    at_nodes = -piece.mass * solution.problem.acceleration_sensitivities(piece, solution.p, response.motion)
+    out = np.zeros((len(piece.t), len(solution.p)))
+    out[:, response.active] = np.column_stack([np.interp(piece.t, piece.panels.t, column) for column in at_nodes.T])
+    return out
+
+
+def _deconvolved_piece(response: PieceResponse, mean: Array, variance: Array) -> DeconvolvedForce:
+    piece = response.piece
+    x, v = position_and_velocity(response)
+    measured = isinstance(piece, MeasuredFrictionPiece)
+    a = np.gradient(v, piece.t) if measured else np.interp(piece.t, piece.panels.t, response.motion.a)
+    return DeconvolvedForce(piece.run, piece.t, x, v, a, mean, np.sqrt(variance), float(np.mean(piece.path.load)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,22 +253,10 @@ def _with_parameters_of(explained: Solution, solution: Solution) -> Solution | N
 def residual_series(before: Solution, after: Solution | None, effects: Sequence[str]) -> dict[str, Array]:
     """Residual of a model and of the model with the effects found, for figures and files.
 
-    Parameters
-    ----------
-    before
-        The fit that is diagnosed.
-    after
-        The fit with the effects found; None if none was found.
-    effects
-        Names of the effects found.
-
-    Returns
-    -------
-    dict
-        One row per sample of all runs, all (n,): `run` (index), `t` since release (s), `x` (m) and `v` along the motion
-        (m/s) of the model; `before`, the residual, and `sigma`, its noise (m, or N for measured friction). With effects
-        found also `after`, the residual with them, and `F`, the force that they add against the motion (N).
-
+    `after`: the fit with the effects found; None if none was found. Returns one row per sample of all runs, all (n,):
+    `run` (index), `t` since release (s), `x` (m) and `v` along the motion (m/s) of the model; `before`, the residual,
+    and `sigma`, its noise (m, or N for measured friction). With effects found also `after`, the residual with them, and
+    `F`, the force that they add against the motion (N).
     """
     sizes = [len(r.piece.t) for r in before.responses]
     wanted = min(len({r.piece.run for r in before.responses}) * MAX_SAMPLES_PER_RUN, MAX_SAMPLES)
@@ -153,23 +287,12 @@ def residual_figures(
 ) -> dict[str, dict[str, Array]]:
     """Curves of the missing force for plots and files.
 
-    Parameters
-    ----------
-    pieces
-        The deconvolved force of every piece.
-    line
-        The sinusoid that defines the phase; None without.
-    axis
-        The axis over which the misfit repeats: there runs are compared with and without their load.
-
-    Returns
-    -------
-    dict
-        `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and
-        sigma_F (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis,
-        `at`, F, sigma_F, (k,). If runs agree better in the force over the load, `residual_force` has the load (over
-        that of the reference run), and the mean curves are forces at the reference load.
-
+    `pieces`: the deconvolved force of every piece; `line`: the sinusoid that defines the phase; None without; `axis`:
+    the axis over which the misfit repeats: there runs are compared with and without their load. Returns
+    `residual_force`: run (index), t, x, phase (cycles), v and a (along the motion, so v is the speed), F and sigma_F
+    (N, positive against the motion), all (n,); `common_x` and so on: mean curve of all runs over an axis, `at`, F,
+    sigma_F, (k,). If runs agree better in the force over the load, `residual_force` has the load (over that of the
+    reference run), and the mean curves are forces at the reference load.
     """
     frames = [_run_series(p, line) for p in pieces]
     series = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
@@ -211,19 +334,8 @@ def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str,
     Each run is smoothed by itself. Runs differ by their noise and by a scatter that is estimated at every place, so the
     band shows how well they agree.
 
-    Parameters
-    ----------
-    run
-        Index of the run of every frame, (n,).
-    axis
-        Values of the axis, (n,).
-    force, sigma
-        Force and its standard deviation, N, (n,).
-
-    Returns
-    -------
-    dict
-        `at`, F and sigma_F, (k,); NaN where no run has been.
+    `run`: index of the run of every frame, (n,); `axis`: values of the axis, (n,); `force`, `sigma`: force and its
+    standard deviation, N, (n,). Returns `at`, F and sigma_F, (k,); NaN where no run has been.
 
     References
     ----------

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import (
@@ -25,7 +24,7 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch, Shape, is_noise
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion, objection
 from frictrack.effects import Effect
 from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares import Solution

@@ -138,18 +138,8 @@ def forces_of(solution: Solution) -> ResidualForces:
 def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis] = ()) -> list[SmoothForce]:
     """Find the most likely smooth force over every axis.
 
-    Parameters
-    ----------
-    compressed
-        The compressed residual.
-    axes
-        The axes; by default those that the runs can distinguish, without multipliers.
-
-    Returns
-    -------
-    list of SmoothForce
-        Largest gain first.
-
+    `axes`: the axes; by default those that the runs can distinguish, without multipliers. The largest gain comes
+    first.
     """
     return sorted((_smooth(compressed, axis) for axis in axes or candidate_axes(compressed)), key=lambda s: -s.gain)
 
@@ -172,17 +162,7 @@ class SeparateCurves:
 def separate_curves(compressed: CompressedResidual, known: Array | None = None) -> SeparateCurves:
     """Find the most likely smooth force over time if every run has its own.
 
-    Parameters
-    ----------
-    compressed
-        The compressed residual.
-    known
-        Traces (M, k) of forces that explain a part of it.
-
-    Returns
-    -------
-    SeparateCurves
-
+    `known`: traces (M, k) of forces that explain a part of it.
     """
     t, runs = compressed.concatenate(lambda p: p.t), sorted(set(compressed.runs))
     knots = _knots(float(t.min()), float(t.max()))

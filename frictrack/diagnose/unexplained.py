@@ -17,7 +17,6 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from frictrack.axes import AXES
-from frictrack.diagnose.admissible import is_special_case
 from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -26,7 +25,7 @@ from frictrack.diagnose.formulas import (
     FormulaSearch,
     formula_axes,
 )
-from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, is_special_case, log_prior_of_set
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import candidate_axes, forces_of, smooth_forces
 from frictrack.fit.least_squares import Solution
@@ -77,18 +76,8 @@ class UnexplainedForce:
 def unexplained_force(search: FormulaSearch, extended: Solution | None = None) -> UnexplainedForce:
     """Describe what a fitted model leaves unexplained.
 
-    Parameters
-    ----------
-    search
-        The search of formulas added to the model.
-    extended
-        The fit with the effects found so far; the curve is what that leaves. Formulas are added to the model itself if
-        possible.
-
-    Returns
-    -------
-    UnexplainedForce
-
+    `search`: the search of formulas added to the model; `extended`: the fit with the effects found so far; the curve is
+    what that leaves. Formulas are added to the model itself if possible.
     """
     extended = None if extended is None or extended is search.solution else keep_compared_frames(extended)
     smooth = (search.forces if extended is None else forces_of(extended)).smooth
@@ -113,22 +102,11 @@ def compare_with_formulas(
 ) -> UnexplainedForce | None:
     """Find formulas of one variable that explain as much as the effects found.
 
-    Parameters
-    ----------
-    search
-        The search of formulas added to the model without the effects.
-    found
-        The model with the effects found.
-    repeats
-        Computes whether the misfit repeats, and over which axis; called only where that matters.
-
-    Returns
-    -------
-    UnexplainedForce or None
-        Its summary has besides `probability` that one of the formulas is the cause and the effects are not,
-        `decisive` if that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor
-        unlikely, and `words`. None if no formula explains as much.
-
+    `search`: the search of formulas added to the model without the effects; `found`: the model with the effects found;
+    `repeats`: computes whether the misfit repeats, and over which axis; called only where that matters. Its
+    summary has besides `probability` that one of the formulas is the cause and the effects are not, `decisive` if that
+    is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor unlikely, and `words`. None if no
+    formula explains as much.
     """
     start = search.solution
     evidence = information_criterion(start) - information_criterion(found)

@@ -3,27 +3,30 @@
 `implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
 measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`, `implausible_sensors` and
 `different_origins` check all runs together. Every finding states what was read, why it is implausible, and what to
-enter instead. The plausible ranges and their sources are in `ranges`.
+enter instead. The plausible ranges and their sources are in `findings`.
 """
 
-from frictrack.plausibility.clocks import CONTRADICTION, MAX_RELATIVE_DIFFERENCE, implausible_clocks, time_unit
-from frictrack.plausibility.entered_values import EnteredValues, implausible_entries
-from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
-from frictrack.plausibility.incline_consistency import implausible_inclines
+from frictrack.plausibility.comparison import (
+    CONTRADICTION,
+    MAX_RELATIVE_DIFFERENCE,
+    describe_shift,
+    different_origins,
+    implausible_clocks,
+    implausible_sensors,
+    shifted_swings,
+    time_unit,
+)
+from frictrack.plausibility.findings import ERROR, EnteredValues, Finding, implausible_entries
+from frictrack.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
 from frictrack.plausibility.masses import implausible_masses
-from frictrack.plausibility.origins import describe_shift, different_origins, shifted_swings
-from frictrack.plausibility.sensors import implausible_sensors
-from frictrack.plausibility.slide import SlideEstimate, estimate_slide, implausible_slide
+from frictrack.plausibility.slide import estimate_slide, implausible_slide
 
 __all__ = [
     "CONTRADICTION",
     "ERROR",
     "MAX_RELATIVE_DIFFERENCE",
-    "WARNING",
     "EnteredValues",
     "Finding",
-    "SlideEstimate",
     "describe_shift",
     "different_origins",
     "estimate_slide",

@@ -13,15 +13,14 @@ Without these, a mass that differs from all others by an exact power of ten only
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from frictrack.friction import is_moving
-from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.slide import SlideEstimate, estimate_slide
-from frictrack.plausibility.strokes import CORRELATION_FACTOR, MIN_SIGMAS
+from frictrack.plausibility.findings import ERROR, WARNING, Finding
+from frictrack.plausibility.slide import CORRELATION_FACTOR, MIN_SIGMAS, SlideEstimate, estimate_slide, fit_columns
 from frictrack.records import GRAVITY, Array, Run
 
 MAX_SPREAD_DECADES = 0.2  # within which runs agree, or two numbers differ by a power of ten
@@ -34,28 +33,13 @@ UNIT_POWERS = (3, 6)  # of ten: a unit and its thousandth, and the square
 
 
 @dataclass(frozen=True)
-class MassEvidence:
-    """What one run shows of its mass.
-
-    Parameters
-    ----------
-    run
-        The run.
-    slide
-        Its speed and friction.
-    rate
-        Rise of the deceleration with the speed, 1/s: viscous friction over mass; None if not significant.
-
-    """
+class _MassEvidence:
+    """What one run shows of its mass: its slide, and how its deceleration rises with the speed."""
 
     run: Run
+    mass: float  # as entered, kg
     slide: SlideEstimate
-    rate: float | None
-
-    @property
-    def mass(self) -> float:
-        """The entered mass, kg."""
-        return float(self.run.mass or np.nan)
+    rate: float | None  # viscous friction over mass, 1/s; None if not significant
 
     @property
     def viscous_coefficients(self) -> tuple[float, float] | None:
@@ -66,43 +50,25 @@ class MassEvidence:
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     """Find runs that disagree with all others by a power of ten.
 
-    Parameters
-    ----------
-    runs
-        All runs of a study; fewer than three undriven runs cannot disagree with each other.
-
-    Returns
-    -------
-    tuple of Finding
-        At most one per run, with the value that would agree; an error if the motion shows the power of ten.
-
+    `runs`: all runs of a study; fewer than three undriven runs cannot disagree with each other. Returns at most one per
+    run, with the value that would agree; an error if the motion shows the power of ten.
     """
-    driven = (_check_against_drive(run) for run in runs if run.drive is not None and run.mass is not None)
-    slides = [weighed for run in runs if (weighed := _mass_evidence(run)) is not None]
-    return (*(found for found in driven if found), *_compare_runs(slides))
+    found = [_check_against_drive(run, run.mass) for run in runs if run.drive is not None and run.mass is not None]
+    slides = [evidence for run in runs if (evidence := _mass_evidence(run)) is not None]
+    for i, one in enumerate(slides if len(slides) >= MIN_RUNS else []):
+        others = [*slides[:i], *slides[i + 1 :]]
+        found.append(_check_against_load(one, others) or _check_against_masses(one, others))
+    return tuple(finding for finding in found if finding is not None)
 
 
-def _mass_evidence(run: Run) -> MassEvidence | None:
+def _mass_evidence(run: Run) -> _MassEvidence | None:
     if run.drive is not None or run.friction_N is not None or run.mass is None:
         return None
     slide = estimate_slide(run)
-    return None if slide is None or slide.friction is None else MassEvidence(run, slide, _viscous_rate(run))
+    return None if slide is None or slide.friction is None else _MassEvidence(run, run.mass, slide, _viscous_rate(run))
 
 
-def _compare_runs(slides: Sequence[MassEvidence]) -> Iterator[Finding]:
-    """Compare each run with all others."""
-    for i, one in enumerate(slides):
-        others = [*slides[:i], *slides[i + 1 :]]
-        found = (
-            (_check_against_load(one, others) or _check_against_masses(one, others))
-            if len(slides) >= MIN_RUNS
-            else None
-        )
-        if found is not None:
-            yield found
-
-
-def _check_against_load(one: MassEvidence, others: Sequence[MassEvidence]) -> Finding | None:
+def _check_against_load(one: _MassEvidence, others: Sequence[_MassEvidence]) -> Finding | None:
     """Find a friction coefficient that differs by a power of ten from that of the others, which agree."""
     own, common = one.slide.friction, _agreed_median([w.slide.friction for w in others])
     power = _power_of_ten(own, common)
@@ -121,7 +87,7 @@ def _check_against_load(one: MassEvidence, others: Sequence[MassEvidence]) -> Fi
     return Finding("scale", words, "", one.run.name, grade, contradicts=True)
 
 
-def _check_against_masses(one: MassEvidence, others: Sequence[MassEvidence]) -> Finding | None:
+def _check_against_masses(one: _MassEvidence, others: Sequence[_MassEvidence]) -> Finding | None:
     """Find a mass that is wrong by a power of ten, from viscous friction or from the masses of the others."""
     shared = _shared_mass([w.mass for w in others])
     power = _exact_power(one.mass, shared)
@@ -141,26 +107,18 @@ def _check_against_masses(one: MassEvidence, others: Sequence[MassEvidence]) -> 
     return Finding("mass", words, line, one.run.name)
 
 
-def _decades_off_by_speed(one: MassEvidence, others: Sequence[MassEvidence]) -> float | None:
+def _decades_off_by_speed(one: _MassEvidence, others: Sequence[_MassEvidence]) -> float | None:
     """Decades by which the viscous friction of one run differs from that of the others; None if unknown.
 
     It may go with the speed or with its square: the one on which the others agree better is used.
     """
     known = [w.viscous_coefficients for w in others if w.viscous_coefficients is not None]
-    if one.viscous_coefficients is None or not known:
-        return None
-    found = [
-        (own, each)
-        for own, *each in zip(one.viscous_coefficients, *known, strict=True)
-        if _agreed_median(each) is not None
-    ]
-    if not found:
-        return None
-    own, each = min(found, key=lambda pair: np.ptp(np.log10(pair[1])))
-    return float(np.log10(own / np.median(each)))
+    laws = zip(one.viscous_coefficients, *known, strict=True) if known and one.viscous_coefficients else ()
+    agreeing = [(np.ptp(np.log10(each)), own / median) for own, *each in laws if (median := _agreed_median(each))]
+    return float(np.log10(min(agreeing)[1])) if agreeing else None
 
 
-def _check_against_viscous(one: MassEvidence, others: Sequence[MassEvidence], power: int) -> Finding | None:
+def _check_against_viscous(one: _MassEvidence, others: Sequence[_MassEvidence], power: int) -> Finding | None:
     """Find a mass with which viscous friction differs by a power of ten from that of the others.
 
     It is an error if that is a step of units, or if the mass differs from one of the others by the same power of ten.
@@ -231,15 +189,11 @@ def _viscous_rate(run: Run) -> float | None:
     rows = _decelerating_frames(run)
     if len(rows) < MIN_FRAMES:
         return None
-    t, x, v = run.motion.t[rows], run.displacement.x[rows], run.motion.v[rows]
-    u = t - t[0]
-    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -_integrate_twice(u, v)], axis=1)
-    scale = np.abs(design).max(axis=0)
-    solution = np.linalg.lstsq(design / scale, x, rcond=None)[0]
-    residual_variance = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
-    covariance = residual_variance * np.linalg.pinv((design / scale).T @ (design / scale))
-    rate, std = float(solution[3] / scale[3]), CORRELATION_FACTOR * float(np.sqrt(covariance[3, 3])) / float(scale[3])
-    return rate if rate > MIN_SIGMAS * std else None
+    t, v = run.motion.t[rows], run.motion.v[rows]
+    u, moved = t - t[0], _integrated(t, _integrated(t, v))
+    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -moved], axis=1)
+    found, std, _ = fit_columns(design, run.displacement.x[rows])
+    return float(found[3]) if found[3] > MIN_SIGMAS * CORRELATION_FACTOR * std[3] else None
 
 
 def _decelerating_frames(run: Run) -> Array:
@@ -254,40 +208,28 @@ def _decelerating_frames(run: Run) -> Array:
     return np.arange(begin, last)
 
 
-def _integrate_twice(t: Array, v: Array) -> Array:
-    """Double integral of a velocity (n,) from the first frame (trapezoidal rule)."""
-    step = np.diff(t)
-    once = np.concatenate([[0.0], np.cumsum(step * (v[1:] + v[:-1]) / 2)])
-    return np.concatenate([[0.0], np.cumsum(step * (once[1:] + once[:-1]) / 2)])
+def _integrated(t: Array, values: Array) -> Array:
+    """Integral of values (n,) from the first time (trapezoidal rule)."""
+    return np.append(0.0, np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2))
 
 
-def _check_against_drive(run: Run) -> Finding | None:
+def _check_against_drive(run: Run, mass: float) -> Finding | None:
     """Find a mass that a measured drive contradicts: D = m a + F s + c v + k x + b by least squares."""
-    assert run.drive is not None
-    assert run.mass is not None
     moving = run.displacement.valid & is_moving(run)
     if np.count_nonzero(moving) < MIN_FRAMES:
         return None
     a = run.motion.a[moving] + GRAVITY * np.sin(run.incline)
     x, v, drive = run.motion.x[moving], run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
-    design = np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1)
-    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
-    solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
-    residual_variance = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
-    covariance = residual_variance * np.linalg.pinv((design / scale).T @ (design / scale))
-    fitted_mass, std = (
-        float(solution[0] / scale[0]),
-        CORRELATION_FACTOR * float(np.sqrt(covariance[0, 0])) / float(scale[0]),
-    )
-    power = _power_of_ten(run.mass, fitted_mass) if fitted_mass > 0 and std < MAX_RELATIVE_STD * fitted_mass else 0
+    found, std, _ = fit_columns(np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1), drive)
+    fitted, is_known = float(found[0]), CORRELATION_FACTOR * std[0] < MAX_RELATIVE_STD * found[0]
+    power = _power_of_ten(mass, fitted) if is_known else 0
     if not power:
         return None
-    line = _correction_line(run.mass, power)
+    line = _correction_line(mass, power)
     unit = f", or {UNITS[power]}" if power in UNITS and run.pixel_pitch is None else ""
     words = (
-        f"the drive accelerates it like {fitted_mass:.3g} kg, but mass = {run.mass:g} kg; "
-        f"probably {line}, or the drive is "
+        f"the drive accelerates it like {fitted:.3g} kg, but mass = {mass:g} kg; probably {line}, or the drive is "
         f"{_times_text(-power)}{unit}"
     )
-    grade = ERROR if _exact_power(run.mass, fitted_mass) else WARNING
+    grade = ERROR if _exact_power(mass, fitted) else WARNING
     return Finding("mass", words, line, run.name, grade, contradicts=True)

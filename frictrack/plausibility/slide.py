@@ -1,30 +1,42 @@
-"""Check speed, distance and friction coefficient of a run, and find the unit with which they become typical."""
+"""Check speed, distance and friction of a run, and find the unit with which they become typical.
+
+The motion is divided into strokes: one direction, accelerating or decelerating, with a fitted acceleration.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import log10, sin
 
 import numpy as np
 
-from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
-from frictrack.plausibility.ranges import (
+from frictrack.friction import is_moving, split_by_direction
+from frictrack.plausibility.findings import (
     BLOW_ENERGY,
     DRY_FRICTION,
+    ERROR,
     FRICTION,
-    ROLLING,
+    MIN_ROLLING,
+    RAIL_SPEED,
     SPEED,
     TRAVEL,
     USUAL_FRICTION,
     USUAL_SPEED,
     USUAL_TRAVEL,
-    Range,
+    WARNING,
+    Finding,
 )
-from frictrack.plausibility.strokes import Stroke, find_strokes, mean_acceleration, total_distance
-from frictrack.records import GRAVITY, Run
+from frictrack.records import GRAVITY, Array, Run, stretches
 
+MIN_FRAMES = 10  # of a stroke, for a parabola
+TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
+EVENT_REACH_FRAMES = 3  # frames that an event affects beyond itself
+CORRELATION_FACTOR = 3.0  # on standard deviations, for errors that neighbours share
+MIN_SIGMAS = 5.0  # of an acceleration that differs from 0
+# Share of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring.
+MAX_PARTNER_SHARE = 0.25
+MIN_SHARE_EACH_WAY = 0.2  # of the distance, for a direction to count
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
     (1e-3, 1.0, "the scale is a thousand times too large (mm taken for m?)"),
     (1e3, 1.0, "the scale is a thousand times too small (um taken for mm?)"),
@@ -52,6 +64,96 @@ FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been
 
 
 @dataclass(frozen=True)
+class Stroke:
+    """A stretch of one direction between two collisions, stops or reversals, before or after its highest speed."""
+
+    distance: float  # m, above 0
+    direction: float  # 1 or -1
+    a: float  # m/s^2 toward +x
+    sigma_a: float
+    speed: float  # m/s, the highest
+    mid_speed: float  # m/s, in its middle
+    misfit: float  # rms of what a constant acceleration leaves beyond the noise, over the way
+    is_accelerating: bool  # before the highest speed
+    partner_distance: float  # m, way of the same stretch on the other side of its highest speed
+
+    @property
+    def speed_gain(self) -> float:
+        """Acceleration in the direction of motion, m/s^2."""
+        return self.a * self.direction
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the acceleration differs from 0."""
+        return abs(self.a) > MIN_SIGMAS * self.sigma_a
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing pushes the mass: it decelerates, or its acceleration lasts to the end."""
+        return not self.is_accelerating or self.partner_distance < MAX_PARTNER_SHARE * self.distance
+
+
+def find_strokes(run: Run) -> tuple[Stroke, ...]:
+    """Find the strokes of a run, in order; they exclude frames not found, events and rests."""
+    free = run.displacement.valid & is_moving(run)
+    for first, last in run.motion.events:
+        free[max(first - EVENT_REACH_FRAMES, 0) : last + EVENT_REACH_FRAMES + 1] = False
+    x, found = run.motion.x, []
+    for s in split_by_direction(run, stretches(free)):
+        top = s.start + int(np.argmax(np.abs(run.motion.v[s])))  # the highest speed
+        before, after = abs(float(x[top] - x[s.start])), abs(float(x[s.stop - 1] - x[top]))
+        found.append(_fit_stroke(run, slice(s.start, top + 1), is_accelerating=True, partner_distance=after))
+        found.append(_fit_stroke(run, slice(top, s.stop), is_accelerating=False, partner_distance=before))
+    return tuple(stroke for stroke in found if stroke is not None)
+
+
+def total_distance(strokes: tuple[Stroke, ...]) -> float:
+    """Distance of all strokes together, m."""
+    return float(sum(stroke.distance for stroke in strokes))
+
+
+def mean_acceleration(strokes: tuple[Stroke, ...]) -> float:
+    """Mean acceleration of strokes, weighted by their variances, m/s^2."""
+    floor = 1e-6 * max(stroke.sigma_a for stroke in strokes) + 1e-300
+    weights = [(stroke.sigma_a + floor) ** -2.0 for stroke in strokes]
+    return float(np.average([stroke.a for stroke in strokes], weights=weights))
+
+
+def _fit_stroke(run: Run, s: slice, *, is_accelerating: bool, partner_distance: float) -> Stroke | None:
+    """Fit the stroke of a slice; None if it is too short."""
+    trimmed = int(TRIMMED_SHARE * (s.stop - s.start))
+    rows = slice(s.start + trimmed, s.stop - trimmed)
+    t, x = run.motion.t[rows], run.displacement.x[rows]
+    distance = float(abs(x[-1] - x[0])) if len(t) >= MIN_FRAMES else 0.0
+    if distance <= 0.0:
+        return None
+    u = t - (t[0] + t[-1]) / 2
+    (_, slope, a), std, residual_rms = fit_columns(np.stack([np.ones_like(u), u, u**2 / 2], axis=1), x)
+    noise = float(np.median(run.displacement.sigma_x[rows]))
+    return Stroke(
+        distance=distance,
+        direction=float(np.sign(x[-1] - x[0])),
+        a=float(a),
+        sigma_a=CORRELATION_FACTOR * float(std[2]),
+        speed=float(abs(slope) + abs(a) * (t[-1] - t[0]) / 2),
+        mid_speed=float(abs(slope)),
+        misfit=float(np.sqrt(max(residual_rms**2 - noise**2, 0.0))) / distance,
+        is_accelerating=is_accelerating,
+        partner_distance=partner_distance,
+    )
+
+
+def fit_columns(design: Array, values: Array) -> tuple[Array, Array, float]:
+    """Least-squares coefficients (k,) of columns (n, k), their deviations for white noise, and the rms residual."""
+    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    unit = design / scale
+    found = np.linalg.lstsq(unit, values, rcond=None)[0]
+    rms = float(np.sqrt(np.sum((values - unit @ found) ** 2) / max(len(values) - unit.shape[1], 1)))
+    std = rms * np.sqrt(np.diag(np.linalg.pinv(unit.T @ unit)))
+    return found / scale, std / scale, rms
+
+
+@dataclass(frozen=True)
 class SlideEstimate:
     """Speed, distance and friction of a run.
 
@@ -75,16 +177,16 @@ class SlideEstimate:
 
     def scaled(self, length: float, time: float) -> SlideEstimate:
         """Return the estimate for lengths and times multiplied by factors; gravity is not changed."""
-        by = length / time**2
-        friction = None if self.friction is None else self.friction * by
-        deceleration = None if self.deceleration is None else self.deceleration * by
+        friction, deceleration = (
+            None if one is None else one * length / time**2 for one in (self.friction, self.deceleration)
+        )
         return SlideEstimate(self.speed * length / time, self.travel * length, friction, deceleration)
 
     @property
     def is_possible(self) -> bool:
         """Whether such slides occur in a laboratory."""
-        friction_term = self.friction is None or self.friction in FRICTION
-        return friction_term and self.speed in SPEED and self.travel in USUAL_TRAVEL
+        friction_is_possible = self.friction is None or self.friction in FRICTION
+        return friction_is_possible and self.speed in SPEED and self.travel in USUAL_TRAVEL
 
     @property
     def rarity(self) -> float:
@@ -94,135 +196,13 @@ class SlideEstimate:
 
 
 def estimate_slide(run: Run) -> SlideEstimate | None:
-    """Estimate speed, distance and friction of a run.
-
-    Parameters
-    ----------
-    run
-        A run with displacement and motion.
-
-    Returns
-    -------
-    SlideEstimate or None
-        None if nothing moves long enough.
-
-    """
+    """Estimate speed, distance and friction of a run; None if nothing moves long enough."""
     strokes = find_strokes(run)
     if not strokes:
         return None
-    deceleration = _deceleration(run, strokes)
-    load = run.load
+    deceleration, load = _deceleration(run, strokes), run.load
     friction = None if deceleration is None or not load or not run.mass else run.mass * deceleration / load
-    return SlideEstimate(
-        max(stroke.speed for stroke in strokes), max(stroke.distance for stroke in strokes), friction, deceleration
-    )
-
-
-def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
-    """Find an implausible speed, friction coefficient or energy of a run.
-
-    Parameters
-    ----------
-    run
-        A run with displacement and motion.
-    film
-        Whether it was filmed: then scale and fps may be wrong, else the units of the table.
-
-    Returns
-    -------
-    tuple of Finding
-        An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand explains.
-
-    """
-    slide = estimate_slide(run)
-    return () if slide is None else tuple(replace(f, run=run.name) for f in _found(run, slide, film=film))
-
-
-def _found(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
-    hint, correction, is_significant = _correction(slide, film=film)
-    grade = ERROR if is_significant else WARNING
-    yield from _check_measured_friction(run)
-    if slide.speed not in SPEED:
-        grade = ERROR if slide.speed > SPEED.limit else grade
-        than = f"than anything on rails ({SPEED.limit:g} m/s)" if slide.speed > SPEED.limit else "than in a laboratory"
-        why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
-        yield Finding("speed", f"{why}; {hint}", correction, grade=grade)
-    elif slide.friction is not None and slide.friction not in FRICTION:
-        yield Finding("friction", f"{_friction_text(run, slide)}; {hint}", correction, grade=grade)
-    elif slide.friction is not None and slide.travel not in TRAVEL:
-        words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
-        yield Finding("scale", words, correction, grade=grade)
-    elif not film and _holds_ms_and_mm(slide):
-        seconds = float(run.displacement.t[-1] - run.displacement.t[0])
-        words = f"{_friction_text(run, slide, ROLLING)}, over {slide.travel:.3g} m in {seconds:.3g} s"
-        yield Finding("friction", f"{words}; probably {MS_AND_MM}", MS_AND_MM)
-    elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
-        yield from _check_energy(run.mass, slide)
-
-
-def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
-    """Whether a long slide with hardly any friction is a usual one in ms and mm; its speed is the same in both."""
-    if slide.friction is None or slide.friction >= ROLLING.low or slide.travel < MIN_TRAVEL_MS_MM:
-        return False
-    return 1e3 * slide.friction in DRY_FRICTION and 1e-3 * slide.travel in USUAL_TRAVEL
-
-
-def _check_measured_friction(run: Run) -> Iterator[Finding]:
-    """Check a measured friction force against the stated load."""
-    if run.friction_N is None or run.normal_load is None:
-        return
-    ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
-    if ratio in FRICTION or ratio == 0.0:
-        return
-    unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
-    line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
-    likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
-    words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
-    yield Finding("friction", words, line)
-
-
-def _friction_text(run: Run, slide: SlideEstimate, least: Range = FRICTION) -> str:
-    assert slide.friction is not None
-    assert slide.deceleration is not None
-    load = "normal load" if run.normal_load is not None else "weight"
-    out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.deceleration:.3g} m/s^2)"
-    if slide.friction > FRICTION.high:
-        pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
-        return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
-    return f"{out}, less than {'on an air bearing' if least is FRICTION else 'in a ball bearing'}"
-
-
-def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, bool]:
-    """Likely correction of the units, as a sentence and alone, and whether it must be a factor of a thousand."""
-    units = FILM_UNITS if film else TABLE_UNITS
-    fitting = sorted(
-        (made.rarity, words, size) for made, words, size in _in_other_units(slide, units) if made.is_possible
-    )
-    if not fitting:
-        return ("check scale and fps" if film else "check the units of the table's columns"), "", False
-    words = fitting[0][1]
-    return f"probably {words}", words, all(size >= UNIT_STEP for _, _, size in fitting)
-
-
-def _in_other_units(
-    slide: SlideEstimate, units: Sequence[tuple[float, float, str]]
-) -> Iterator[tuple[SlideEstimate, str, float]]:
-    """The estimate in other units, with their description and factor."""
-    for length, time, words in units:
-        yield slide.scaled(length, time), words, max(length, 1 / length, time, 1 / time)
-
-
-def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:
-    energy = mass * slide.speed**2 / 2
-    if energy in BLOW_ENERGY or slide.friction is None:
-        return
-    grams = f'mass = "{mass:g} g"' if mass > 1.0 else ""
-    likely = f"; if grams were meant give {grams}" if grams else ""
-    words = (
-        f"a mass of {mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
-        f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
-    )
-    yield Finding("mass", words, grams)
+    return SlideEstimate(max(s.speed for s in strokes), max(s.distance for s in strokes), friction, deceleration)
 
 
 def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
@@ -234,16 +214,100 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
         return None
     direction = max(strokes, key=lambda stroke: stroke.distance).direction
     one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)
-    if total_distance(one_way) < (1 - MIN_SHARE_EACH_WAY) * total_distance(strokes):
+    free = tuple(s for s in one_way if s.is_free and (run.has_incline or not s.is_accelerating))
+    goes_one_way = total_distance(one_way) >= (1 - MIN_SHARE_EACH_WAY) * total_distance(strokes)
+    if not (goes_one_way and any(stroke.is_significant for stroke in free)):
         return None
-    pull = -GRAVITY * sin(run.incline)
-    free = tuple(
-        stroke
-        for stroke in one_way
-        if not stroke.is_accelerating
-        or (run.has_incline and stroke.partner_distance < MAX_PARTNER_SHARE * stroke.distance)
-    )
-    if not free or not any(stroke.is_significant for stroke in free):
-        return None
-    deceleration = direction * (pull - mean_acceleration(free))
+    deceleration = direction * (-GRAVITY * sin(run.incline) - mean_acceleration(free))
     return deceleration if deceleration > 0 else None
+
+
+def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
+    """Find an implausible speed, friction coefficient or energy of a run.
+
+    `run`: a run with displacement and motion; `film`: whether it was filmed: then scale and fps may be wrong, else the
+    units of the table. An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand
+    explains.
+    """
+    slide = estimate_slide(run)
+    if slide is None:
+        return ()
+    found = [*_check_measured_friction(run), *_check_slide(run, slide, film=film)]
+    return tuple(replace(finding, run=run.name) for finding in found)
+
+
+def _check_slide(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
+    """Check the speed, else the friction, the distance or the energy of a slide."""
+    hint, correction, grade = _correction(slide, film=film)
+    if slide.speed not in SPEED:
+        beyond = slide.speed > RAIL_SPEED
+        than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if beyond else "than in a laboratory"
+        why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
+        yield Finding("speed", f"{why}; {hint}", correction, grade=ERROR if beyond else grade)
+    elif slide.friction is not None and slide.friction not in FRICTION:
+        yield Finding("friction", f"{_friction_text(run, slide)}; {hint}", correction, grade=grade)
+    elif slide.friction is not None and slide.travel not in TRAVEL:
+        words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
+        yield Finding("scale", words, correction, grade=grade)
+    elif not film and _holds_ms_and_mm(slide):
+        seconds = float(run.displacement.t[-1] - run.displacement.t[0])
+        words = f"{_friction_text(run, slide)}, over {slide.travel:.3g} m in {seconds:.3g} s"
+        yield Finding("friction", f"{words}; probably {MS_AND_MM}", MS_AND_MM)
+    elif slide.friction is not None and not run.has_incline and run.mass is not None:
+        yield from _check_energy(run.mass, slide)
+
+
+def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
+    """Whether a long slide with hardly any friction is a usual one in ms and mm; its speed is the same in both."""
+    if slide.friction is None or slide.friction >= MIN_ROLLING or slide.travel < MIN_TRAVEL_MS_MM:
+        return False
+    return 1e3 * slide.friction in DRY_FRICTION and 1e-3 * slide.travel in USUAL_TRAVEL
+
+
+def _check_measured_friction(run: Run) -> Iterator[Finding]:
+    """Check a measured friction force against the stated load."""
+    if run.friction_N is None or run.normal_load is None:
+        return
+    ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
+    if ratio not in FRICTION and ratio != 0.0:
+        unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
+        line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
+        likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
+        words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
+        yield Finding("friction", words, line)
+
+
+def _friction_text(run: Run, slide: SlideEstimate) -> str:
+    """Say how large the friction coefficient would be, and what has more or less."""
+    assert slide.friction is not None
+    out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.deceleration:.3g} m/s^2)"
+    if slide.friction > FRICTION.high:
+        load = "normal load" if run.normal_load is not None else "weight"
+        pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
+        return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
+    return f"{out}, less than {'on an air bearing' if slide.friction < FRICTION.low else 'in a ball bearing'}"
+
+
+def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, str]:
+    """Likely correction of the units as a sentence and alone; an error where it must be a factor of a thousand."""
+    fitting = [
+        (made.rarity, words, max(length, 1 / length, time, 1 / time))
+        for length, time, words in (FILM_UNITS if film else TABLE_UNITS)
+        if (made := slide.scaled(length, time)).is_possible
+    ]
+    if not fitting:
+        return ("check scale and fps" if film else "check the units of the table's columns"), "", WARNING
+    words, grade = min(fitting)[1], ERROR if all(size >= UNIT_STEP for *_, size in fitting) else WARNING
+    return f"probably {words}", words, grade
+
+
+def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:
+    energy = mass * slide.speed**2 / 2
+    if energy not in BLOW_ENERGY:
+        grams = f'mass = "{mass:g} g"' if mass > 1.0 else ""
+        likely = f"; if grams were meant give {grams}" if grams else ""
+        words = (
+            f"a mass of {mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
+            f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
+        )
+        yield Finding("mass", words, grams)

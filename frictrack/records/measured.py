@@ -117,6 +117,7 @@ class Displacement(FrameTable):
     shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
+    stamped_rate: float | None = scalar("Hz", default=None)  # of a table's time stamps, if the given fps contradicts it
     sigma_angle: Array | None = column("rad", nan=True, default=None)
     repaired: NDArray[np.int8] | None = column(
         "", kind=np.int8, default=None

@@ -1,9 +1,9 @@
 """Check the samples of a displacement: outliers, rounding, repeated and missing frames, clock, copies of a record."""
 
-from frictrack.sampling.duplicate_records import copies
-from frictrack.sampling.even_clock import (
+from frictrack.sampling.clock import (
     EvenClock,
     base_interval,
+    common_unevenness,
     count_intervals,
     is_even,
     jittered_clock,
@@ -11,16 +11,15 @@ from frictrack.sampling.even_clock import (
     robust_speed,
     rounded_clock,
     stamp_rounding,
+    unevenness,
 )
-from frictrack.sampling.outlier_search import Outliers, outliers
-from frictrack.sampling.quantisation import quantum, rounding_noise, unwrapped
-from frictrack.sampling.screen import describe_frames, describe_length, frame_numbers, screened
+from frictrack.sampling.outlier_search import outliers
+from frictrack.sampling.screen import copies, describe_frames, describe_length, frame_numbers, screened
 from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips
-from frictrack.sampling.uneven_samples import common_unevenness, unevenness
+from frictrack.sampling.steps import quantum, rounding_noise, unwrapped
 
 __all__ = [
     "EvenClock",
-    "Outliers",
     "SampledPath",
     "Slip",
     "base_interval",

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from frictrack.distributions import chi2_ppf
 from frictrack.records import Array, Mask
+from frictrack.sampling.steps import MEDIAN_TO_SIGMA, noise_of_differences
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
 # with a sixth of the weight that others have.
@@ -34,10 +35,10 @@ NOISE_REACH_ROWS = 30  # rows on either side over which the noise is compared wi
 MAX_OUTLIER_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
 MAX_ROUNDS, ROBUST_STEPS = 40, 15
 WINDOW_ROWS, OVERLAP_ROWS = 1 << 15, 200  # of a long record that are searched at once, and more on either side
-MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
-FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
 Rows = NDArray[np.int64]
+SIDES_QUANTILE = 0.998  # of chi-squared, that the sides may leave about their common cubic
+MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,6 @@ class _BurstRule:
 
 WIDE_RULE = _BurstRule(SIDE_ROWS, 4, 6.0, 16.0)  # 2e-9 by chance
 CLOSE_RULE = _BurstRule(4, 4, 12.0, 64.0)
-SIDES_QUANTILE = 0.998  # of chi-squared, that the sides may leave about their common cubic
-MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +123,9 @@ class _Positions:
 def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outliers:
     """Find the outliers of a displacement.
 
-    Parameters
-    ----------
-    frames : array (n,)
-        Number of the frame of every row, rising.
-    x : array (n,)
-        Position, m.
-    sigma : array (n,)
-        Standard deviations of the rows; only their ratios count.
-    floor : float
-        Noise that a row has at the least, m: the step of quantised positions over sqrt(12).
-
-    Returns
-    -------
-    Outliers
-        None where nothing is found, or where more than a tenth of the rows lie off: the noise has tails then.
+    `frames` (n,): number of the frame of every row, rising; `x` (n,): position, m; `sigma` (n,): standard deviations of
+    the rows; only their ratios count; `floor`: noise that a row has at the least, m: the step of quantised positions
+    over sqrt(12). None where more than a tenth of the rows lie off: the noise has tails then.
 
     References
     ----------
@@ -155,7 +142,7 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     """
     relative = sigma / np.median(sigma)
     digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
-    noise = max(_level(x / relative, frames), floor, digits)
+    noise = max(consecutive_noise(x / relative, frames), floor, digits)
     if not noise > 0:  # all positions are zero
         return NO_OUTLIERS
     series = _Positions(frames, x, noise * relative)
@@ -192,15 +179,15 @@ def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
     return rows, off
 
 
-def _level(x: Array, frames: Array) -> float:
+def consecutive_noise(x: Array, frames: Array | Rows) -> float:
     """White noise from the median fourth difference of consecutive frames."""
-    difference, whole = _fourth(x, frames)
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference[whole]))) / np.sqrt(70.0) if whole.any() else 0.0
+    difference, whole = fourth_differences(x, frames)
+    return noise_of_differences(difference[whole], 4)
 
 
-def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:
+def fourth_differences(x: Array, frames: Array | Rows) -> tuple[Array, Mask]:
     """Fourth differences (n - 4,), and where their frames are consecutive."""
-    return np.convolve(x, FOURTH_DIFFERENCE, mode="valid"), np.asarray(frames[4:] - frames[:-4] == 4)
+    return np.diff(x, 4), np.asarray(frames[4:] - frames[:-4] == 4)
 
 
 def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
@@ -226,7 +213,7 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
 def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
     """The burst of a few rows with the largest deviation, tested with few rows on its sides."""
     nobody = np.zeros(len(kept.x), dtype=bool)
-    difference, whole = _fourth(kept.x / kept.scale, kept.frames)
+    difference, whole = fourth_differences(kept.x / kept.scale, kept.frames)
     out = np.pad(np.where(whole, np.abs(difference), 0.0), 2, mode="edge")
     tried = [r for r in np.argsort(-out).tolist() if near[r]][:MAX_CLOSE_TRIALS]
     bursts = {
@@ -249,7 +236,7 @@ def _outliers_at_ends(kept: _Positions) -> Rows:
 
 def _near_outliers(series: _Positions) -> Mask:
     """Rows near a large fourth difference."""
-    difference, whole = _fourth(series.x / series.scale, series.frames)
+    difference, whole = fourth_differences(series.x / series.scale, series.frames)
     limit = np.full(len(difference), SCREEN_SIGMAS)
     limit[[0, 1, -2, -1]] = SCREEN_SIGMAS_AT_END
     out = (np.abs(difference) > limit * np.sqrt(70.0)) | ~whole

@@ -1,8 +1,15 @@
 """Find doubled and missing frames from the motion itself, where no time stamp shows them.
 
-The positions before and after must lie on one smooth curve, read at times that are off by a whole number of frames. A
-collision bends the curve and a stop ends it; neither shifts it. Every candidate is therefore compared, on the frames
-around it, with the undisturbed curve, with a kink, and with a jump and kink of any size.
+Three patterns are looked for, so that each is judged on a path that the ones before no longer disturb:
+
+- Repeated frames, in any pattern: a few in a row, scattered, or every second one. While the mass moves by much more
+  than the noise from frame to frame, a frame without a step repeats the one before. The step that follows says whether
+  the frame was put in (one step) or took the place of lost ones (as many steps more).
+- Many missing frames, no two of which leave an undisturbed curve between. A step that is a whole multiple of what its
+  neighbours say it should be, to within the noise, passes over so many intervals less one of lost frames.
+- Scattered ones: the positions before and after must lie on one smooth curve, read at times that are off by a whole
+  number of frames. A collision bends the curve and a stop ends it; neither shifts it. Every candidate is therefore
+  compared, on the frames around it, with the undisturbed curve, with a kink, and with a jump and kink of any size.
 """
 
 from __future__ import annotations
@@ -14,9 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.sampling.missing_frames import missing_frames
-from frictrack.sampling.repeated_frames import RepeatedFrames, repeats
+from frictrack.sampling.steps import MEDIAN_TO_SIGMA, MIN_KNOWN_STEPS, REACH_STEPS, noise_of_differences, usual_steps
 
+MAX_STILL_STEP = 0.15  # of the usual step; a smaller one is none
+MIN_NEIGHBOUR_STEP = 0.6  # of the usual step, before and after: nothing stops and goes on in between
+USUAL_QUANTILE = 0.75  # of the sizes of nearby steps, taken as the usual step: many repeats do not count
+MIN_STEP_SIGMAS = 8.0  # standard deviations that the usual step must have
+MAX_STEP_ERROR = 0.25  # of a step, by which the step after a repeat may miss a whole number of steps
+FREQUENT_SHARE = 0.2  # share of repeats from which the first and the last frame may be one too
+MAX_REPEATS = 4  # in a row: a mass may stick for longer
+SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes over one interval
+MAX_MULTIPLE_SIGMAS = 4.0  # standard deviations within which a step is a whole multiple
+MAX_MULTIPLE_ERROR = 0.06  # intervals: a multiple that is known no better cannot be counted
+MAX_MULTIPLE = 200  # intervals in one step
 WINDOWS = ((8, 3), (4, 2))  # frames on either side and degree of the curve; short ones where faults crowd
 MAX_JUMP_ERROR = 0.12  # frames: a jump whose standard deviation is larger cannot be counted in whole frames
 MAX_MISSING_FRAMES = 200
@@ -37,7 +54,7 @@ class Slip:
 
     frame: int
     frames: int
-    significance: float  # standard deviations
+    significance: float = np.inf  # standard deviations
 
     @property
     def doubled(self) -> bool:
@@ -71,7 +88,7 @@ class SampledPath:
     ticks: Ticks
     good: Mask
     smallest: float
-    exact: bool = False  # a frame that repeats another is the same to the last digit
+    exact: bool = False
     window: int = WINDOWS[0][0]
     degree: int = WINDOWS[0][1]
 
@@ -80,87 +97,44 @@ class SampledPath:
         """Frames that must be known on either side."""
         return self.window - self.window // 3 - 1
 
+    def corrected(self, found: Sequence[Slip]) -> SampledPath:
+        """The path at corrected ticks, on which doubled frames do not count."""
+        ticks, keep = correct_ticks(self.ticks, found)
+        return replace(self, ticks=ticks, good=self.good & keep)
+
+    def rows(self, rows: Ticks) -> SampledPath:
+        """Some frames of the path."""
+        return replace(self, p=self.p[rows], sigma=self.sigma[rows], ticks=self.ticks[rows], good=self.good[rows])
+
 
 def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
     """Find doubled and missing frames, in any pattern.
 
-    Repeated frames are found first, so that the others are judged on an undisturbed path.
+    `held`: whether, where every frame comes several times, the time stamps are right and the position was held; else
+    the frames were put in, and time counts pictures.
 
-    Parameters
-    ----------
-    path : SampledPath
-        Positions of all frames.
-    held : bool
-        As in `repeats`.
-
-    Returns
-    -------
-    tuple of Slip
-        In order.
+    Examples
+    --------
+    >>> k = np.repeat(np.arange(40.0), 1 + (np.arange(40) == 20))
+    >>> path = SampledPath(k, np.full(41, 1e-3), np.arange(41), np.ones(41, bool), 0.1)
+    >>> find_slips(path)
+    (Slip(frame=21, frames=-1, significance=inf),)
 
     """
-    consecutive = np.concatenate(([True], np.diff(path.ticks) == 1))
-    repeated = [
-        slip
-        for one in repeats(path.p, path.good & consecutive, path.sigma, held=held, exact=path.exact)
-        for slip in _slips_of(one)
-    ]
-    ticks, keep = correct_ticks(path.ticks, repeated)
+    repeated = repeated_frames(path, held=held)
     stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in repeated if s.frames < 0])
-    rest = SampledPath(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest, path.exact)
-    lost = [
-        Slip(one.at, one.missing, one.significance)
-        for one in missing_frames(rest.p, rest.ticks, rest.good, rest.smallest)
-    ]
-    rest = replace(rest, ticks=correct_ticks(rest.ticks, lost)[0])
-    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *_scattered_slips(rest))]
-    return tuple(sorted([*repeated, *others], key=lambda s: s.frame))
-
-
-def _slips_of(repeat: RepeatedFrames) -> Iterator[Slip]:
-    """Repeated frames as slips: as many as time allows in place of lost ones, the first of them put in."""
-    frames = range(repeat.first, repeat.last + 1)
-    put_in = max(len(frames) + 1 - repeat.ticks, 0)
-    for i, frame in enumerate(frames):
-        yield Slip(frame, -1 if i < put_in else 0, np.inf)
-    if repeat.ticks > len(frames) + 1:
-        yield Slip(repeat.last + 1, repeat.ticks - len(frames) - 1, np.inf)
-
-
-def _scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
-    """Doubled and missing frames that are scattered, in order; none where the target is too slow."""
-    noise = _noise(path)
-    found: list[Slip] = []
-    for window, degree in WINDOWS:
-        if np.count_nonzero(path.good) < 2 * window + 2:
-            break
-        path = replace(path, window=window, degree=degree)
-        refused: set[int] = set()
-        while len(found) < MAX_SLIPS:
-            slip = _strongest_slip(path, noise, refused)
-            if slip is None:
-                break
-            found.append(slip)
-            path = _applied(path, slip)
-    return tuple(sorted(found, key=lambda s: s.frame))
+    rest = path.corrected(repeated).rows(stay)
+    lost = missing_frames(rest)
+    others = [*lost, *_scattered_slips(rest.corrected(lost))]
+    moved = (replace(s, frame=int(stay[s.frame])) for s in others)
+    return tuple(sorted([*repeated, *moved], key=lambda s: s.frame))
 
 
 def correct_ticks(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
     """Correct ticks for doubled and missing frames.
 
-    Parameters
-    ----------
-    ticks : array of int (n,)
-        Frame intervals since the first frame.
-    found : sequence of Slip
-        Faults of the time base.
-
-    Returns
-    -------
-    ticks : array of int (n,)
-        With gaps where frames are missing.
-    keep : array of bool (n,)
-        False for doubled frames.
+    `ticks` (n,): frame intervals since the first frame. Returns `ticks` (n,), with gaps where frames are missing;
+    `keep` (n,), false for doubled frames.
 
     Examples
     --------
@@ -176,12 +150,137 @@ def correct_ticks(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
     return out, keep
 
 
-def _applied(path: SampledPath, slip: Slip) -> SampledPath:
-    ticks, keep = correct_ticks(path.ticks, [slip])
-    return replace(path, ticks=ticks, good=path.good & keep)
+# --- repeated frames
 
 
-def _noise(path: SampledPath) -> float:
+def repeated_frames(path: SampledPath, *, held: bool) -> list[Slip]:
+    """Frames that repeat the one before, in order; where `exact`, many come at even distances, or the mass sticks."""
+    good = path.good & np.concatenate(([True], np.diff(path.ticks) == 1))
+    steps = np.where(good[1:] & good[:-1], np.diff(path.p), np.nan)
+    usual = usual_steps(np.abs(steps), USUAL_QUANTILE)
+    still = (steps == 0.0) if path.exact else np.abs(steps) < MAX_STILL_STEP * usual
+    often = bool(np.sum(still) > FREQUENT_SHARE * len(still))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False]))))
+    runs = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= MAX_REPEATS]
+    found = [run for run in runs if _moves_on_both_sides(steps, run, usual, ends=often)]
+    if not found:
+        return []
+    noise = _step_noise(path, good, found)
+    found = [run for run in found if usual[run.start] > MIN_STEP_SIGMAS * noise]
+    if path.exact and often and len({run.stop - run.start for run in found[1:-1]}) > 1:
+        return []
+    disturbed = still | np.append(False, still[:-1]) | np.append(still[1:], False)
+    clean = np.where(disturbed, np.nan, steps)
+    return [slip for run in found for slip in _slips_of_repeats(steps, run, clean, held=held)]
+
+
+def _moves_on_both_sides(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
+    """Whether the mass moves at full speed in one direction before and after; at the `ends` on one side."""
+    near = [steps[i] for i in (run.start - 1, run.stop) if 0 <= i < len(steps)]
+    if len(near) < (1 if ends else 2) or not np.all(np.isfinite(near)):
+        return False
+    return bool(min(np.abs(near)) > MIN_NEIGHBOUR_STEP * usual[run.start] and near[0] * near[-1] > 0)
+
+
+def _step_noise(path: SampledPath, good: Mask, repeats: list[slice]) -> float:
+    """Noise of a step without the repeats; at least the stated one."""
+    keep = np.array(good)
+    for run in repeats:
+        keep[run.start + 1 : run.stop + 1] = False
+    measured = noise_of_differences(np.diff(path.p[keep], 3), 3)
+    return float(np.sqrt(2.0)) * max(float(np.median(path.sigma[keep])), measured)
+
+
+def _slips_of_repeats(steps: Array, run: slice, clean: Array, *, held: bool) -> Iterator[Slip]:
+    """Repeated frames as slips: as many as time allows in place of lost ones, the first of them put in.
+
+    None where the step after them is no whole number of intervals.
+    """
+    count = run.stop - run.start
+    near = clean[max(run.start - REACH_STEPS, 0) : run.stop + REACH_STEPS]
+    known = near[np.isfinite(near)]
+    ticks = count + 1 if held or run.stop == len(steps) else 1  # from the original to the frame after the last repeat
+    if run.stop < len(steps) and len(known) >= MIN_KNOWN_STEPS:
+        ratio = float(steps[run.stop] / np.median(known))
+        ticks = max(round(ratio), 1)
+        if abs(ratio - ticks) >= MAX_STEP_ERROR * ticks:
+            return
+    put_in = max(count + 1 - ticks, 0)
+    for i in range(count):
+        yield Slip(run.start + 1 + i, -1 if i < put_in else 0)
+    if ticks > count + 1:
+        yield Slip(run.stop + 1, ticks - count - 1)
+
+
+# --- many missing frames
+
+
+def missing_frames(path: SampledPath) -> list[Slip]:
+    """Missing frames that the steps show, in order.
+
+    Examples
+    --------
+    >>> k = np.delete(np.arange(60.0), [20, 24, 25])
+    >>> p = k + 0.01 * np.random.default_rng(0).standard_normal(57)
+    >>> path = SampledPath(p, np.full(57, 0.01), np.arange(57), np.ones(57, bool), 0.0)
+    >>> [(slip.frame, slip.frames) for slip in missing_frames(path)]
+    [(20, 1), (23, 2)]
+
+    """
+    rows = np.flatnonzero(path.good)
+    if len(rows) < 2 * MIN_KNOWN_STEPS + 2:
+        return []
+    intervals = np.diff(path.ticks[rows])
+    steps = np.diff(path.p[rows]) / intervals
+    usual = usual_steps(steps)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = steps / usual
+    is_long = (ratio > 1.5) & (ratio < MAX_MULTIPLE) & (np.abs(steps - usual) > path.smallest)
+    found = [(i, _missing_in_step(steps, ratio, i)) for i in np.flatnonzero((intervals == 1) & is_long).tolist()]
+    return [Slip(int(rows[i + 1]), missing, z) for i, (missing, z) in found if missing]
+
+
+def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
+    """Number of frames missing in a step and its significance; 0 where it is no whole multiple of its neighbours."""
+    near = np.arange(max(i - REACH_STEPS, 0), min(i + REACH_STEPS + 1, len(steps)))
+    used = near[(np.abs(ratio[near] - 1) < SINGLE_STEP_TOLERANCE) & (near != i)]
+    # both neighbouring steps are at least one interval: an outlier makes one long and one short step
+    enough = min(np.sum(used < i), np.sum(used > i)) >= MIN_KNOWN_STEPS
+    if not (enough and np.all(ratio[[i - 1, i + 1]] > 1 - SINGLE_STEP_TOLERANCE)):
+        return 0, 0.0
+    design = np.stack([np.ones(len(used)), used - i], axis=1)
+    best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
+    left = steps[used] - design @ best
+    spread = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(left))), float(np.std(left)))
+    error = spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
+    usual = float(best[0])
+    multiple = round(steps[i] / usual)
+    whole = abs(steps[i] - multiple * usual) < MAX_MULTIPLE_SIGMAS * error and error < MAX_MULTIPLE_ERROR * abs(usual)
+    return (multiple - 1, abs(steps[i] - usual) / error) if whole else (0, 0.0)
+
+
+# --- scattered doubled and missing frames
+
+
+def _scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
+    """Doubled and missing frames that are scattered, in order; none where the target is too slow."""
+    noise = _excess_variance(path)
+    found: list[Slip] = []
+    for window, degree in WINDOWS:
+        if np.count_nonzero(path.good) < 2 * window + 2:
+            break
+        path = replace(path, window=window, degree=degree)
+        refused: set[int] = set()
+        while len(found) < MAX_SLIPS:
+            slip = _strongest_slip(path, noise, refused)
+            if slip is None:
+                break
+            found.append(slip)
+            path = path.corrected([slip])
+    return tuple(sorted(found, key=lambda s: s.frame))
+
+
+def _excess_variance(path: SampledPath) -> float:
     """Variance of the positions over the stated one, at least 1, robust against faults everywhere.
 
     From the tenth percentile of the squared third differences (chi^2 with one degree of freedom: 0.0158).

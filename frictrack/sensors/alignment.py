@@ -19,9 +19,8 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.distributions import chi2_sf
-from frictrack.records import Array, Mask
-from frictrack.sensors.frame_differences import FrameDifferences, Whitener
-from frictrack.sensors.sensor_record import SensorRecord
+from frictrack.records import Array, Displacement, Mask, Motion
+from frictrack.sensors.sensor_record import FrameDifferences, SensorRecord, Whitener, second_differences
 
 OFFSET_STEP = 0.5  # between two offsets that are tried, in frame (or sensor, if longer) intervals
 TABLE_STEP = 0.125  # of the same interval: the grid on which the sensor is tabulated for the search
@@ -46,6 +45,7 @@ FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which no
 ALPHA_WHITENESS = 1e-3  # significance level at which the residual is judged not to be white
 LOWEST_BAND_SIZE = 8  # coefficients in the lowest band of the residual's spectrum
 SCORE_BLOCKS = 24  # parts of the record whose scores are summed where the residual is not white
+MIN_SPEED_SIGMAS = 3.0  # |v| over sigma_v; above it friction has the sign of the motion
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,7 @@ class Alignment:
     def lag(self, t: Array) -> Array:
         """Compute by how much the sensor's clock is behind the camera's.
 
-        Parameters
-        ----------
-        t : array (n,)
-            Camera times, s.
-
-        Returns
-        -------
-        array (n,)
-            s.
-
+        `t` (n,): camera times, s. The result is in s.
         """
         return np.asarray(self.offset - self.rate * (t - self.middle))
 
@@ -131,16 +122,7 @@ class AlignmentProblem:
     def rows(self, alignment: Alignment) -> Mask:
         """Find the differences during which the sensor was running.
 
-        Parameters
-        ----------
-        alignment : Alignment
-            Clock of the sensor.
-
-        Returns
-        -------
-        array of bool (r,)
-            Rows of the problem.
-
+        Returns the rows of the problem.
         """
         first, last = self.frames.ends()
         return self.series.covers(first - alignment.lag(first), last - alignment.lag(last))
@@ -148,16 +130,7 @@ class AlignmentProblem:
     def select(self, rows: Mask) -> AlignmentProblem:
         """Select some of the differences.
 
-        Parameters
-        ----------
-        rows : array of bool (r,)
-            Differences to keep.
-
-        Returns
-        -------
-        AlignmentProblem
-            With these rows.
-
+        `rows` (r,): differences to keep.
         """
         return replace(self, frames=self.frames.select(rows), other_regressors=self.other_regressors[rows])
 
@@ -192,17 +165,8 @@ def _unaligned(frames: FrameDifferences, offset: float = 0.0, reason: str = "") 
 def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
     """Align a sensor with the camera.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor.
-    offset : float, optional
-        Known offset, s; by default it is estimated.
-
-    Returns
-    -------
-    Alignment
-        Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
+    `offset`: known offset, s; by default it is estimated. Where the data do not determine the offset it is 0,
+    its standard deviation None, and `reason` says why.
 
     References
     ----------
@@ -223,9 +187,8 @@ def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
         return found
     accepted = _accepted(problem, initial, found)
     if accepted.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
-        accepted = _accepted(
-            problem, initial, _refine(replace(problem, other_regressors=_with_drift(problem)), initial)
-        )
+        creeping = replace(problem, other_regressors=_with_drift(problem))
+        accepted = _accepted(problem, initial, _refine(creeping, initial))
     return accepted
 
 
@@ -283,8 +246,7 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     explained = none - float(np.min(misfit))
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if explained < MIN_EXPLAINED_CHI2:
-        unseen = f"at no offset from {span} does it agree with the camera"
-        return replace(_unaligned(frames), reason=f"{unseen}; 0 is kept")
+        return _unaligned(frames, reason=f"at no offset from {span} does it agree with the camera; 0 is kept")
     own_noise = 8.0 * _noise_products(problem, initial, level)
     within = MAX_RIVAL_CHI2 + 4.0 * np.sqrt(own_noise) + COARSE_SCAN_ERROR * explained
     at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial, level)
@@ -308,12 +270,8 @@ def _refined_minima(
     """Offsets, chi2 and gains (k,) at the minima of a scan; a parabola on a finer grid gives each vertex."""
     step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
     k = _minima(misfit, within)
-    if not len(k):
-        k = np.array([np.argmin(misfit)])
-    else:
-        offsets = offsets + 0.0
-        offsets[k] += step * _vertex(misfit[k - 1], misfit[k], misfit[k + 1])
-    at, step = offsets[k], step / 4.0
+    at = offsets[k] + step * _vertex(misfit[k - 1], misfit[k], misfit[k + 1])
+    at, step = (at if len(k) else offsets[[np.argmin(misfit)]]), step / 4.0
     around, _, _ = _scan(problem, (at[:, None] + step * np.arange(-1.0, 2.0)).ravel(), initial, level)
     at = at + step * _vertex(*around.reshape(-1, 3).T)
     misfit, _, gains = _scan(problem, at, initial, level)
@@ -424,14 +382,12 @@ def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sen
         z = white(frames.z)
         residual = z - q @ (q.T @ z)
         size = np.abs(np.diag(r))
-        return (
-            white.logdet + float(residual @ residual) + 2.0 * float(np.sum(np.log(size[size > 1e-12 * np.max(size)])))
-        )
+        logdet = white.logdet + 2.0 * float(np.sum(np.log(size[size > 1e-12 * np.max(size)])))
+        return logdet + float(residual @ residual)
 
     bounds = np.log(typical) + np.array([-25.0, 10.0])
-    return float(
-        np.exp(scipy.optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
-    )
+    best = scipy.optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02})
+    return float(np.exp(best.x))
 
 
 def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True) -> Alignment:
@@ -482,22 +438,7 @@ def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, ma
 def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, drift: bool = False) -> AlignmentFit:
     """Solve the linear problem about an alignment.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor, rows with both.
-    at : Alignment
-        Point of linearisation.
-    free : bool
-        Whether the offset is free.
-    drift : bool
-        Whether the rate is free as well.
-
-    Returns
-    -------
-    AlignmentFit
-        The last regressor is the bias.
-
+    `problem`: rows with both; `drift`: whether the rate is free as well. The last regressor is the bias.
     """
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
@@ -529,19 +470,9 @@ def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, d
 def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     """Test whether a residual is white.
 
-    Parameters
-    ----------
-    regressors : array (r, p)
-        Whitened regressors, whose degrees of freedom are subtracted from each band.
-    residual : array (r,)
-        Whitened residual.
-
-    Returns
-    -------
-    p : float
-        Probability of the strongest octave or line under white noise, times the number of octaves and lines.
-    excess : array (r,)
-        Cosine power spectrum less its expectation.
+    `regressors` (r, p): whitened regressors, whose degrees of freedom are subtracted from each band; `residual` (r,):
+    whitened residual. Returns `p`, probability of the strongest octave or line under white noise, times the number of
+    octaves and lines; `excess` (r,), cosine power spectrum less its expectation.
 
     Examples
     --------
@@ -588,20 +519,20 @@ def _score_covariance(regressors: Array, residual: Array) -> Array:
 
 def _accepted(problem: AlignmentProblem, initial: Alignment, found: Alignment) -> Alignment:
     """The alignment if its offset is significant, else 0 and the reason."""
-    if found.gain is None or abs(found.gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
-        return replace(_unaligned(problem.frames), reason="at no offset does it agree with the camera; 0 is kept")
-    if (
-        problem.sigma is not None
-        and not 1.0 / MAX_GAIN_CHANGE < found.gain / (initial.gain or np.inf) < MAX_GAIN_CHANGE
-    ):
-        return replace(_unaligned(problem.frames), reason="its gain is not determined; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)
     span = float(problem.frames.t[-1] - problem.frames.t[0])
-    if found.sigma_offset is None or not 0.0 < found.sigma_offset < 0.1 * span:
-        return replace(_unaligned(problem.frames), reason="its offset is not determined; 0 is kept")
-    if abs(found.offset - initial.offset) > max(reach, 5.0 * found.sigma_offset):
-        return replace(_unaligned(problem.frames), reason="its offset did not converge; 0 is kept")
-    return _with_rivals(found)
+    gain, sigma = found.gain, found.sigma_offset
+    if gain is None or abs(gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
+        fault = "at no offset does it agree with the camera"
+    elif problem.sigma is not None and not 1 / MAX_GAIN_CHANGE < gain / (initial.gain or np.inf) < MAX_GAIN_CHANGE:
+        fault = "its gain is not determined"
+    elif sigma is None or not 0.0 < sigma < 0.1 * span:
+        fault = "its offset is not determined"
+    elif abs(found.offset - initial.offset) > max(reach, 5.0 * sigma):
+        fault = "its offset did not converge"
+    else:
+        return _with_rivals(found)
+    return _unaligned(problem.frames, reason=f"{fault}; 0 is kept")
 
 
 def _with_rivals(found: Alignment) -> Alignment:
@@ -614,3 +545,43 @@ def _with_rivals(found: Alignment) -> Alignment:
     spread = np.sqrt(sum(p * (o - found.offset) ** 2 for o, _, p in others))
     reason = f"ambiguous, {1e3 * offset:.4g} ms with gain {gain:.3g} agrees, too (probability {probability:.2g})"
     return replace(found, rivals=others, reason=reason, sigma_offset=float(np.hypot(found.sigma_offset, spread)))
+
+
+def align_drive(
+    displacement: Displacement,
+    motion: Motion,
+    series: SensorRecord,
+    *,
+    offset: float | None = None,
+    until: float = np.inf,
+) -> Alignment:
+    """Align a measured drive with the camera: a = D(t - offset) / m - F_c/m sgn v - F_v/m v + const.
+
+    The gain is 1/m. Coulomb and viscous friction, gravity on an incline and a zero error are fitted as well. Other
+    forces
+    are taken as white, and their level is estimated. The standard deviation of the offset comes from the scatter over
+    parts of the record. Frames at rest do not count, because static friction is undetermined.
+
+    `displacement`: displacement of the slider, m; `motion`: its velocity, m/s; `series`: drive force, N; `offset`:
+    known offset, s; `until`: time after which frames do not count, s. Returns the clock of the drive and 1/m.
+    """
+    frames = second_differences(displacement.rows(displacement.span))
+    moving = _moving(frames, motion) & (frames.ends()[1] <= until)
+    frames = frames.select(moving)
+    return align(AlignmentProblem(frames, series, _friction_regressors(frames, motion)), offset)
+
+
+def _moving(frames: FrameDifferences, motion: Motion) -> Mask:
+    """Differences (r,) during which the slider moves in one direction."""
+    v = motion.v[frames.map.indices.reshape(-1, 3)]
+    sigma = motion.sigma_v[frames.map.indices.reshape(-1, 3)]
+    return np.asarray(np.all(v > MIN_SPEED_SIGMAS * sigma, axis=1) | np.all(v < -MIN_SPEED_SIGMAS * sigma, axis=1))
+
+
+def _friction_regressors(frames: FrameDifferences, motion: Motion) -> Array:
+    """Regressors (r, 2 or 3) of Coulomb and viscous friction and a constant force."""
+    v = motion.v[frames.centre]
+    columns = [-v, np.ones(len(v))]
+    if np.ptp(np.sign(v)) > 0:
+        columns.insert(0, -np.sign(v))
+    return np.stack(columns, axis=1)

@@ -1,4 +1,4 @@
-"""Test whether a sensor and the camera measure the same motion, and name the likely cause if not."""
+"""Test whether a sensor, or the energy of an impact, agrees with the camera, and name the likely cause if not."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from frictrack.sensors.alignment import (
     fit_alignment,
     whiteness_test,
 )
-from frictrack.sensors.frame_differences import Whitener
-from frictrack.sensors.sensor_record import SensorRecord
+from frictrack.sensors.sensor_record import SensorRecord, Whitener
 
 REPORT_SIGMAS = 3.0  # standard deviations from which a gain or a bias is reported
 GAIN_TOLERANCE = 0.05  # relative error of a sensor's sensitivity that is common
@@ -34,6 +33,8 @@ GAIN_EXPLANATIONS = {
     -GRAVITY: 'it is in units of gravity and its axis points the other way: columns = {a = "-a (g)"}',
     1e-3: 'it is in mm/s^2: say so with columns = {a = "a (mm/s^2)"}',
 }  # gain -> what explains it
+IMPOSSIBLE_SIGMAS = 3.0  # standard deviations above the stated energy that cannot be chance
+SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, frame rate or mass
 
 
 @dataclass(frozen=True)
@@ -73,20 +74,7 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
     sensor in m/s^2 within a factor `MAX_GAIN_FACTOR`, its zero error is below gravity, and the difference is white.
     Gain and zero error are then taken out.
 
-    Parameters
-    ----------
-    problem : AlignmentProblem
-        Camera and sensor.
-    alignment : Alignment
-        Result of `align`.
-    scale_error : float
-        Relative standard deviation of the camera's scale.
-
-    Returns
-    -------
-    SensorComparison
-        Verdict and findings.
-
+    `scale_error`: relative standard deviation of the camera's scale. Returns the verdict and findings.
     """
     if alignment.rivals:
         fixed = 'its clock is ambiguous: give the delay of your set-up, as in {table = "..", offset = "1.2 ms"}'
@@ -100,8 +88,8 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
     faults = [
         "" if free else _offset_fault(problem, alignment),
         _describe_misfit(overlapping, fitted, excess) if p < ALPHA_WHITENESS else "",
-        _gain_fault(alignment, scale_error),
-        _bias_fault(alignment),
+        _gain_fault(alignment.gain, alignment.sigma_gain, scale_error),
+        _bias_fault(alignment.bias or 0.0, alignment.sigma_bias or 0.0),
     ]
     faults = [fault for fault in faults if fault]
     difference, expected, window = _rms_difference(overlapping, alignment)
@@ -123,20 +111,8 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
     its
     noise is scaled such that the frames, taken as independent, have the right weight together.
 
-    Parameters
-    ----------
-    series : SensorRecord
-        Accelerometer, m/s^2.
-    alignment : Alignment
-        Result of `align`, with gain and bias.
-    t : array (n,)
-        Times of the frames, s.
-
-    Returns
-    -------
-    KnownAcceleration
-        Acceleration with its noise; NaN where the sensor was not running.
-
+    `series`: accelerometer, m/s^2; `alignment`: result of `align`, with gain and bias; `t` (n,): times of the frames,
+    s. Returns the acceleration with its noise; NaN where the sensor was not running.
     """
     assert alignment.gain is not None
     assert alignment.bias is not None
@@ -145,11 +121,8 @@ def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> 
     return KnownAcceleration(a, abs(alignment.gain) * float(np.sqrt(series.density / h)))
 
 
-def _gain_fault(alignment: Alignment, scale_error: float) -> str:
+def _gain_fault(gain: float, sigma: float, scale_error: float) -> str:
     """Report a gain that no sensitivity explains, with its likely cause; a smaller error is taken out."""
-    gain, sigma = alignment.gain, alignment.sigma_gain
-    assert gain is not None
-    assert sigma is not None
     spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
     if 1.0 / MAX_GAIN_FACTOR - spread <= gain <= MAX_GAIN_FACTOR + spread:
         return ""
@@ -166,11 +139,8 @@ def _gain_fault(alignment: Alignment, scale_error: float) -> str:
     )
 
 
-def _bias_fault(alignment: Alignment) -> str:
+def _bias_fault(bias: float, sigma: float) -> str:
     """Report a zero error larger than any tilt can cause."""
-    bias, sigma = alignment.bias, alignment.sigma_bias
-    assert bias is not None
-    assert sigma is not None
     if abs(bias) <= GRAVITY + REPORT_SIGMAS * sigma:
         return ""
     return (
@@ -231,7 +201,7 @@ def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) ->
     found = []
     gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
     spread = REPORT_SIGMAS * np.hypot(sigma, scale_error)
-    if abs(gain - 1.0) > spread and not _gain_fault(alignment, scale_error):
+    if abs(gain - 1.0) > spread and not _gain_fault(gain, sigma, scale_error):
         check = "; check scale and frame rate, forces go with both" if abs(gain - 1.0) > GAIN_TOLERANCE + spread else ""
         seen = f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says"
         found.append(f"{seen}; taken out as its sensitivity{check}")
@@ -264,3 +234,63 @@ def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[fl
     difference = covariance @ (columns.T @ white(residual))
     window = len(residual) / count * frames.interval
     return float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.mean(np.diag(covariance)))), window
+
+
+@dataclass(frozen=True)
+class ReleaseEnergy:
+    """Kinetic energy at release.
+
+    Attributes
+    ----------
+    kinetic, sigma : float
+        Energy and its standard deviation, J.
+    share : float
+        Over the stated energy.
+    verdict : str
+        "plausible", "impossible" or "suspicious".
+    says : str
+        One sentence for the user.
+
+    """
+
+    kinetic: float
+    sigma: float
+    share: float
+    verdict: str  # "plausible", "impossible", "suspicious"
+    says: str
+
+
+def release_energy(
+    mass: tuple[float, float], speed: tuple[float, float], stated: float, scale_error: float = 0.0
+) -> ReleaseEnergy:
+    """Compare the kinetic energy m v^2 / 2 at release with the stated energy of the impact.
+
+    `mass`, `speed`: value and standard deviation, kg and m/s; `stated`: energy of the impact, J; `scale_error`:
+    relative standard deviation of the scale; the energy is proportional to its square. Returns the energy and verdict.
+
+    Examples
+    --------
+    >>> release_energy((0.5, 0.0), (2.0, 0.0), stated=2.0).verdict
+    'plausible'
+
+    """
+    (m, sigma_m), (v, sigma_v) = mass, speed
+    kinetic = 0.5 * m * v**2
+    relative = np.sqrt((sigma_m / m) ** 2 + (2.0 * sigma_v / v) ** 2 + (2.0 * scale_error) ** 2) if v else 0.0
+    sigma, share = float(kinetic * relative), float(kinetic / stated)
+    says = f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is"
+    if kinetic - IMPOSSIBLE_SIGMAS * sigma > stated:
+        says = (
+            f"{says} more than the {stated:g} J of the blow: scale or frame rate is too large by a factor of "
+            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy"
+        )
+        return ReleaseEnergy(kinetic, sigma, share, "impossible", says)
+    if share < SUSPICIOUS_SHARE:
+        factor = 1 / max(share, 1e-300)
+        says = (
+            f"{says} less than a tenth of the {stated:g} J of the blow: scale or frame rate too small by a factor of "
+            f"up to {np.sqrt(factor):.3g}, or the mass by {factor:.3g}, would explain it, as would a glancing blow; "
+            "check these, or impact_energy"
+        )
+        return ReleaseEnergy(kinetic, sigma, share, "suspicious", says)
+    return ReleaseEnergy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")

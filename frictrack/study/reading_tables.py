@@ -59,6 +59,8 @@ class TableData:
         Pressure of a drive, Pa.
     notes
         What the program that tracked the positions says about them.
+    stamped_rate
+        Frame rate of the time stamps, Hz, if the given one contradicts it and replaced it.
 
     """
 
@@ -71,6 +73,7 @@ class TableData:
     friction: Array | None = None
     pressure: Array | None = None
     notes: tuple[str, ...] = ()
+    stamped_rate: float | None = None
 
 
 @dataclass(frozen=True)

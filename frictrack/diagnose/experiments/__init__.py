@@ -1,8 +1,7 @@
 """Plan experiments: the run or the direct check that separates what the present runs cannot; runs before filming."""
 
 from frictrack.diagnose.experiments.candidates import ExperimentSetup, candidate_runs, default_setup, fitted_setup
-from frictrack.diagnose.experiments.rating import plan_for_candidates, plan_for_unexplained
-from frictrack.diagnose.experiments.run_to_film import next_run
+from frictrack.diagnose.experiments.proposals import next_run, plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.experiments.selection import RunPlan, choose_runs, summarise_plan
 
 __all__ = [

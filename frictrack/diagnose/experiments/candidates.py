@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -51,12 +52,12 @@ def plain_run(course: tuple[float, float], velocity: float, frames: float, drive
     return RunDesign((course[0] if velocity > 0 else course[1], velocity), course, drive=drive, frames=frames)
 
 
-def speed_to_stop(deceleration: float, distance: float) -> float:
+def _speed_to_stop(deceleration: float, distance: float) -> float:
     """Speed, m/s, from which a mass stops within a distance, m."""
     return float(np.sqrt(2 * deceleration * distance))
 
 
-def changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[Experiment]:
+def _changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[Experiment]:
     """List a plain run with another mass, a tilted course, and more frames per second; two sentences have a gap."""
     yield Experiment("double mass", other_mass.format("with the mass doubled"), replace(plain, mass=2.0))
     yield Experiment("half mass", other_mass.format("with half the mass"), replace(plain, mass=0.5))
@@ -75,7 +76,7 @@ def candidate_experiments(
     Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length. With `combined`, runs
     that combine speed, direction and mass follow.
     """
-    setup = _observe_setup(solution, costs)
+    setup = _FilmedRuns.of_fit(solution, costs)
     entries = [*setup.speed_changes(*costs.speeds), *setup.other_changes()]
     if not combined:
         return entries
@@ -93,63 +94,48 @@ def candidate_experiments(
 
 
 @dataclass(frozen=True)
-class _ObservedSetup:
-    """The set-up as the present runs show it.
+class _FilmedRuns:
+    """What the present runs show of the set-up: how runs like them would go."""
 
-    Attributes
-    ----------
-    speeds
-        First speed of every run, m/s, the slowest first.
-    direction
-        Direction of most runs.
-    turned
-        Whether there are runs in the other direction.
-    course
-        Ends of the course, m.
-    braking
-        Typical deceleration, m/s^2.
-    driven
-        Whether a drive was measured.
-    frames
-        Largest number of frames in a film.
+    velocities: list[float]  # first velocity of every run, m/s
+    course: tuple[float, float]  # m
+    braking: float  # typical deceleration, m/s^2
+    verb: str  # what to do with a run
+    frames: float  # largest number in a film
 
-    """
-
-    speeds: list[float]
-    direction: float
-    turned: bool
-    course: tuple[float, float]
-    braking: float
-    driven: bool
-    frames: float
-
-    @property
-    def verb(self) -> str:
-        """What to do with a run."""
-        return "Drive and film" if self.driven else "Film"
+    @classmethod
+    def of_fit(cls, solution: Solution, costs: Costs) -> _FilmedRuns:
+        pieces, span = solution.problem.pieces, solution.problem.layout.span
+        starts = dict(reversed([(p.run, float(s[1])) for p, s in zip(pieces, solution.starts, strict=True)]))
+        a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
+        verb = "Drive and film" if any(p.path.drive is not None for p in pieces) else "Film"
+        frames = max_frames_of_film(solution, costs)
+        return cls(list(starts.values()), (span.x_min, span.x_max), max(-float(np.median(a)), 0.1), verb, frames)
 
     @property
     def typical(self) -> float:
         """Typical speed, m/s."""
-        return float(np.median(self.speeds))
+        return float(np.median(np.abs(self.velocities)))
 
     def design(self, speed: float, sign: float = 1.0) -> RunDesign:
         """A plain run at a speed, in the direction of most runs or (sign -1) in the other."""
-        return plain_run(self.course, sign * self.direction * speed, self.frames, sign * speed / self.typical)
+        direction = 1.0 if np.sum(np.sign(self.velocities)) >= 0 else -1.0
+        return plain_run(self.course, sign * direction * speed, self.frames, sign * speed / self.typical)
 
     def speed_changes(self, low: float, high: float) -> Iterator[Experiment]:
         """Slower, faster, to a stop, reversed and repeated."""
-        what, slowest, fastest = self.verb, self.speeds[0], self.speeds[-1]
+        what, slowest, fastest = self.verb, min(map(abs, self.velocities)), max(map(abs, self.velocities))
         slow, fast = max(SLOWER_FACTOR * slowest, low), min(FASTER_FACTOR * fastest, high)
         if slow < (1 - MIN_SPEED_DIFFERENCE) * slowest:
             yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", self.design(slow))
         if fast > (1 + MIN_SPEED_DIFFERENCE) * fastest:
             yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", self.design(fast))
-        stop = speed_to_stop(self.braking, STOP_WITHIN_SHARE * (self.course[1] - self.course[0]))
-        if not self.driven and low < stop < high:
+        stop = _speed_to_stop(self.braking, STOP_WITHIN_SHARE * (self.course[1] - self.course[0]))
+        if what == "Film" and low < stop < high:  # a drive would go on
             words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
             yield Experiment("to a stop", words, self.design(stop))
-        text = "the other way" if self.turned else "in the other direction, which no run has had so far,"
+        turned = len(set(np.sign(self.velocities).tolist())) > 1
+        text = "the other way" if turned else "in the other direction, which no run has had so far,"
         words = f"{what} a run {text} at about {self.typical:.1f} m/s"
         yield Experiment("reversed", words, self.design(self.typical, -1.0))
         words = f"{what} another run like those at about {self.typical:.1f} m/s"
@@ -157,33 +143,16 @@ class _ObservedSetup:
 
     def other_changes(self) -> Iterator[Experiment]:
         """Another mass, a tilted course, more frames per second, another zoom, a longer run."""
-        plain, at = self.design(self.typical), f"at about {self.typical:.1f} m/s"
-        yield from changed_runs(plain, f"{self.verb} a run {{}}, {at}", f"{self.verb} a run {at} {{}}")
-        words = {
-            ("zoom", 0.7): f"{self.verb} a run {at} at another zoom, a pixel being 0.7 times as large",
-            ("longer", 1.5): f"{self.verb} a longer run: half as far again, {at}, the camera moved back",
-        }
-        begin, (low, high) = plain.start[0], self.course
-        for (key, pitch), text in words.items():
-            ends = sorted((begin, begin + self.direction * pitch * (high - low)))
-            yield Experiment(key, text, replace(plain, pitch=pitch, course=(ends[0], ends[1])))
-
-
-def _observe_setup(solution: Solution, costs: Costs) -> _ObservedSetup:
-    """The set-up as the runs of a fit show it."""
-    pieces, span = solution.problem.pieces, solution.problem.layout.span
-    starts = dict(reversed([(p.run, float(s[1])) for p, s in zip(pieces, solution.starts, strict=True)]))
-    signs = np.sign(list(starts.values()))
-    a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
-    return _ObservedSetup(
-        speeds=sorted(map(abs, starts.values())),
-        direction=1.0 if np.sum(signs) >= 0 else -1.0,
-        turned=len(set(signs)) > 1,
-        course=(span.x_min, span.x_max),
-        braking=max(-float(np.median(a)), 0.1),
-        driven=any(p.path.drive is not None for p in pieces),
-        frames=max_frames_of_film(solution, costs),
-    )
+        plain, run, at = self.design(self.typical), f"{self.verb} a run", f"at about {self.typical:.1f} m/s"
+        yield from _changed_runs(plain, f"{run} {{}}, {at}", f"{run} {at} {{}}")
+        longer = f"{self.verb} a longer run: half as far again, {at}, the camera moved back"
+        for key, pitch, text in (
+            ("zoom", 0.7, f"{run} {at} at another zoom, a pixel being 0.7 times as large"),
+            ("longer", 1.5, longer),
+        ):
+            begin, way = plain.start[0], pitch * (self.course[1] - self.course[0])
+            low, high = sorted((begin, begin + plain.direction * way))
+            yield Experiment(key, text, replace(plain, pitch=pitch, course=(low, high)))
 
 
 @dataclass(frozen=True)
@@ -239,11 +208,6 @@ class ExperimentSetup:
         zeros = np.zeros(1)
         path = Path(t=zeros, x=zeros, v=zeros, s=zeros + 1, mass=self.mass, pixel_pitch=self.pitch, gravity=GRAVITY)
         return RunConditions(self.fps, self.noise, self.mass, max(friction / self.mass, 0.1), path)
-
-    def plain_run(self, velocity: float) -> RunDesign:
-        """Design of a run over the whole course; negative velocities, m/s, go the other way."""
-        frames = np.inf if self.costs.frames is None else self.costs.frames
-        return plain_run((self.start, self.start + self.course), velocity, frames)
 
 
 def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
@@ -305,19 +269,16 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
     ['1 m/s', '2 m/s', '4 m/s']
 
     """
+    frames = np.inf if setup.costs.frames is None else setup.costs.frames
+    design = partial(plain_run, (setup.start, setup.start + setup.course), frames=frames)
+    entries = [Experiment(f"{v:g} m/s", f"one run at {v:g} m/s", design(v)) for v in SPEEDS_M_S]
+    entries += [Experiment(f"{-v:g} m/s", f"one run at {v:g} m/s the other way", design(-v)) for v in RETURN_SPEEDS_M_S]
+    stop = _speed_to_stop(setup.conditions.deceleration, PLANNED_STOP_SHARE * setup.course)
+    entries.append(Experiment("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", design(stop)))
     sentence = f"one run at {MIDDLE_SPEED_M_S:g} m/s {{}}"
-    changed = changed_runs(setup.plain_run(MIDDLE_SPEED_M_S), sentence, sentence)
-    entries, conditions = [*_speeds(setup), *changed], setup.conditions
+    entries += _changed_runs(design(MIDDLE_SPEED_M_S), sentence, sentence)
+    conditions = setup.conditions
     return [e for e in entries if np.isfinite(setup.costs.of_run(conditions.settings(e.design), None))]
-
-
-def _speeds(setup: ExperimentSetup) -> Iterator[Experiment]:
-    for v in SPEEDS_M_S:
-        yield Experiment(f"{v:g} m/s", f"one run at {v:g} m/s", setup.plain_run(v))
-    for v in RETURN_SPEEDS_M_S:
-        yield Experiment(f"{-v:g} m/s", f"one run at {v:g} m/s the other way", setup.plain_run(-v))
-    stop = speed_to_stop(setup.conditions.deceleration, PLANNED_STOP_SHARE * setup.course)
-    yield Experiment("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", setup.plain_run(stop))
 
 
 def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
@@ -357,18 +318,18 @@ def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
     values, _ = layout.values(solution.p, 0)
     pitch = first.pixel_pitch
     noise = float(np.median(np.concatenate([p.sigma for p in solution.problem.pieces])))
-    scatter_is_assumed = len(layout.levels) < MIN_RUNS_FOR_SCATTER
-    span = layout.span
-    law = models.of(base_effects)
-    scatter = 100 * (DEFAULT_SCATTER if scatter_is_assumed else solution.tau)
+    span, law, frames = layout.span, models.of(base_effects), max_frames_of_film(solution, costs)
+    if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
+        scatter = stated = DEFAULT_SCATTER
+        origin = "assumed because there are too few runs to estimate it"
+    else:
+        scatter, stated, origin = solution.tau_of_other_runs, solution.tau, "as fitted"
     assumed: tuple[str, ...] = (
         f"friction law fitted to {len(fit.runs)} runs: {law.equation(fit.parameters)}",
         f"position noise per frame: {format_plain(1e6 * noise, 3)} µm, as measured",
         f"course length: {span.x_max - span.x_min:.2g} m, as far as these runs went",
-        f"scatter of dry friction from run to run: {scatter:.2g} %, "
-        + ("assumed because there are too few runs to estimate it" if scatter_is_assumed else "as fitted"),
+        f"scatter of dry friction from run to run: {100 * stated:.2g} %, {origin}",
     )
-    frames = max_frames_of_film(solution, costs)
     if costs.frames is None and np.isfinite(frames):
         assumed += (
             f"largest number of frames in one film: {frames:.0f}, as in the longest film so far, which ended while the "
@@ -381,7 +342,7 @@ def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
         noise=noise,
         law=law,
         values={e.name: dict(values[e.name]) for e in base_effects},
-        scatter=DEFAULT_SCATTER if scatter_is_assumed else solution.tau_of_other_runs,
+        scatter=scatter,
         course=span.x_max - span.x_min,
         start=span.x_min,
         assumed=assumed,
@@ -392,12 +353,15 @@ def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
 
 def _completed_run(fit: Fit, setup: ExperimentSetup, index: int) -> Experiment:
     """A run that was filmed, as an experiment."""
-    run = fit.runs[index]
-    pieces = zip(fit.solution.problem.pieces, fit.solution.starts, strict=True)
-    start = next(s for p, s in pieces if p.run == index)
-    ends = setup.start, setup.start + setup.course
-    place = float(np.clip(start[0], *ends))
-    mass = (run.mass or setup.mass) / setup.mass
-    frames = sum(len(p.t) for p in fit.solution.problem.pieces if p.run == index)
-    design = RunDesign((place, float(start[1])), ends, mass=mass, tilt=run.incline, frames=frames)
-    return Experiment(f"run {run.name}", f"{run.name}, at {start[1]:.2g} m/s", design)
+    run, problem = fit.runs[index], fit.solution.problem
+    own = [(p, s) for p, s in zip(problem.pieces, fit.solution.starts, strict=True) if p.run == index]
+    x, v = own[0][1]
+    course = setup.start, setup.start + setup.course
+    design = RunDesign(
+        (float(np.clip(x, *course)), float(v)),
+        course,
+        mass=(run.mass or setup.mass) / setup.mass,
+        tilt=run.incline,
+        frames=sum(len(p.t) for p, _ in own),
+    )
+    return Experiment(f"run {run.name}", f"{run.name}, at {v:.2g} m/s", design)

@@ -13,6 +13,7 @@ Summed over runs, the part of a trace that neither the law nor the rival explain
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -40,24 +41,21 @@ PANELS_PER_FRAME = 3  # as a blow needs them
 QUADRATURES = (0.0, np.pi / 2)
 RIDGE_RATIO = 1e-9  # regularises directions that no run shows
 MIN_SQUARE_SHARE = 1e-10  # of a column's square, below which it is rounding
-REASON_BY_NEED = {
-    "drive": "needs a measured drive",
-    "lift": "needs the vertical motion of the mass",
-    "angle": "needs the rotation of the target",
-    "clamp_x": "needs the position of the clamp",
-    "earlier": "needs pauses of known length between the runs",
-}
 
 Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One simulated run of a set-up, and the effect that each column (n, P) of its sensitivities belongs to."""
+    """One simulated run of a set-up."""
 
     experiment: Experiment
     run: VirtualRun
-    effects: list[str]
+
+    @property
+    def effects(self) -> list[str]:
+        """The effect that each column (n, P) of its sensitivities belongs to."""
+        return [self.run.layout.slots[i].effect for i in self.run.response.active]
 
     def columns_of_law(self, without: str = "") -> Array:
         """Sensitivities (n, P') to the unknowns that the runs share, without those of one effect."""
@@ -73,10 +71,8 @@ def simulate_runs(setup: ExperimentSetup, entries: Sequence[Experiment]) -> list
     """Simulate the candidate runs that are long enough; raise FrictrackError if there are none."""
     made = []
     for experiment in entries:
-        try:
+        with suppress(FrictrackError):  # the mass would not get far enough
             made.append(_simulate_run(setup, experiment))
-        except FrictrackError:  # the mass would not get far enough
-            continue
     if not made:
         raise FrictrackError(
             f"expected a course long enough for a run but on {setup.course:.2g} m at {setup.fps:g} frames/s every "
@@ -92,8 +88,7 @@ def _simulate_run(setup: ExperimentSetup, experiment: Experiment) -> PlannedRun:
         return layout, np.array(p)
 
     near = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps)
-    run = make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME)
-    return PlannedRun(experiment, run, [run.layout.slots[i].effect for i in run.response.active])
+    return PlannedRun(experiment, make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME))
 
 
 def span_of_runs(runs: Sequence[PlannedRun]) -> Span:
@@ -134,8 +129,9 @@ class Cause:
         return [p.name for p in self.effect.nonlinear if p.role == "phase"]
 
 
-def list_causes(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
+def list_causes(law: Model, runs: Sequence[PlannedRun]) -> tuple[list[Cause], dict[str, str]]:
     """List the effects that a plan examines in addition to a friction law, and those left out with the reason."""
+    span, path = span_of_runs(runs), runs[0].run.piece.path
     present = {e.kind for e in law.effects}
     replaced = frozenset[str]().union(*(e.replaces for e in law.effects))
     causes, excluded = [], {}
@@ -144,8 +140,8 @@ def list_causes(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
             continue
         if effect.modifies and not present & effect.modifies:
             excluded[effect.name] = f"modifies {' or '.join(sorted(effect.modifies))}, which the model does not contain"
-        elif lacking := [REASON_BY_NEED[need] for need in effect.needs if need != "pixel_pitch"]:
-            excluded[effect.name] = lacking[0]
+        elif lacking := effect.lacks([path]):
+            excluded[effect.name] = lacking.removeprefix(f"{effect.name} ").partition(";")[0]
         else:
             causes.append(_make_cause(effect, span))
     return causes, excluded
@@ -168,13 +164,10 @@ def _make_cause(effect: Effect, span: Span) -> Cause:
             is_event = is_event or p.per_run
     # of every axis the same share of its logarithm is kept
     share = min(np.log(MAX_GRID_POINTS) / max(np.log(np.prod([len(a) for a in axes.values()])), 1e-9), 1.0)
-    kept = [a[np.unique(np.linspace(0, len(a) - 1, _points_kept(len(a), share)).astype(int))] for a in axes.values()]
+    counts = {n: n if share == 1 else max(min(n, 3), int(n**share)) for n in map(len, axes.values())}
+    kept = [a[np.unique(np.linspace(0, len(a) - 1, counts[len(a)]).astype(int))] for a in axes.values()]
     points = [typical | dict(zip(axes, map(float, point), strict=True)) for point in product(*kept)]
     return Cause(effect, typical, tuple(points if is_event else [typical, *points]))
-
-
-def _points_kept(count: int, share: float) -> int:
-    return count if share == 1 else max(min(count, 3), int(count**share))
 
 
 def _middle(low: float, high: float, *, signed: bool) -> float:
@@ -431,7 +424,7 @@ class EvidenceTables:
 def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[EvidenceTables, dict[str, str]]:
     """Simulate every candidate run and reduce it against every effect; return effects left out and why, too."""
     runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
-    causes, excluded = list_causes(setup.law, span_of_runs(runs))
+    causes, excluded = list_causes(setup.law, runs)
     sizes = np.array([planned_size(runs, c) for c in causes])
     matrices, raw_chi2 = [], []
     for number, run in enumerate(runs):
@@ -445,7 +438,7 @@ def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[Evidenc
 def tabulate_effect(runs: Sequence[PlannedRun], name: str, share: float, scatter: float) -> list[NormalMatrices] | None:
     """Matrices of the law without an effect, of a share of the friction, in every run; None if that is not possible."""
     law = models.of([e for e in runs[0].run.layout.model.effects if e.name != name])
-    cause = next((c for c in list_causes(law, span_of_runs(runs))[0] if c.effect.name == name), None)
+    cause = next((c for c in list_causes(law, runs)[0] if c.effect.name == name), None)
     if cause is None:
         return None
     size = planned_size(runs, cause) * share / PLANNED_SHARE

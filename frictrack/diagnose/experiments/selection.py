@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -17,7 +18,6 @@ from frictrack.diagnose.experiments.evidence import (
     Progress,
     tabulate_evidence,
 )
-from frictrack.diagnose.experiments.rating import settled_by
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality
 from frictrack.distributions import chi2_isf
@@ -235,6 +235,19 @@ def _summarise_pair(tables: EvidenceTables, a: int, b: int, chi2: float) -> dict
     rivals = [tables.causes[k].effect for k in (a, b)]
     means = settled_by(rivals) or "; ".join(filter(None, map(_direct_check, rivals)))
     return {"effects": [e.name for e in rivals], "expected_chi2": chi2, "why": why, "settle": means}
+
+
+def settled_by(effects: Sequence[Effect]) -> str:
+    """Return what to do instead of a film to separate some effects; "" where none of them says it.
+
+    Examples
+    --------
+    >>> from frictrack import effects
+    >>> settled_by([effects.get("slope"), effects.get("spring")])
+    'lay a level on the course, and take the cable off'
+
+    """
+    return ", and ".join(effect.settled_by for effect in effects if effect.settled_by)
 
 
 def _direct_check(effect: Effect) -> str:

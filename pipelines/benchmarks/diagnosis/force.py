@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from frictrack.blind.detection_limits import N_PHASES, unit_values
-from frictrack.blind.ideal_detector import IdealDetector
+from frictrack.blind.ideal_detector import N_PHASES, IdealDetector, unit_values
 from frictrack.blind.truth import effect_named
 from frictrack.records import Array
 

@@ -11,7 +11,7 @@ from diagnosis import sparse
 from diagnosis.force import force_size
 from diagnosis.ours import repeated, size_seen, stated
 from diagnosis.studies import BASE, EFFECTS, detector, holding
-from frictrack.blind.detection_limits import ideal_detection_limit
+from frictrack.blind.ideal_detector import ideal_detection_limit
 from frictrack.blind.truth import effect_named
 
 Say = Callable[[str], None]

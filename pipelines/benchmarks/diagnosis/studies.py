@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import frictrack as ft
-from frictrack.blind.detection_limits import unit_values
-from frictrack.blind.ideal_detector import IdealDetector
+from frictrack.blind.ideal_detector import IdealDetector, unit_values
 from frictrack.blind.study_files import run_table
 from frictrack.blind.truth import RunTruth, Truth, effect_named
 from frictrack.effects import LIBRARY

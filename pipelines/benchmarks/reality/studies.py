@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.blind.film_rendering import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL
-from frictrack.blind.film_rendering import FILM_WIDTH_PX as FILM_WIDTH
-from frictrack.blind.study_files import run_table, study_lines
+from frictrack.blind.study_files import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL, run_table, study_lines
+from frictrack.blind.study_files import FILM_WIDTH_PX as FILM_WIDTH
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from frictrack.records import GRAVITY

@@ -1,7 +1,11 @@
-"""Bring the rows of a table to an even clock: stamps that jitter, are rounded, or are repeated.
+"""Bring the rows of a table to an even clock, and find samples that come unevenly although their stamps are even.
 
-Stamps may be wrong while the samples are even (a computer wrote them with delay), or right while the samples are
-uneven. The motion decides: with the wrong choice a moving mass shows the jitter as noise.
+Stamps may jitter, be rounded or be repeated. They may be wrong while the samples are even (a computer wrote them with
+delay), or right while the samples are uneven. The motion decides: with the wrong choice a moving mass shows the jitter
+as noise.
+
+A sample that comes late by tau is off by v tau, so that the variance of a position is a^2 + (v s)^2, s being the rms of
+tau. Fourth differences, from which any smooth motion is gone, show it by bins of speed.
 """
 
 from __future__ import annotations
@@ -12,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import student_sf
 from frictrack.records import Array
-from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
-from frictrack.sampling.quantisation import quantum
+from frictrack.sampling.outlier_search import consecutive_noise
+from frictrack.sampling.steps import MEDIAN_TO_SIGMA, quantum
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
@@ -28,6 +33,17 @@ MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no eve
 SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
 ROWS_AT_ONCE = 1 << 16  # whose speeds are computed together
 MIN_ROWS = 16  # rows whose noise can show which stamps are right
+ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
+MIN_BINS = 4  # bins of speed that can show a trend
+MIN_SLOPE_SIGMAS = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
+MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
+MIN_SPEED_SPREAD = 1e-6  # relative difference of squared speeds; a smaller one is none
+SMALLEST_VARIANCE = np.finfo(float).tiny  # a smaller variance has lost its digits
+MIN_REST_SHARE = 0.01  # of the smallest variance of a bin, that a sample at rest has: weights stay finite
+CLIP_SIGMAS = 3.0  # robust deviations at which a square is cut off
+CLIPPED_MEAN_SQUARE = 0.99501  # of a Gaussian that is cut off there
+# Relative deviation of the variance of n fourth differences, each of which shares its noise with its neighbours (2.63).
+RELATIVE_DEVIATION = float(np.sqrt(2.0 * 2.63))
 
 Ticks = NDArray[np.int64]
 
@@ -55,15 +71,7 @@ class EvenClock:
 def is_even(t: Array) -> bool:
     """Test whether time stamps rise by whole multiples (within 1 %) of the median interval.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Time stamps, s.
-
-    Returns
-    -------
-    bool
-        Gaps are allowed.
+    `t` (n,): time stamps, s. Gaps are allowed.
 
     Examples
     --------
@@ -152,14 +160,8 @@ def count_intervals(t: Array, rounding: float, interval: float | None = None) ->
     A row is one interval after the row before unless the rounding excludes it: then others are missing, or the row is
     there twice. The interval comes from the whole record.
 
-    Parameters
-    ----------
-    t : array (n,)
-        Time stamps, s, rising or equal.
-    rounding : float
-        Step to which they are rounded, s.
-    interval : float, optional
-        Interval of the clock, s, if it is known.
+    `t` (n,): time stamps, s, rising or equal; `rounding`: step to which they are rounded, s; `interval`: interval of
+    the clock, s, if it is known.
 
     Examples
     --------
@@ -239,8 +241,7 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> E
     ):
         return None
     share = 100 * float(np.std(late)) / interval
-    as_even = _noise_level(x, ticks)
-    as_stamped = _noise_level(x - robust_speed(t, x) * late, ticks)
+    as_even, as_stamped = (consecutive_noise(one, ticks) for one in (x, x - robust_speed(t, x) * late))
     jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
     if len(t) >= MIN_ROWS and as_even < as_stamped:
         return EvenClock(
@@ -253,15 +254,7 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> E
 def robust_speed(t: Array, x: Array) -> Array:
     """Compute the speed as the median over several spans, which outliers do not affect.
 
-    Parameters
-    ----------
-    t, x : array (n,)
-        Times (s) and positions (m).
-
-    Returns
-    -------
-    array (n,)
-        Speed, m/s.
+    `t`, `x` (n,): times (s) and positions (m). Returns the speed, m/s.
 
     Examples
     --------
@@ -277,8 +270,88 @@ def robust_speed(t: Array, x: Array) -> Array:
     return out
 
 
-def _noise_level(x: Array, ticks: Ticks) -> float:
-    """Noise of positions by their fourth differences."""
-    whole = ticks[4:] - ticks[:-4] == 4
-    difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")[whole]
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))) / float(np.sqrt(70.0)) if len(difference) else 0.0
+def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
+    """Jitter of samples (s, rms) and the noise of a sample at rest (m); 0 and 0 where no jitter shows.
+
+    `t` (n,): even time stamps, s; `x` (n,): positions, m; `slowest`: speed below which rows are not looked at, m/s:
+    slower ones share the error of their pixel, or of their step.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng, t = np.random.default_rng(0), np.arange(800) / 4000
+    >>> late = 1e-5 * rng.standard_normal(800)
+    >>> x = 4 * (t + late) - 9 * (t + late) ** 2 + 3e-6 * rng.standard_normal(800)
+    >>> round(1e6 * unevenness(t, x)[0], 1)
+    10.2
+
+    """
+    squares, size = _bin_by_speed(t, x, slowest)
+    if len(squares) < MIN_BINS or not (
+        np.min(size) > SMALLEST_VARIANCE and np.min(squares) > SMALLEST_VARIANCE and np.all(np.isfinite(size))
+    ):
+        return 0.0, 0.0
+    (at_rest, slope), sigma, _ = _fit_line(squares, size)
+    if slope <= MIN_SLOPE_SIGMAS * sigma:
+        return 0.0, 0.0
+    return float(np.sqrt(slope)), float(np.sqrt(max(at_rest, MIN_REST_SHARE * np.min(size[:, 0]))))
+
+
+def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
+    """Fit the variance at rest and its slope over squared speed; also the slope's deviation and chi-squared.
+
+    `size` (k, 2) are variances and the numbers of their rows, which determine their deviations.
+    """
+    design = np.stack([np.ones_like(squares), squares], axis=1)
+    variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
+    for _ in range(3):  # deviations by the fitted variances themselves
+        weight = np.sqrt(size[:, 1]) / (RELATIVE_DEVIATION * variance)
+        rows, right = design * weight[:, None], size[:, 0] * weight
+        found, *_ = np.linalg.lstsq(rows, right, rcond=None)
+        variance = np.maximum(design @ found, 1e-3 * np.max(size[:, 0]))
+    sigma = float(np.sqrt(np.linalg.pinv(rows.T @ rows)[1, 1]))
+    return np.asarray(found, dtype=np.float64), sigma, float(np.sum((right - rows @ found) ** 2))
+
+
+def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
+    """Jitter of samples (s, rms) by which the noise of several records grows with their speed; 0 where it does not.
+
+    `records`: even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
+    """
+    found = [_bin_by_speed(*record) for record in records]
+    usable = [(squares, size) for squares, size in found if len(squares) and np.min(size) > SMALLEST_VARIANCE]
+    if len(usable) < MIN_RECORDS:
+        return 0.0
+    squares = np.array([np.mean(one) for one, _ in usable])
+    size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in usable])
+    if np.ptp(squares) <= MIN_SPEED_SPREAD * np.max(squares):
+        return 0.0
+    (_, slope), sigma, chi2 = _fit_line(squares, size)
+    dof = len(usable) - 2  # records differ in their noise, too: their scatter counts
+    t_statistic = slope / (sigma * max(1.0, np.sqrt(chi2 / dof)))
+    return float(np.sqrt(slope)) if slope > 0 and student_sf(t_statistic, dof) < ALPHA else 0.0
+
+
+def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
+    """Mean squared speed (k,) of bins; variance of a position and number of rows in each, (k, 2)."""
+    if len(x) < 5:
+        return np.zeros(0), np.zeros((0, 2))
+    difference = np.diff(x, 4) / np.sqrt(70.0)
+    fast = np.abs(robust_speed(t, x))[2:-2]
+    whole = np.rint((t[4:] - t[:-4]) / np.median(np.diff(t))) == 4
+    rows = np.flatnonzero(whole & (fast > slowest))
+    rows = rows[np.argsort(fast[rows])]
+    parts = [
+        part
+        for part in np.array_split(rows, min(max(len(rows) // ROWS_PER_BIN, 1), MAX_BINS))
+        if len(part) >= ROWS_PER_BIN // 2
+    ]
+    variances = [_clipped_variance(difference[part]) for part in parts]
+    squares = np.array([float(np.mean(fast[part] ** 2)) for part in parts])
+    return squares, np.array([(v, len(part)) for v, part in zip(variances, parts, strict=True)]).reshape(-1, 2)
+
+
+def _clipped_variance(difference: Array) -> float:
+    """Variance from clipped squares, consistent for Gaussian noise and robust against outliers (Huber 1981)."""
+    most = CLIP_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / CLIPPED_MEAN_SQUARE

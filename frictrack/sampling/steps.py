@@ -1,17 +1,23 @@
-"""Find the step of quantised positions: counts of an encoder, centimetres of an ultrasonic sensor, digits of a table.
+"""Compute what step from one sample to the next is usual, the noise of positions, and the step of quantised positions.
 
-Rounding to a step q adds an error of standard deviation q / sqrt(12) (Bennett 1948, Bell Syst. Tech. J. 27). It is
-white where the position changes by more than a step, or its noise by half of one, from sample to sample. A slower mass
-shares its error with the samples before: differences of the positions then show less noise than there is, or none.
+Quantised positions are counts of an encoder, centimetres of an ultrasonic sensor, digits of a table. Rounding to a
+step q adds an error of standard deviation q / sqrt(12) (Bennett 1948, Bell Syst. Tech. J. 27). It is white where the
+position changes by more than a step, or its noise by half of one, from sample to sample. A slower mass shares its error
+with the samples before: differences of the positions then show less noise than there is, or none.
 """
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.sampling.usual_steps import usual_steps
 
+REACH_STEPS = 12  # steps on either side from which the usual step is taken
+MIN_KNOWN_STEPS = 3  # known steps that can show it
+ROWS_AT_ONCE = 1 << 14  # whose quantiles are computed together
+MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
 MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
 MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
@@ -22,6 +28,47 @@ MIN_BITS = 8  # of a counter
 MAX_STEP_RATIO = 3.0  # an unwrapped step may differ from the usual one by so many times what its neighbours do
 MAX_SPREAD = 0.15  # of the range of a counter; steps that scatter by more show no jump
 MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
+
+
+def noise_of_differences(differences: Array, order: int) -> float:
+    """White noise of positions from their n-th differences, whose variance is comb(2 n, n) times as large."""
+    if not len(differences):
+        return 0.0
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(differences))) / float(np.sqrt(comb(2 * order, order)))
+
+
+def usual_steps(steps: Array, share: float = 0.5) -> Array:
+    """Quantile (n,) of the steps near every step; NaN where fewer than `MIN_KNOWN_STEPS` are known.
+
+    `steps` (n,): steps from one sample to the next, NaN where one is not known; `share`: quantile: the median, or a
+    higher one where many samples may repeat the one before.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> usual_steps(np.array([1.0, 1.0, 5.0, 1.0, np.nan])).tolist()
+    [1.0, 1.0, 1.0, 1.0, 1.0]
+
+    """
+    padded = np.pad(steps, REACH_STEPS, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH_STEPS + 1)
+    out = np.full(len(steps), np.nan)
+    for first in range(0, len(steps), ROWS_AT_ONCE):
+        some = windows[first : first + ROWS_AT_ONCE]
+        enough = np.sum(np.isfinite(some), axis=1) >= MIN_KNOWN_STEPS
+        out[first : first + ROWS_AT_ONCE][enough] = _row_quantile(some[enough], share)
+    return out
+
+
+def _row_quantile(values: Array, share: float) -> Array:
+    """Quantile (m,) of the known values in every row of (m, n), as `np.nanquantile`, which takes one row at a time."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    rows = np.arange(len(ordered))
+    place = share * (np.sum(~np.isnan(ordered), axis=1) - 1)
+    low = np.floor(place).astype(np.intp)
+    below, above = ordered[rows, low], ordered[rows, np.ceil(place).astype(np.intp)]
+    quantile: Array = below + (place - low) * (above - below)
+    return quantile
 
 
 def quantum(x: Array) -> float:
