@@ -7,6 +7,7 @@ F > 0 resists motion toward +x; the incline is positive when the course rises to
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -507,6 +508,18 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     return int(first + quiet[-1]) if len(quiet) else first
 
 
+def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
+    """Return whether two parabolas describe positions better than one polynomial of degree 5, by five deviations."""
+    both = np.concatenate([rows[0][:-1], rows[1]])
+    both = both[usable[both]]
+    turn = t[rows[1][0]]
+    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
+        smooth = np.polyval(np.polyfit(t[both] - turn, x[both], 5), t[both] - turn)
+    parabolas = np.where(t[both] < turn, *(np.polyval(side.c, t[both] - turn) for side in sides))
+    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
+    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
+
+
 @dataclass(frozen=True)
 class Bounce:
     """A reversal at which something hits the mass: time, s, velocities before and after, m/s, and frames around it.
@@ -557,7 +570,8 @@ def _bounces(run: Run) -> list[Bounce]:
     """Find the bounces of a run: reversals at which its way has a kink.
 
     A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
-    cross, their slopes differ by the blow. Smoothed velocities do not tell it in coarse records.
+    cross, their slopes differ by the blow. No smooth curve of as many parameters describes the way as well, as it does
+    that of a swing. Smoothed velocities do not tell it in coarse records.
     """
     x, t = run.displacement.x, run.motion.t
     usable = run.displacement.valid & np.isfinite(x)
@@ -579,7 +593,8 @@ def _bounces(run: Run) -> list[Bounce]:
             continue
         tau, v_before, v_after, sigma = crossing
         least = min(t[turn] - t[rows[0][0]], t[rows[1][-1]] - t[turn]) / 4
-        if v_before * v_after < 0 and abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and abs(tau) < least:
+        is_kink = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and _is_kinked(t, x, known, rows, usable)
+        if v_before * v_after < 0 and is_kink and abs(tau) < least:
             last, first = (
                 r[np.abs(x[r] - np.polyval(side.c, t[r] - t[turn])) < MIN_MOVING_SIGMAS * side.noise]
                 for r, side in zip(rows, known, strict=True)
