@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.distributions import normal_ppf
 from frictrack.errors import FrictrackError
 from frictrack.fit.collisions import collisions
 from frictrack.fit.free_run import FreeRun, free_errors
@@ -22,6 +24,7 @@ from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
     Misfit,
+    Parameters,
     PriorAgreement,
     UncertaintyAnalysis,
     level_remarks,
@@ -31,6 +34,7 @@ from frictrack.fit.uncertainty import (
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
+from frictrack.number_format import format_number, format_plus_minus
 from frictrack.priors import Prior
 from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
@@ -43,8 +47,41 @@ if TYPE_CHECKING:
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
+class FitSummary(dict[str, Any]):
+    """The JSON of a fit; printed, it is a table of the parameters with errors and remarks."""
+
+    def __repr__(self) -> str:
+        rows = [("parameter", "value", "unit", "")]
+        for address, p in self["parameters"].items():
+            value = format_plus_minus(p["value"], p.get("std_misfit", p["std"]))
+            remark = p["reason"] or ("at its bound" if p["at_bound"] else "")
+            rows.append((address, value, "" if p["unit"] == "1" else p["unit"], remark))
+        widths = [max(len(row[k]) for row in rows) for k in range(3)] + [0]
+        table = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        errors = self["errors"]
+        shown = ("reduced_chi2", "rms_displacement_um", "heldout_rms_um", "rms_N", "heldout_rms_N")
+        known = [f"{key} {format_number(errors[key])}" for key in shown if errors.get(key) is not None]
+        head = f"Fit of {' + '.join(self['model'])} ({self['domain']} domain, {self['search']})"
+        remarks = [*([self["misfit"]["words"]] if self.get("misfit") else []), *self["remarks"]]
+        return "\n".join([head, "", *table, "", ", ".join(known), *(f"- {line}" for line in remarks)])
+
+    __str__ = __repr__
+
+
 class StorableFit(NotebookView):
     """Base of fits: what is stored of them, which is also what figures take."""
+
+    def _repr_html_(self) -> str:
+        fitted: Any = self  # a Fit or GroupFits
+        groups: dict[str, Any] = fitted.fits if isinstance(self, GroupFits) else {"": self}
+        cells = "".join(
+            f"<tr><th>{escape(address + (group and f'[{group}]'))}</th><td>{escape(str(e))}</td>"
+            f"<td>{escape(e.reason or '')}</td></tr>"
+            for group, one in groups.items()
+            for address, e in one.parameters.items()
+        )
+        head = "<tr><th>parameter</th><th>value</th><th></th></tr>"
+        return f"<table>{head}{cells}</table>{super()._repr_html_()}"
 
     def to_results(self, name: str = "") -> ModelResults:
         """Return what is stored of a fit: its JSON, its curves and its modelled motion.
@@ -182,10 +219,71 @@ class Fit(FittedRuns, StorableFit):
         """Covariance (P, P) of the unknowns."""
         return self.estimates.covariance
 
-    @property
-    def parameters(self) -> dict[str, Any]:
+    @cached_property
+    def parameters(self) -> Parameters:
         """Estimates by address."""
-        return self.estimates.parameters
+        return Parameters(self.estimates.parameters)
+
+    def conf_int(self, alpha: float = 0.05) -> pd.DataFrame:
+        """Return confidence intervals of all parameters as a pandas DataFrame, ``lower`` and ``upper`` by address.
+
+        At the default level an interval from a profile or a bootstrap counts where one was computed
+        (`analyse_uncertainty`); an end that was not reached is infinite. All others are the value and the normal
+        quantile times its standard deviation, which includes the effect of a missing force where the model is rejected.
+        A parameter that the runs do not determine has NaN.
+
+        Parameters
+        ----------
+        alpha
+            One minus the confidence level.
+
+        Examples
+        --------
+        >>> import frictrack as ft
+        >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+        >>> fit.conf_int().loc["patch.x_c"].round(3).tolist()
+        [0.1, 0.1]
+
+        """
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        if not 0 < alpha < 1:
+            raise FrictrackError(f"expected alpha between 0 and 1, such as 0.05, but got {alpha:g}", usage=True)
+        frame, times = self.to_dataframe(), float(normal_ppf(1 - alpha / 2))
+        ends = pd.DataFrame(
+            {"lower": frame["value"] - times * frame["std"], "upper": frame["value"] + times * frame["std"]}
+        )
+        for address, (low, high) in self.uncertainty.intervals.items() if np.isclose(alpha, 0.05) else ():
+            if self.parameters[address].value is not None:
+                ends.loc[address] = -np.inf if low is None else low, np.inf if high is None else high
+        return ends
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, chi-squared + 2 k, for k fitted numbers; smaller is better.
+
+        Only differences between models of the same runs mean something: a constant of the data is left out, as in
+        lmfit. Starts count among the fitted numbers, friction levels as what their scatter leaves.
+        """
+        chi2, numbers, _ = self._likelihood()
+        return chi2 + 2 * numbers
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's information criterion, chi-squared + k ln n, for n frames; see `aic`."""
+        chi2, numbers, frames = self._likelihood()
+        return chi2 + numbers * float(np.log(frames))
+
+    def _likelihood(self) -> tuple[float, float, int]:
+        """Chi-squared in independent standard deviations of noise, fitted numbers and frames."""
+        if self.found.force is not None:
+            raise FrictrackError(
+                "expected a fit of the displacement or of measured friction for AIC and BIC but got one of "
+                'accelerations, whose residuals have no likelihood; fit without domain = "force"'
+            )
+        weighted = self.observation.weighted(self.solution)
+        numbers = weighted.fitted_numbers + sum(len(start) for start in weighted.starts)
+        return weighted.chi2, numbers, weighted.problem.n_frames
 
     @cached_property
     def heldout(self) -> tuple[float, str]:
@@ -240,11 +338,11 @@ class Fit(FittedRuns, StorableFit):
             **free_errors(list(self.free_runs.values()), "validation" if self.validation else "fit"),
         }
 
-    def summary(self) -> dict[str, Any]:
-        """Return the JSON of `frictrack fit`."""
+    def summary(self) -> FitSummary:
+        """Return the JSON of `frictrack fit`, a dictionary that prints itself as a table."""
         agreement = self.prior_agreement
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
-        return (
+        return FitSummary(
             {
                 "model": self.model.names,
                 "equation": self.equation,
@@ -374,11 +472,11 @@ class GroupFits(StorableFit):
             **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),
         }
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> FitSummary:
         """Return the JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
         group_fits = {name: f.summary() for name, f in self.fits.items()}
         first = next(iter(group_fits.values()))
-        return (
+        return FitSummary(
             {key: first[key] for key in ("model", "domain", "search")}
             | {
                 "per": "group",

@@ -5,6 +5,7 @@ from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_unce
 from frictrack.fit.uncertainty.estimates import (
     Estimate,
     Estimates,
+    Parameters,
     estimate_parameters,
     linear_estimates,
     with_misfit,
@@ -24,6 +25,7 @@ __all__ = [
     "Estimate",
     "Estimates",
     "Misfit",
+    "Parameters",
     "PriorAgreement",
     "Profile",
     "UncertaintyAnalysis",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from difflib import get_close_matches
+from typing import Any, NoReturn
 
 import numpy as np
 
+from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, covariance_of
 from frictrack.fit.uncertainty.identifiability import undetermined_reasons, unseen_reasons
 from frictrack.fit.uncertainty.remarks import correlated_noise_remark, identifiability_remarks, negative_force_remark
@@ -60,6 +62,22 @@ class Estimate:
         out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
         out |= {} if self.interval is None else {"interval": list(self.interval)}
         return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
+
+
+class UnknownParameterError(FrictrackError, KeyError):
+    """The address is no parameter of the fit; the message lists the nearest ones."""
+
+    __str__ = FrictrackError.__str__  # that of KeyError adds quotes
+
+
+class Parameters(dict[str, Estimate]):
+    """The estimates of a fit by address; an unknown address raises `UnknownParameterError`, which is a `KeyError`."""
+
+    def __missing__(self, address: str) -> NoReturn:
+        by_folded = {name.lower(): name for name in self}  # names differ in their case as well: F_c, f_c
+        nearest = [by_folded[found] for found in get_close_matches(str(address).lower(), by_folded, 3, 0.5)]
+        what = f"did you mean {', '.join(nearest)}?" if nearest else f"it has {', '.join(self)}"
+        raise UnknownParameterError(f'expected a parameter of the fit but got "{address}"; {what}', usage=True)
 
 
 @dataclass(frozen=True)
