@@ -9,16 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.compare.bumps import Bump, bump_grid, force_traces, width_limits
 from frictrack.compare.local_forces import (
     ALPHA,
     ALPHA_PIECE,
+    Bump,
     LocalForces,
     bump_columns,
+    bump_grid,
     continue_search,
     find_local_forces,
+    force_traces,
     solve_sizes,
     start_search,
+    width_limits,
     without_model,
 )
 from frictrack.distributions import normal_sf

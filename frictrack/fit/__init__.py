@@ -45,7 +45,7 @@ from frictrack.fit.pieces import (
     spans_of,
 )
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
+from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect

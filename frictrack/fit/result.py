@@ -18,17 +18,15 @@ from frictrack.fit.free_run import FreeRun, free_errors
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
-from frictrack.fit.prior_transfer import prior_of
+from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
     Misfit,
     Parameters,
-    PriorAgreement,
     UncertaintyAnalysis,
     level_remarks,
-    prior_agreement,
     with_misfit,
 )
 from frictrack.fit.uncertainty import reported_by_address as quoted

@@ -1,6 +1,6 @@
 """Judge the motion of a run: where only friction acts, the friction force there, events, and what was slid before."""
 
-from frictrack.friction.events import find_events
+from frictrack.friction.events import after_run, find_events, with_earlier_runs
 from frictrack.friction.force import (
     MIN_MOTION_SIGMAS,
     MIN_MOVING_SIGMAS,
@@ -14,7 +14,6 @@ from frictrack.friction.force import (
     release_time,
     split_by_direction,
 )
-from frictrack.friction.run_history import after_run, with_earlier_runs
 
 __all__ = [
     "MIN_MOTION_SIGMAS",

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
+from frictrack.fit.observations.displacement import Observation
 from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts, correlated_frames
-from frictrack.fit.observations.observation import Observation
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns

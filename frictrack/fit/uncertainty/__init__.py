@@ -1,6 +1,5 @@
 """Compute the uncertainty of fitted parameters: estimates, model misfit, profile likelihood, bootstrap."""
 
-from frictrack.fit.uncertainty.agreement import PriorAgreement, prior_agreement
 from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
 from frictrack.fit.uncertainty.estimates import (
     Estimate,
@@ -26,7 +25,6 @@ __all__ = [
     "Estimates",
     "Misfit",
     "Parameters",
-    "PriorAgreement",
     "Profile",
     "UncertaintyAnalysis",
     "analyse_uncertainty",
@@ -37,7 +35,6 @@ __all__ = [
     "linear_estimates",
     "merge_uncertainty",
     "misfit_of",
-    "prior_agreement",
     "profile",
     "reported_by_address",
     "reported_slots",

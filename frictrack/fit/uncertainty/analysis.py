@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
-from frictrack.fit.uncertainty.reported_values import FittedModel, require_one_fit
 from frictrack.randomness import RNG
 from frictrack.threads import one_thread
 
@@ -41,7 +41,7 @@ class UncertaintyAnalysis:
 
 @one_thread()
 def analyse_uncertainty(
-    result: FittedModel,
+    result: FittedRuns,
     *,
     profiles: bool = True,
     draws: int = 0,
@@ -52,7 +52,7 @@ def analyse_uncertainty(
 
     Parameters
     ----------
-    result : FittedModel
+    result : Fit
         The fit.
     profiles : bool
         Whether to compute profiles.

@@ -33,7 +33,8 @@ from frictrack.fit.least_squares import (
     refine,
     white_noise_covariance,
 )
-from frictrack.fit.uncertainty.reported_values import FittedModel, Quantity, parse_quantity, require_one_fit
+from frictrack.fit.routes import FittedRuns, require_one_fit
+from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
 from frictrack.records import Array, Mask
 from frictrack.threads import one_thread
 
@@ -112,12 +113,12 @@ class Profile:
 
 
 @one_thread()
-def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profile:
+def profile(result: FittedRuns, address: str, *, level: float = 0.95) -> Profile:
     """Compute the profile of one parameter of a fit, or of the difference of two.
 
     Parameters
     ----------
-    result : FittedModel
+    result : Fit
         The fit.
     address : str
         A reported parameter, such as ``"coulomb.F_c"``, or ``"stribeck.F_s - coulomb.F_c"``.
@@ -151,7 +152,7 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
         raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
     require_one_fit(result)
     solution = result.compared
-    if not result.is_default_route:  # a global search may not have reached the optimum
+    if not result.route.is_default:  # a global search may not have reached the optimum
         solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
     wanted = parse_quantity(solution.problem.layout, address)
     return ProfileSearch(solution, wanted, result.covariance, level).profile()
