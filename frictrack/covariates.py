@@ -23,16 +23,15 @@ Gelman, A. (2006). Prior distributions for variance parameters in hierarchical m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ndtr
-from scipy.stats import chi2, f
 
-from frictrack.distributions import student_ppf
+from frictrack.distributions import chi2_ppf, f_sf, student_ppf
 from frictrack.errors import FrictrackError
 from frictrack.priors import Prior
 from frictrack.records import Array
@@ -118,15 +117,12 @@ MIN_TAU_RATIO = 1e-6  # of tau to the spread of the values; less is zero
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The condition: rows (n, q) per study, names of the columns, and for a number its origin.
+    """The condition of n studies as q columns."""
 
-    `back` (q, q) converts coefficients of the centred condition to those of the condition itself.
-    """
-
-    rows: Array
-    terms: tuple[str, ...]
-    origin: float | None
-    back: Array
+    rows: Array  # (n, q)
+    terms: tuple[str, ...]  # names of the columns
+    origin: float | None  # of a number, at which it is centred
+    back: Array  # (q, q), converts coefficients of the centred condition to those of the condition itself
 
 
 def design_of(at: Sequence[float | str], condition: str) -> Design:
@@ -182,9 +178,8 @@ class ParameterEstimates:
         taus = np.linspace(0.0, self.max_tau, N_TAUS)
         best = int(np.argmin([self.deviance(tau) for tau in taus]))
         around = (float(taus[max(best - 1, 0)]), float(taus[min(best + 1, N_TAUS - 1)]))
-        found = float(
-            minimize_scalar(self.deviance, bounds=around, method="bounded", options={"xatol": 1e-9 * around[1]}).x
-        )
+        search = minimize_scalar(self.deviance, bounds=around, method="bounded", options={"xatol": 1e-9 * around[1]})
+        found = float(search.x)
         return found if self.deviance(found) < self.deviance(0.0) and found > MIN_TAU_RATIO * self.max_tau else 0.0
 
     def scatter_std(self, tau: float) -> float | None:
@@ -198,11 +193,16 @@ class ParameterEstimates:
 
     def scatter_interval(self) -> tuple[float, float]:
         """Return the 95 % interval of tau: where its sum of squares is likely for chi-squared (Viechtbauer)."""
-        low, high = (
-            _crossing(lambda tau: self.at_scatter(tau)[2], float(chi2.ppf(share, self.degrees)), self.max_tau)
-            for share in (0.975, 0.025)
-        )
-        return low, high
+        return self._scatter_of(chi2_ppf(0.975, self.degrees)), self._scatter_of(chi2_ppf(0.025, self.degrees))
+
+    def _scatter_of(self, squares: float) -> float:
+        """Return the tau at which the weighted sum of squares, which falls with tau, has a value; 0 if it is less."""
+        if self.at_scatter(0.0)[2] <= squares:
+            return 0.0
+        high = self.max_tau
+        while self.at_scatter(high)[2] > squares:
+            high *= 2
+        return float(brentq(lambda tau: self.at_scatter(tau)[2] - squares, 0.0, high))
 
     def mixture(self, back: Array) -> tuple[ScatterFit, ...]:
         """Return fits at possible values of tau, equally likely before the data (Gelman)."""
@@ -229,13 +229,10 @@ def fit_trends(
 
 def _estimates(priors: Sequence[Prior], design: Design, name: str) -> ParameterEstimates:
     """The values of one parameter in the studies that determine it."""
-    found = [(p, row) for p, row in zip(priors, design.rows, strict=True) if name in p.names]
-    at = [p.names.index(name) for p, _ in found]
-    return ParameterEstimates(
-        y=np.array([p.values[i] for (p, _), i in zip(found, at, strict=True)]),
-        variance=np.array([p.covariance[i][i] for (p, _), i in zip(found, at, strict=True)]),
-        x=np.array([row for _, row in found]),
-    )
+    seen = [(p, p.names.index(name), row) for p, row in zip(priors, design.rows, strict=True) if name in p.names]
+    y = np.array([p.values[i] for p, i, _ in seen])
+    variance = np.array([p.covariance[i][i] for p, i, _ in seen])
+    return ParameterEstimates(y, variance, np.array([row for *_, row in seen]))
 
 
 def _trend(name: str, unit: str, seen: ParameterEstimates, tau: float, design: Design, pooled: float) -> CovariateTrend:
@@ -265,16 +262,7 @@ def _p_of_no_dependence(beta: Array, covariance: Array, degrees: int, *, is_numb
     contrast = np.eye(len(beta))[1:] if is_number else np.eye(len(beta))[1:] - np.eye(len(beta))[:1]
     seen = contrast @ beta
     size = float(seen @ np.linalg.solve(contrast @ covariance @ contrast.T, seen)) / len(contrast)
-    return float(f.sf(size, len(contrast), degrees))
-
-
-def _crossing(falling: Callable[[float], float], level: float, high: float) -> float:
-    """Where a falling function of a number above zero reaches a level, first up to `high`; 0 if it starts below."""
-    if falling(0.0) <= level:
-        return 0.0
-    while falling(high) > level:
-        high *= 2
-    return float(brentq(lambda tau: falling(tau) - level, 0.0, high))
+    return float(f_sf(size, len(contrast), degrees))
 
 
 @dataclass(frozen=True, eq=False)

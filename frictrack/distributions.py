@@ -52,6 +52,11 @@ def noncentral_chi2_sf(x: Any, df: Any, noncentrality: Any) -> Any:
     return 1 - scipy.special.chndtr(x, df, noncentrality)
 
 
+def f_sf(x: Any, df_numerator: Any, df_denominator: Any) -> Any:
+    """Return the probability that F exceeds `x`."""
+    return scipy.special.fdtrc(df_numerator, df_denominator, x)
+
+
 def f_isf(p: Any, df_numerator: Any, df_denominator: Any) -> Any:
     """Return the value that F exceeds with probability `p`."""
     return scipy.special.fdtri(df_numerator, df_denominator, 1 - p)

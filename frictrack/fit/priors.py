@@ -19,14 +19,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
+from frictrack.distributions import chi2_sf
 from frictrack.effects import Effect, Parameter, carries_over, scales_with_load
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, white_noise_covariance
 from frictrack.fit.parameters import MASS, prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.uncertainty import Estimates, Misfit, reported_slots, reported_values_and_jacobian
+from frictrack.fit.uncertainty import Estimates, Misfit, reported_names, reported_values_and_jacobian
 from frictrack.models import Model
 from frictrack.number_format import format_plus_minus
 from frictrack.priors import Prior
@@ -112,17 +112,16 @@ def prior_of(
     problem, reference = fitted.solution.problem, fitted.reference
     layout, effects = problem.layout, {e.name: e for e in problem.model.effects if e.name != MASS}
     left_out = dict(_left_out(effects, estimates))
-    at = [(k, i) for k, i in enumerate(reported_slots(layout)) if layout.names[i] not in left_out]
-    at = [(k, i) for k, i in at if layout.slots[i].effect in effects]
-    if not at:
+    names = [name for name in reported_names(layout) if name not in left_out and name.rpartition(".")[0] in effects]
+    if not names:
         raise FrictrackError(
             "expected a parameter that carries over to another set-up (a shared, determined parameter of friction) but "
             f"the fit of {', '.join(effects)} has none"
         )
-    names, slots = [layout.names[i] for _, i in at], [layout.slots[i] for _, i in at]
-    own = [(effects[s.effect], effects[s.effect].parameter(s.parameter)) for s in slots]
+    parts = [name.rpartition(".") for name in names]
+    own = [(effects[effect], effects[effect].parameter(parameter)) for effect, _, parameter in parts]
     values = np.array([estimates.parameters[name].value for name in names], dtype=np.float64)
-    jacobian = reported_values_and_jacobian(problem, fitted.solution.p)[1][[k for k, _ in at]]
+    jacobian = reported_values_and_jacobian(problem, fitted.solution.p, names)[1]
     covariance = estimates.covariance + (0.0 if misfit is None else misfit.covariance)
     matrix = _regular(jacobian @ covariance @ jacobian.T)
     for error in _common_errors(fitted, own, from_motion):
@@ -207,18 +206,14 @@ MAX_NAMED = 3  # parameters in the remark
 
 @dataclass(frozen=True)
 class PriorParameter:
-    """One parameter with a prior: mean and standard deviation before, and what the data alone say.
-
-    `data` and `data_std` are None where the data do not determine the parameter. `p` is the p-value of its own
-    disagreement.
-    """
+    """One parameter with a prior: mean and standard deviation before, and what the data alone say."""
 
     mean: float
     std: float
     unit: str
-    data: float | None
+    data: float | None  # None where the data do not determine the parameter
     data_std: float | None
-    p: float | None
+    p: float | None  # p-value of its own disagreement
 
 
 @dataclass(frozen=True)
@@ -256,10 +251,10 @@ class PriorAgreement:
     def remarks(self) -> Iterator[str]:
         """Yield what a reader must know of the priors."""
         if self.contradicted and self.p is not None:
-            known = {n: q for n, q in self.parameters.items() if q.p is not None}
-            worst = sorted(known, key=lambda n: known[n].p or 0.0)[:MAX_NAMED]
-            named = [n for n in worst if (known[n].p or 0.0) < ALPHA_CONTRADICTION] or worst[:1]
-            text = ", ".join(_contrast(n, known[n]) for n in named)
+            p = {name: q.p for name, q in self.parameters.items() if q.p is not None}
+            worst = sorted(p, key=lambda name: p[name])[:MAX_NAMED]
+            named = [name for name in worst if p[name] < ALPHA_CONTRADICTION] or worst[:1]
+            text = ", ".join(_contrast(name, self.parameters[name]) for name in named)
             yield (
                 f"the runs contradict the prior: {text} (p = {self.p:.2g}); the values are a compromise of both and "
                 "their standard deviations are too small. Fit without the prior, or widen it with prior_scale"
@@ -278,15 +273,9 @@ def _contrast(name: str, one: PriorParameter) -> str:
 
 
 def prior_agreement(solution: Solution, covariance: Array) -> PriorAgreement | None:
-    """Compare the data with the priors of a fit; None for a fit without priors.
+    """Compare the data with the priors of a fit, whose unknowns have a covariance (P, P) with all known errors.
 
-    Parameters
-    ----------
-    solution
-        The fit.
-    covariance
-        Covariance (P, P) of its unknowns with all known errors.
-
+    None for a fit without priors.
     """
     layout, p = solution.problem.layout, solution.p
     if not layout.priors:
@@ -303,7 +292,7 @@ def prior_agreement(solution: Solution, covariance: Array) -> PriorAgreement | N
     seen = to_informed @ prior_residual(layout, p)
     total = float(seen @ np.linalg.solve(expected, seen)) if informed.any() else 0.0
     dof = int(np.count_nonzero(informed))
-    p_value = float(chi2.sf(total, dof)) if dof else None
+    p_value = float(chi2_sf(total, dof)) if dof else None
     alone = _DataAlone(vectors[:, informed], vectors[:, ~informed], gain, expected, seen)
     parameters = dict(_parameters(solution, alone))
     return PriorAgreement(total, dof, p_value, parameters, _shares(solution, noise, rows, alone))
@@ -332,7 +321,7 @@ def _parameters(solution: Solution, alone: _DataAlone) -> Iterator[tuple[str, Pr
     expected = np.einsum("id,de,ie->i", informed, alone.expected, informed)
     for i, q in enumerate(layout.priors):
         known = np.sum(blind[i] ** 2) < MIN_INFORMATION * q.std**2
-        own = float(chi2.sf(departure[i] ** 2 / expected[i], 1)) if expected[i] > MIN_INFORMATION * q.std**2 else None
+        own = float(chi2_sf(departure[i] ** 2 / expected[i], 1)) if expected[i] > MIN_INFORMATION * q.std**2 else None
         value = q.mean + float(data[i]) if known else None
         deviation = float(np.sqrt(max(variance[i, i], 0.0))) if known else None
         yield q.address, PriorParameter(q.mean, q.std, units[q.address], value, deviation, own)
@@ -347,8 +336,7 @@ def _shares(solution: Solution, noise: Array, rows: Array, alone: _DataAlone) ->
     added = np.sum((towards @ alone.informed) ** 2 / alone.gain, axis=1)
     unseen = np.sum((towards @ alone.blind) ** 2, axis=1) > MIN_INFORMATION * np.maximum(own, 1e-300)
     share = np.where(unseen, 1.0, added / np.maximum(own + added, 1e-300))
-    names = [layout.names[i] for i in reported_slots(layout)]
-    return dict(zip(names, map(float, share), strict=True))
+    return dict(zip(reported_names(layout), map(float, share), strict=True))
 
 
 def _other_errors(explained: Array, total: Array) -> Array:

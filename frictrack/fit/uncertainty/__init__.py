@@ -15,7 +15,7 @@ from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.remarks import level_remarks
 from frictrack.fit.uncertainty.reported_values import (
     reported_by_address,
-    reported_slots,
+    reported_names,
     reported_values_and_jacobian,
 )
 
@@ -37,7 +37,7 @@ __all__ = [
     "misfit_of",
     "profile",
     "reported_by_address",
-    "reported_slots",
+    "reported_names",
     "reported_values_and_jacobian",
     "with_misfit",
 ]
