@@ -26,12 +26,7 @@ from frictrack.compare.local_forces import (
 )
 from frictrack.distributions import normal_sf
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import (
-    ModelProjection,
-    PieceResponse,
-    Solution,
-    position_and_velocity,
-)
+from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
 from frictrack.fit.linearised import LinearisedPiece
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.pieces import Rows

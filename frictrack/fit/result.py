@@ -217,10 +217,10 @@ class Fit(FittedRuns, StorableFit):
         """Covariance (P, P) of the unknowns."""
         return self.estimates.covariance
 
-    @cached_property
+    @property
     def parameters(self) -> Parameters:
         """Estimates by address."""
-        return Parameters(self.estimates.parameters)
+        return self.estimates.parameters
 
     def conf_int(self, alpha: float = 0.05) -> pd.DataFrame:
         """Return confidence intervals of all parameters as a pandas DataFrame, ``lower`` and ``upper`` by address.

@@ -8,10 +8,10 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.axes import AXES
-from frictrack.number_format import format_number, format_range, format_share
+from frictrack.number_format import format_number, format_range, format_share, join_words
 from frictrack.plots import passes
 from frictrack.report import provenance, tables
-from frictrack.report.candidate_text import held_out_change, held_out_error, join_words
+from frictrack.report.candidate_text import held_out_change, held_out_error
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
 from frictrack.results import ModelResults, Results

@@ -6,7 +6,7 @@ A parameter has no value if the data do not respond to it, or if its profile is 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
@@ -18,20 +18,19 @@ from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975,
 from frictrack.fit.parameters import LEVEL, MASS
 from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
 from frictrack.fit.uncertainty.remarks import (
-    as_clause,
     correlated_noise_remark,
     deciding_experiment,
     identifiability_remarks,
-    join_words,
     negative_force_remark,
 )
 from frictrack.fit.uncertainty.reported_values import (
     parse_quantity,
+    reported_names,
     reported_slots,
     reported_values_and_jacobian,
     standard_deviations,
 )
-from frictrack.number_format import format_plus_minus
+from frictrack.number_format import format_plus_minus, join_words, lower_first
 from frictrack.records import Array
 
 MIN_CORRELATION = 0.95  # stronger correlations are reported
@@ -73,9 +72,8 @@ class Estimate:
 
     def json(self) -> dict[str, Any]:
         """Return JSON; `interval` and `std_misfit` only where they are known."""
-        out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
-        out |= {} if self.interval is None else {"interval": list(self.interval)}
-        return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
+        out = {k: v for k, v in vars(self).items() if v is not None or k not in ("interval", "std_misfit")}
+        return out | ({} if self.interval is None else {"interval": list(self.interval)})
 
 
 class UnknownParameterError(FrictrackError, KeyError):
@@ -98,87 +96,40 @@ class Parameters(dict[str, Estimate]):
 class Estimates:
     """All estimates by address, the covariance (P, P) of the unknowns, strong correlations, and remarks."""
 
-    parameters: dict[str, Estimate]
+    parameters: Parameters
     covariance: Array
     correlations: list[tuple[str, str, float]]
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[str]
 
     def with_intervals(self, found: dict[str, tuple[float | None, float | None]]) -> Estimates:
         """Return the same estimates with intervals, by address."""
-        parameters = {
-            name: replace(e, interval=found[name]) if name in found else e for name, e in self.parameters.items()
-        }
-        return replace(self, parameters=parameters)
+        changed = {name: replace(e, interval=found[name]) for name, e in self.parameters.items() if name in found}
+        return replace(self, parameters=Parameters(self.parameters | changed))
 
 
 def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
-    """Compute estimates from a fit. Parameters that the data do not determine get no value, but a reason.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    profile : bool
-        Whether to test that the profiles of the non-linear parameters are bounded, which needs further fits.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
+    """Compute estimates from a fit; `profile` tests by further fits whether non-linear parameters are bounded."""
     covariance, unseen = covariance_of(solution)
     reasons = undetermined_reasons(solution, covariance, profiles=True) if profile else {}
     return _estimates(solution, covariance, unseen_reasons(solution, unseen) | reasons)
 
 
 def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
-    """Compute estimates from the model linearised where it stands, whether or not that is the optimum.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit, in the displacement or the force domain.
-    covariance : array of shape (P, P), optional
-        Replaces the covariance of the domain.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
+    """Compute estimates from the model linearised where it stands; by default with the covariance of its noise."""
     own, unseen = covariance_of(solution)
-    if covariance is None:
-        covariance = own
+    covariance = own if covariance is None else covariance
     reasons = unseen_reasons(solution, unseen) | undetermined_reasons(solution, covariance, profiles=False)
     return _estimates(solution, covariance, reasons)
 
 
 def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
-    """Add the effect of a missing force to the standard deviations.
-
-    Parameters
-    ----------
-    found : Estimates
-        Estimates for noise alone.
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        What the missing force adds to the covariance of the unknowns.
-
-    Returns
-    -------
-    Estimates
-        The same with `std_misfit`. Fixed, tied and undetermined parameters are unchanged.
-
-    """
-    layout, parameters = solution.problem.layout, dict(found.parameters)
+    """Add what a missing force adds to the covariance (P, P) to the standard deviations of fitted parameters."""
+    parameters = Parameters(found.parameters)
     _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
-    for i, added in zip(reported_slots(layout), standard_deviations(jacobian, covariance), strict=True):
-        old = parameters[layout.names[i]]
-        if old.std is not None:
-            parameters[layout.names[i]] = replace(old, std_misfit=float(np.hypot(old.std, added)))
+    added = standard_deviations(jacobian, covariance)
+    for name, more in zip(reported_names(solution.problem.layout), added, strict=True):
+        if (std := parameters[name].std) is not None:
+            parameters[name] = replace(parameters[name], std_misfit=float(np.hypot(std, more)))
     return replace(found, parameters=parameters)
 
 
@@ -190,11 +141,11 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
     low, high = layout.bounds
     tolerance = 1e-6 * np.maximum(1.0, np.abs(p))
     at_bound = (p <= low + tolerance) | (p >= high - tolerance)
-    out: dict[str, Estimate] = {}
+    out = Parameters()
     for i, value, deviation in zip(reported_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
-        value_or_none, std_or_none = (None, None) if reason else (float(value), float(deviation))
-        out[names[i]] = Estimate(value_or_none, std_or_none, layout.slots[i].unit, bool(at_bound[i]), reason)
+        known = (None, None) if reason else (float(value), float(deviation))
+        out[names[i]] = Estimate(*known, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
@@ -223,28 +174,7 @@ def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Esti
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:
-    """Return pairs of unknowns whose correlation exceeds `MIN_CORRELATION`.
-
-    Parameters
-    ----------
-    names : list of str
-        Addresses of all unknowns.
-    at : list of int
-        Unknowns to compare.
-    covariance : array of shape (P, P)
-        Their covariance.
-
-    Returns
-    -------
-    list of (str, str, float)
-        Both addresses and the correlation.
-
-    Examples
-    --------
-    >>> correlations(["a", "b"], [0, 1], np.array([[1.0, 0.99], [0.99, 1.0]]))
-    [('a', 'b', 0.99)]
-
-    """
+    """Return pairs of the unknowns `at` that are strongly correlated: both addresses and the correlation."""
     d = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
@@ -279,29 +209,14 @@ def _confused_with(solution: Solution, i: int) -> str:
     others = [int(j) for j in np.flatnonzero(weight > 0.05) if j != i and layout.slots[j].effect != LEVEL]
     named = join_words([layout.names[j] for j in others[:3]]) or "the other parameters"
     advice = deciding_experiment(layout.model, [layout.slots[j].effect for j in (i, *others)])
-    return f"these runs cannot tell it from {named}{f'; {as_clause(advice)}' if advice else ''}"
+    return f"these runs cannot tell it from {named}{f'; {lower_first(advice)}' if advice else ''}"
 
 
 def undetermined_reasons(solution: Solution, covariance: Array, *, profiles: bool) -> dict[str, str]:
     """Find non-linear parameters, and F_s, whose profile is not bounded.
 
     F_s and v_s are reported together: only if the interval of F_s - F_c excludes zero and that of v_s is bounded on
-    both sides.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        Covariance of the unknowns.
-    profiles : bool
-        Whether profiles are computed. Without them, F_s and v_s alone are judged, by their standard deviations.
-
-    Returns
-    -------
-    dict of str to str
-        Address to reason.
-
+    both sides. Without profiles these two alone are judged, by their standard deviations.
     """
     out: dict[str, str] = {}
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -358,7 +273,7 @@ def _unbounded_parameters(
         else:
             why = _reason_unbounded(solution, covariance, i)
         if why:
-            yield layout.names[i], f"{why}; {as_clause(effect.confirm)}" if effect.confirm else why
+            yield layout.names[i], f"{why}; {lower_first(effect.confirm)}" if effect.confirm else why
 
 
 def _is_far_from_bounds(solution: Solution, std: Array, i: int) -> bool:

@@ -113,18 +113,10 @@ class Bootstrap:
 
     def summary(self) -> dict[str, Any]:
         """Return JSON."""
-        std, bias, percentiles = self.std, self.bias, self.percentiles
-        return {
-            "draws": len(self.values),
-            "failed": self.failed,
-            "reasons": self.reasons,
-            "level": self.level,
-            "correlated": self.correlated,
-            "parameters": {
-                name: {"std": std[name], "bias": bias[name], "percentiles": percentiles[name], "interval": interval}
-                for name, interval in self.intervals.items()
-            },
-        }
+        found = {"std": self.std, "bias": self.bias, "percentiles": self.percentiles, "interval": self.intervals}
+        parameters = {name: {key: each[name] for key, each in found.items()} for name in self.names}
+        own = {key: getattr(self, key) for key in ("failed", "reasons", "level", "correlated")}
+        return {"draws": len(self.values)} | own | {"parameters": parameters}
 
 
 @accepts_seed
@@ -205,18 +197,9 @@ def bootstrap(
     values, stds, scatter = (np.array(column) for column in zip(*found, strict=True))
     fitted, std, _ = _reported_with_std(result.compared)
     in_blocks = [layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b]
-    return Bootstrap(
-        names=reported_names(layout),
-        fitted=fitted,
-        std_fitted=std,
-        values=values,
-        stds=stds,
-        scatter=scatter,
-        level=level,
-        failed=len(reasons),
-        reasons=sorted(set(reasons)),
-        correlated=list(dict.fromkeys(in_blocks)),
-    )
+    failed, correlated = sorted(set(reasons)), list(dict.fromkeys(in_blocks))
+    names = reported_names(layout)
+    return Bootstrap(names, fitted, std, values, stds, scatter, level, len(reasons), failed, correlated)
 
 
 def _reported_with_std(solution: Solution) -> tuple[Array, Array, float]:
