@@ -26,8 +26,8 @@ from frictrack.budget.budget_summary import (
 )
 from frictrack.budget.filter_response import FilterResponse
 from frictrack.errors import FrictrackError
-from frictrack.friction import friction
-from frictrack.motion import Derivatives, noise_level
+from frictrack.friction import friction, white_noise
+from frictrack.motion import Derivatives
 from frictrack.number_format import format_number
 from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 
@@ -129,7 +129,7 @@ class _RunErrors:
         noise = response.transmitted_noise(self.weights)
         lost = response.lost_signal(self.weights, noise)
         known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
-        if response.has_accelerometer:
+        if response.derived.sensor_weights is not None:
             known_from += "; the effect includes accelerometer noise"
         rms_noise, rms_lost = (float(np.sqrt(np.mean(error.rows[self.free] ** 2))) for error in (noise, lost))
         cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
@@ -170,7 +170,7 @@ class _RunErrors:
         size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
         if size is None or error is None:
             return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
-        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.x / pitch, pitch)  # of one px
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.derived.x / pitch, pitch)  # of one px
         if size < MIN_SIGMAS_LOCKING * error:
             largest = size + 2 * error
             most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
@@ -204,8 +204,7 @@ class _RunErrors:
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
-        level = float(np.nan_to_num(noise_level(drive, np.isfinite(drive))[0]))
-        n, t = float(np.sum(self.free)), self.run.motion.t
+        level, n, t = white_noise(drive), float(np.sum(self.free)), self.run.motion.t
         known_from = "white noise of the record, from its fifth differences"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")

@@ -56,34 +56,15 @@ MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a short
 
 @dataclass(frozen=True, eq=False)
 class LocalForces:
-    """State of a search for local forces: the bumps found, and the model with and without them.
+    """State of a search for local forces: the bumps found, and the model with and without them."""
 
-    Parameters
-    ----------
-    bumps
-        Bumps found so far.
-    law
-        The model's residual and directions, without the bumps, linearised about the measured motion.
-    residual
-        The same with the bumps.
-    solution
-        The fit, or the model refitted together with the bumps, without them.
-    model
-        Its linearisation, with maps from forces along the measured motion to traces.
-    grids
-        Bumps that may be added: in time of every piece, and in place.
-    p_remaining
-        p-value of the most significant bump that remains.
-
-    """
-
-    bumps: list[Bump]
-    law: ModelProjection
-    residual: ModelProjection
-    solution: Solution
-    model: LinearisedModel
-    grids: list[BumpGrid]
-    p_remaining: float = 1.0
+    bumps: list[Bump]  # found so far
+    law: ModelProjection  # residual and directions of the model without the bumps, about the measured motion
+    residual: ModelProjection  # the same with the bumps
+    solution: Solution  # the fit, or the model refitted together with the bumps, without them
+    model: LinearisedModel  # its linearisation, with maps from forces along the measured motion to traces
+    grids: list[BumpGrid]  # bumps that may be added: in time of every piece, and in place
+    p_remaining: float = 1.0  # of the most significant bump that remains
 
     @cached_property
     def significance(self) -> GlobalSignificance:
@@ -136,17 +117,6 @@ def find_local_forces(solution: Solution) -> LocalForces:
     large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
     scatter of the levels is estimated again with them, and the model is refitted together with them. If significant
     forces remain, the misfit is not local, and the search starts at the scatter of the fit.
-
-    Parameters
-    ----------
-    solution
-        The fit.
-
-    Returns
-    -------
-    LocalForces
-        The finished search.
-
     """
     start = start_search(solution)
     if start.law.r @ start.law.r <= MIN_REDUCED_CHI2_FAR * len(start.law.r):
@@ -255,7 +225,7 @@ def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool
         acting = [k for k, b in enumerate(bumps) if b.acts_in(i)]
         if acting:
             forces = np.concatenate([bumps[k].derivatives(piece.path)[:count] for k in acting])
-            out[rows, acting] = force_traces(piece, forces).T.reshape(-1, len(acting), count)
+            out[rows, acting] = piece.data_of(forces, is_measurement=False).T.reshape(-1, len(acting), count)
     return out
 
 
@@ -332,26 +302,13 @@ MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain outside the mod
 
 @dataclass(frozen=True)
 class Bump:
-    """A Gaussian force in time or in place.
+    """A Gaussian force in time or in place."""
 
-    Parameters
-    ----------
-    piece
-        Index of its piece for a bump in time; None for a bump at a place, common to all runs.
-    centre, width
-        Centre and standard deviation: s since release, or m.
-    size
-        Peak force, N; for a place at the reference load.
-    z
-        Size in units of its standard deviation.
-
-    """
-
-    piece: int | None
-    centre: float
-    width: float
-    size: float = 0.0
-    z: float = 0.0
+    piece: int | None  # index of its piece for a bump in time; None for a bump at a place, common to all runs
+    centre: float  # s since release, or m
+    width: float  # standard deviation
+    size: float = 0.0  # peak force, N; for a place at the reference load
+    z: float = 0.0  # size in units of its standard deviation
 
     @property
     def at_place(self) -> bool:
@@ -373,15 +330,6 @@ class Bump:
 class GlobalSignificance:
     """Significance of a whole search.
 
-    Parameters
-    ----------
-    length
-        Total length of the curves that the normalised traces of all families draw on the unit sphere.
-    families
-        Number of families.
-    dof
-        Degrees of freedom of the noise estimate.
-
     Examples
     --------
     >>> single = GlobalSignificance(length=0.0, families=1, dof=1e6)
@@ -390,9 +338,9 @@ class GlobalSignificance:
 
     """
 
-    length: float
+    length: float  # of all curves that the normalised traces of a family draw on the unit sphere
     families: int
-    dof: float
+    dof: float  # degrees of freedom of the noise estimate
 
     def __call__(self, z: float) -> float:
         """Return an upper bound on the probability that noise alone reaches |z| standard deviations anywhere."""
@@ -403,21 +351,10 @@ class GlobalSignificance:
 
 @dataclass(frozen=True, eq=False)
 class BumpGrid:
-    """Bumps at all times of one piece, or at all places of the course, with their traces, a model projected out.
+    """Bumps at all times of one piece, or at all places of the course, with their traces, a model projected out."""
 
-    Parameters
-    ----------
-    bumps
-        The K bumps, one width after the other.
-    traces
-        By piece in which they act: its rows, and the traces (K, n) there.
-    model
-        Residual and directions of the model.
-
-    """
-
-    bumps: list[Bump]
-    traces: list[tuple[slice, Array]]
+    bumps: list[Bump]  # one width after the other
+    traces: list[tuple[slice, Array]]  # by piece in which they act: its rows, and the traces (K, n) there
     model: ModelProjection
 
     def products(self, columns: Array) -> Array:
@@ -463,16 +400,8 @@ class BumpGrid:
 def curve_length(parts: Sequence[tuple[Array, float]], norms: Array) -> float:
     """Length of the curve that normalised traces draw on the unit sphere: the sum of angles between neighbours, rad.
 
-    Parameters
-    ----------
-    parts
-        Blocks (k, n_i) of the traces, each with the sign with which it enters the inner products.
-    norms
-        Norms (k,) of the traces; a trace of norm 0 is left out.
-
-    Returns
-    -------
-    float
+    The traces consist of blocks (k, n_i), each with the sign with which it enters the inner products; those of norm 0
+    are left out.
 
     Examples
     --------
@@ -485,11 +414,6 @@ def curve_length(parts: Sequence[tuple[Array, float]], norms: Array) -> float:
     return float(np.sum(np.arccos(np.clip(inner / (norms[kept[1:]] * norms[kept[:-1]]), -1.0, 1.0))))
 
 
-def force_traces(piece: LinearisedPiece, forces: Array) -> Array:
-    """Traces (k, n) in one piece, start projected out, of forces (k, m) along its path, N."""
-    return piece.data_of(forces, is_measurement=False)
-
-
 def bump_grid(law: ModelProjection, pieces: Sequence[LinearisedPiece], bumps: list[Bump]) -> BumpGrid:
     """Trace bumps of one kind, in time of one piece or in place."""
     traces, place = [], bumps[0].at_place
@@ -497,7 +421,12 @@ def bump_grid(law: ModelProjection, pieces: Sequence[LinearisedPiece], bumps: li
     for i, (rows, piece) in enumerate(zip(law.rows, pieces, strict=True)):
         if bumps[0].acts_in(i):
             shapes = np.exp(-((((piece.path.x if place else piece.path.t) - centre) / width) ** 2) / 2)
-            traces.append((rows, force_traces(piece, shapes * (piece.path.load * piece.path.s) if place else shapes)))
+            traces.append(
+                (
+                    rows,
+                    piece.data_of(shapes * (piece.path.load * piece.path.s) if place else shapes, is_measurement=False),
+                )
+            )
     return BumpGrid(bumps, traces, law)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from frictrack.distributions import MEDIAN_TO_SIGMA
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks import scores
 
@@ -119,7 +120,7 @@ def _lone_steps(x: Array, at: np.ndarray) -> Mask:
     per_frame = step / np.diff(at)
     usual = median_filter(per_frame, size=STEP_WINDOW_FRAMES, mode="nearest")
     off = np.abs(step - usual * np.diff(at))
-    scatter = 1.4826 * median_filter(off, size=4 * STEP_WINDOW_FRAMES + 1, mode="nearest")
+    scatter = MEDIAN_TO_SIGMA * median_filter(off, size=4 * STEP_WINDOW_FRAMES + 1, mode="nearest")
     curved = np.diff(at) > 1  # over a gap, the usual step does not say how far the target moves
     return np.asarray((off > np.maximum(MIN_JUMP_PX, MIN_JUMP_SIGMAS * scatter)) & ~curved)
 

@@ -11,8 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array, Displacement
-from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE
 
 MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
 MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold
@@ -61,7 +62,7 @@ def _clipped_differences(x: Array) -> Array:
     if len(x) < MIN_COMMON_ROWS:
         return np.zeros(0)
     difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")
-    usual = MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    usual = float(robust_std(difference))
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 

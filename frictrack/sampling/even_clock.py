@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import noise_of_differences
 from frictrack.records import Array
-from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE
 from frictrack.sampling.quantisation import quantum
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
@@ -281,4 +282,4 @@ def _noise_level(x: Array, ticks: Ticks) -> float:
     """Noise of positions by their fourth differences."""
     whole = ticks[4:] - ticks[:-4] == 4
     difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")[whole]
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))) / float(np.sqrt(70.0)) if len(difference) else 0.0
+    return noise_of_differences(difference, 4)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array, Mask
-from frictrack.sampling.outlier_search import MEDIAN_TO_SIGMA
 from frictrack.sampling.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
 SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes over one interval
@@ -88,7 +88,7 @@ def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
     design = np.stack([np.ones(len(used)), used - i], axis=1)
     best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
     left = steps[used] - design @ best
-    spread = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(left))), float(np.std(left)))
+    spread = max(float(robust_std(left)), float(np.std(left)))
     error = spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
     usual = float(best[0])
     multiple = round(steps[i] / usual)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.distributions import chi2_ppf
+from frictrack.distributions import MEDIAN_TO_SIGMA, chi2_ppf, noise_of_differences
 from frictrack.records import Array, Mask
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
@@ -34,7 +34,6 @@ NOISE_REACH_ROWS = 30  # rows on either side over which the noise is compared wi
 MAX_OUTLIER_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
 MAX_ROUNDS, ROBUST_STEPS = 40, 15
 WINDOW_ROWS, OVERLAP_ROWS = 1 << 15, 200  # of a long record that are searched at once, and more on either side
-MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
 Rows = NDArray[np.int64]
@@ -195,7 +194,7 @@ def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
 def _level(x: Array, frames: Array) -> float:
     """White noise from the median fourth difference of consecutive frames."""
     difference, whole = _fourth(x, frames)
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference[whole]))) / np.sqrt(70.0) if whole.any() else 0.0
+    return noise_of_differences(difference[whole], 4)
 
 
 def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:

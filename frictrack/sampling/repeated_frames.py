@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import noise_of_differences
 from frictrack.records import Array, Mask
 from frictrack.sampling.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
@@ -109,8 +110,7 @@ def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:
         keep[run.start + 1 : run.stop + 1] = False
     third = np.convolve(p[keep], THIRD_DIFFERENCE, mode="valid")
     stated = float(np.median(sigma[keep]))
-    measured = 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0) if len(third) else 0.0
-    return float(np.sqrt(2.0)) * max(stated, measured)
+    return float(np.sqrt(2.0)) * max(stated, noise_of_differences(third, 3))
 
 
 def _undisturbed_steps(steps: Array, still: Mask) -> Array:

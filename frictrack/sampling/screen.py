@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array, Displacement
 from frictrack.sampling.even_clock import base_interval
-from frictrack.sampling.outlier_search import MEDIAN_TO_SIGMA, Outliers, outliers
+from frictrack.sampling.outlier_search import Outliers, outliers
 from frictrack.sampling.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
 
 MAX_LISTED_FRAMES = 8  # frames that a finding names
@@ -103,7 +104,7 @@ def _outliers_and_step(frames: Array, x: Array, sigma: Array) -> tuple[Outliers,
 
 def _noise_level(x: Array) -> float:
     """Noise of positions as their third differences show it, rounding included."""
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(np.diff(x, 3)))) / float(np.sqrt(20.0))
+    return float(robust_std(np.diff(x, 3))) / float(np.sqrt(20.0))
 
 
 def _outlier_note(found: Outliers, numbers: Rows, where: str = "") -> tuple[str, ...]:

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frictrack.distributions import student_sf
+from frictrack.distributions import robust_std, student_sf
 from frictrack.records import Array
 from frictrack.sampling.even_clock import robust_speed
-from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.sampling.outlier_search import FOURTH_DIFFERENCE
 
 ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
 MIN_BINS = 4  # bins of speed that can show a trend
@@ -123,5 +123,5 @@ def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
 
 def _clipped_variance(difference: Array) -> float:
     """Variance from clipped squares, consistent for Gaussian noise and robust against outliers (Huber 1981)."""
-    most = CLIP_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    most = CLIP_SIGMAS * float(robust_std(difference))
     return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / CLIPPED_MEAN_SQUARE

@@ -90,8 +90,8 @@ class MeasuredFrictionPiece(Piece):
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the compared frames, for effects without memory."""
-        known: dict[str, Any] = {name: getattr(self.path, name) for name in PATH_ARRAYS}
-        compared = {name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)}
+        known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
+        compared: dict[str, Any] = {k: value[self.at] for k, value in known.items() if isinstance(value, np.ndarray)}
         return replace(self.path, x=x, v=v, load=self.path.load * level, **compared)
 
     def compared_frames(self) -> MeasuredFrictionPiece:

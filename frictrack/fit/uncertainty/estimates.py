@@ -144,8 +144,8 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
     out = Parameters()
     for i, value, deviation in zip(reported_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
-        known = (None, None) if reason else (float(value), float(deviation))
-        out[names[i]] = Estimate(*known, layout.slots[i].unit, bool(at_bound[i]), reason)
+        shown, std_shown = (None, None) if reason else (float(value), float(deviation))
+        out[names[i]] = Estimate(shown, std_shown, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")

@@ -113,7 +113,12 @@ class Bootstrap:
 
     def summary(self) -> dict[str, Any]:
         """Return JSON."""
-        found = {"std": self.std, "bias": self.bias, "percentiles": self.percentiles, "interval": self.intervals}
+        found: dict[str, dict[str, Any]] = {
+            "std": self.std,
+            "bias": self.bias,
+            "percentiles": self.percentiles,
+            "interval": self.intervals,
+        }
         parameters = {name: {key: each[name] for key, each in found.items()} for name in self.names}
         own = {key: getattr(self, key) for key in ("failed", "reasons", "level", "correlated")}
         return {"draws": len(self.values)} | own | {"parameters": parameters}
