@@ -27,9 +27,9 @@ from frictrack.fit.uncertainty import (
     Parameters,
     UncertaintyAnalysis,
     level_remarks,
+    reported_by_address,
     with_misfit,
 )
-from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.number_format import format_number, format_plus_minus
@@ -143,11 +143,6 @@ class Fit(FittedRuns, StorableFit):
         """Draw per run the modelled and the measured friction force over time, and the residual below."""
         figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
         return figure
-
-    @property
-    def is_default_route(self) -> bool:
-        """Whether variable projection fitted the displacement."""
-        return self.route.is_default
 
     @property
     def domain(self) -> str:
@@ -297,12 +292,9 @@ class Fit(FittedRuns, StorableFit):
     def curves(self) -> tuple[Curve, ...]:
         """Curves of measurement and model, run by run, validation runs last."""
         make_curves = self.observation.curves
-        fitted = make_curves(self.solution, self.runs, "fit")
-        return fitted + tuple(
-            c
-            for s, run in zip(self.predictions, self.validation, strict=True)
-            for c in make_curves(s, [run], "validation")
-        )
+        predicted = zip(self.predictions, self.validation, strict=True)
+        parts = [make_curves(solution, [run], "validation") for solution, run in predicted]
+        return tuple(chain(make_curves(self.solution, self.runs, "fit"), *parts))
 
     @cached_property
     def motion(self) -> tuple[ModelledMotion, ...]:
@@ -375,22 +367,18 @@ class Fit(FittedRuns, StorableFit):
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
         """The coefficient of friction to a force that scales with the load, where the load is known."""
         effect, _, parameter = address.partition("[")[0].rpartition(".")
-        made = next((e for e in self.model.effects if e.name == effect), None)
         load = self.reference.load if self.observation.knows_load(self) else float("nan")
-        if made is None or found.value is None or found.unit != "N" or not np.isfinite(load):
+        if found.value is None or found.unit != "N" or not np.isfinite(load) or effect not in self.model:
             return {}
-        if not made.parameter(parameter).loaded:
+        if not next(e for e in self.model.effects if e.name == effect).parameter(parameter).loaded:
             return {}
         std = found.reported_std
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
         """The distinct optima of a search within 1 % of the best, best first."""
-        found = self.found
-        return [
-            {"misfit": float(cost), "parameters": quoted(found.solution, p)}
-            for p, cost in zip(found.optima, found.costs, strict=True)
-        ]
+        optima = zip(self.found.optima, self.found.costs, strict=True)
+        return [{"misfit": float(cost), "parameters": reported_by_address(self.solution, p)} for p, cost in optima]
 
 
 def with_uncertainty(result: Fit, found: UncertaintyAnalysis) -> Fit:
@@ -503,8 +491,7 @@ def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
         (usage) If a run has no group.
 
     """
-    ungrouped = [r.name for r in runs if not r.group]
-    if ungrouped:
+    if ungrouped := [r.name for r in runs if not r.group]:
         raise FrictrackError(
             f"per group: expected every run to have a group but {', '.join(ungrouped)} has none; give it "
             'group = "low", for example',

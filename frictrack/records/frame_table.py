@@ -134,14 +134,16 @@ class FrameTable(NotebookView):
         n = len(np.atleast_1d(np.asarray(self.t)))  # type: ignore[attr-defined]
         if n < self.min_rows:
             faults.append(f"expected at least {self.min_rows} frames but got {n}")
-        for f in fields(self):  # type: ignore[arg-type]
-            if f.metadata.get("column"):
-                faults += self._check_column(f.name, f.metadata, n)
+        for f in self._columns():
+            faults += self._check_column(f.name, f.metadata, n)
         t = self.t  # type: ignore[attr-defined]
         if not faults and np.any(np.diff(t) <= 0):
             i = int(np.argmax(np.diff(t) <= 0))
             faults.append(f"expected rising time but got t[{i + 1}] = {t[i + 1]:g} s after t[{i}] = {t[i]:g} s")
         raise_faults(faults, type(self).__name__)
+
+    def _columns(self) -> list[Field[Any]]:
+        return [f for f in fields(self) if f.metadata.get("column")]  # type: ignore[arg-type]
 
     def _check_column(self, name: str, meta: Any, n: int) -> list[str]:
         value = getattr(self, name)
@@ -163,18 +165,16 @@ class FrameTable(NotebookView):
     def __repr__(self) -> str:
         name, t = getattr(self, "name", None) or getattr(self, "run", ""), self.t  # type: ignore[attr-defined]
         named = f' "{name}"' if name else ""
-        ranges = [text for f in fields(self) if f.name != "t" and (text := self._range_text(f))]  # type: ignore[arg-type]
+        ranges = [text for f in self._columns() if f.name != "t" and (text := self._range_text(f))]
         head = f"{type(self).__name__}{named}: {len(t)} frames, {t[0]:.6g} to {t[-1]:.6g} s"
         return f"<{'; '.join([head, *ranges])}>"
 
     def _range_text(self, f: Field[Any]) -> str:
         """Smallest and largest value of a numeric column with its unit; empty for others and where nothing is known."""
         values = getattr(self, f.name)
-        if not f.metadata.get("column") or values is None or values.dtype.kind != "f":
+        if values is None or values.dtype.kind != "f" or not np.any(finite := np.isfinite(values)):
             return ""
-        known = values[np.isfinite(values)]
-        if not len(known):
-            return ""
+        known = values[finite]
         low, high = f"{known.min():.4g}", f"{known.max():.4g}"
         return f"{f.name} {low if low == high else f'{low} to {high}'} {f.metadata['unit']}"
 
@@ -192,20 +192,12 @@ class FrameTable(NotebookView):
         """
         import pandas as pd  # noqa: PLC0415 - half a second
 
-        own = [f for f in fields(self) if f.metadata.get("column")]  # type: ignore[arg-type]
-        columns = {f.name: getattr(self, f.name) for f in own}
-        frame = pd.DataFrame({name: values for name, values in columns.items() if values is not None})
-        frame.attrs["units"] = {f.name: f.metadata["unit"] for f in own if columns[f.name] is not None}
+        known = [f for f in self._columns() if getattr(self, f.name) is not None]
+        frame = pd.DataFrame({f.name: getattr(self, f.name) for f in known})
+        frame.attrs["units"] = {f.name: f.metadata["unit"] for f in known}
         return frame
 
     def rows(self, part: slice) -> Self:
-        """Return the record with some of its rows.
-
-        Parameters
-        ----------
-        part
-            The rows; at least two remain.
-
-        """
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
+        """Return the record with some of its rows; at least two remain."""
+        columns = {f.name: getattr(self, f.name) for f in self._columns()}
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.budget.budget_summary import (
+from frictrack.error_budget.filter_response import FilterResponse
+from frictrack.error_budget.summary import (
     ALL_FRAMES,
     ALL_RUNS,
     DRIVE,
@@ -24,7 +25,6 @@ from frictrack.budget.budget_summary import (
     Budget,
     Contribution,
 )
-from frictrack.budget.filter_response import FilterResponse
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction, white_noise
 from frictrack.motion import Derivatives
