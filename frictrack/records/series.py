@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar
 
 Point = tuple[float, float]
+Codes = NDArray[np.int8]  # what was done in a frame; a record without any repaired frame has none
 INTERPOLATED = 2  # code in the column `repaired` of a frame without data
 MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN if lost
 
@@ -56,9 +57,7 @@ class Track(FrameTable):
     outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
     exclude: tuple[tuple[Point, ...], ...] = ()  # polygons in that frame that do not belong to the target
     obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture, behind which the target passes
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
     @property
     def found(self) -> Mask:
@@ -118,9 +117,7 @@ class Displacement(FrameTable):
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
     sigma_angle: Array | None = column("rad", nan=True, default=None)
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
     @property
     def known(self) -> Mask:
@@ -163,9 +160,7 @@ class Filtered(FrameTable):
     y_measured: Array | None = column("m", nan=True, default=None)
     x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, if later stages need it
     sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of a fused acceleration, inf without one
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -201,9 +196,7 @@ class Motion(FrameTable):
     events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
     lines: tuple[float, ...] = ()  # Hz, vibrations
     shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,9 +212,7 @@ class Friction(FrameTable):
     sigma_F: Array = column("N")
     free: Mask = column("", kind=np.bool_)
     reason: str = ""  # why the free section begins and ends there
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,9 +279,7 @@ class Curve(FrameTable):
     run: str = "run"
     role: str = "fit"
     parts: dict[str, Array] = field(default_factory=dict)  # force of each effect, N
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked again
 
     @property
     def residual(self) -> Array:
