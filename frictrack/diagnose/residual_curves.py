@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.compare import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.diagnose.missing_force import DeconvolvedForce, deconvolve_force
@@ -24,6 +23,7 @@ from frictrack.diagnose.waves import SpectralLine, WaveScan
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.observations import keep_compared_frames
+from frictrack.motion_axes import AXES
 from frictrack.records import Array
 
 N_POINTS = 161  # of a common curve

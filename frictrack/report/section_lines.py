@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from frictrack import plots
-from frictrack.axes import AXES
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_number, format_range, format_share, join_words
 from frictrack.plots import passes
 from frictrack.report import provenance, tables

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, VirtualRun, expected_scatter, simulate_run
 from frictrack.diagnose.formulas import AXIS_SYMBOLS
@@ -18,6 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine, white_noise_covariance
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.fit.stepwise import add_effect
+from frictrack.motion_axes import AXES
 from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
