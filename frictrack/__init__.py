@@ -26,12 +26,12 @@ from frictrack.lazy import module_of
 
 if TYPE_CHECKING:
     from frictrack import effects, models, samples, search, simulate
-    from frictrack.budget import budget
     from frictrack.calibration import calibrate, plane_map
     from frictrack.compare import Comparison, compare, history
     from frictrack.covariates import CovariateTrends, trend
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
+    from frictrack.error_budget import budget
     from frictrack.errors import FrictrackError
     from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
     from frictrack.friction import find_events, free_section, friction, with_earlier_runs
@@ -51,7 +51,7 @@ _MODULE_OF = module_of(
         "calibration": "calibrate plane_map",
         "motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
         "friction": "free_section friction find_events with_earlier_runs",
-        "budget": "budget",
+        "error_budget": "budget",
         "fit": "fit profile bootstrap Fit GroupFits",
         "compare": "compare history Comparison",
         "diagnose": "diagnose Diagnosis",

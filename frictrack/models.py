@@ -26,7 +26,7 @@ from frictrack.records import Array
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value, for one run
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """A friction law, and the errors of its measurement, as a sum of effects.
 
@@ -49,6 +49,8 @@ class Model:
     ['coulomb', 'stribeck', 'viscous', 'texture']
     >>> "viscous" in tustin() - "viscous"
     False
+    >>> tustin()
+    <Model: coulomb + stribeck + viscous>
 
     """
 
@@ -110,6 +112,9 @@ class Model:
             known = ", ".join(self.names)
             raise FrictrackError(f'expected an effect of the model ({known}) to remove but got "{name}"', usage=True)
         return Model(tuple(e for e in self.effects if e.name != name))
+
+    def __repr__(self) -> str:
+        return f"<Model: {' + '.join(self.names)}>"
 
     def __str__(self) -> str:
         return self.equation()

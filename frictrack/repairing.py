@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from frictrack.distributions import MEDIAN_TO_SIGMA
 from frictrack.errors import FrictrackError
 from frictrack.motion import differentiate, low_pass
 from frictrack.recording import Recording, random_access
@@ -305,7 +306,7 @@ def _lone_steps(x: Array, at: Rows) -> Mask:
     step, frames = np.diff(x), np.diff(at)
     usual = median_filter(step / frames, size=STEP_WINDOW_FRAMES, mode="nearest")
     off = np.abs(step - usual * frames)
-    scatter = 1.4826 * median_filter(off, size=4 * STEP_WINDOW_FRAMES + 1, mode="nearest")
+    scatter = MEDIAN_TO_SIGMA * median_filter(off, size=4 * STEP_WINDOW_FRAMES + 1, mode="nearest")
     # over a gap, the usual step does not say how far the target moves
     return np.asarray((off > np.maximum(MIN_JUMP_PX, MIN_JUMP_SIGMAS * scatter)) & (frames == 1))
 

@@ -11,9 +11,9 @@ from film import Film as Pictures
 from runs import BASE, Slider, integrate
 
 from frictrack import plots
-from frictrack.budget import budget
 from frictrack.calibration import calibrate
 from frictrack.cli import main
+from frictrack.error_budget import budget
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.stored_results import run_results

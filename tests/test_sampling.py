@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frictrack.arrays import displacement_of_table, jitter_notes, with_even_clock
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
 from frictrack.friction import free_section
@@ -25,6 +24,7 @@ from frictrack.sampling import (
     unwrapped,
 )
 from frictrack.study import TableData
+from frictrack.tables import displacement_of_table, jitter_notes, with_even_clock
 from frictrack.tracking.checks import correct_ticks, slips
 from tests.test_timing import a_track
 

@@ -8,7 +8,7 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.bumps import force_traces
+from frictrack.compare.local_forces import force_traces
 from frictrack.diagnose.experiments.forecast import compress_response
 from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError
@@ -121,7 +121,9 @@ def test_matrices_of_panels_are_inverted():
 def test_waves_from_the_edges_of_panels_are_traced_as_from_the_nodes(slide):
     piece, f = linearise(slide).pieces[0], np.linspace(5.0, 300.0, 75)  # at 2000 frames per second
     whole = displacement_response(piece.response, np.sin(2 * np.pi * piece.response.piece.panels.t[:, None] * f)).T
-    error = np.linalg.norm(force_traces(piece, np.sin(2 * np.pi * piece.path.t * f[:, None])) - whole, axis=1)
+    error = np.linalg.norm(
+        piece.data_of(np.sin(2 * np.pi * piece.path.t * f[:, None]), is_measurement=False) - whole, axis=1
+    )
     error /= np.linalg.norm(whole, axis=1)
     radians = 2 * np.pi * f / 2000.0  # between two frames; a cubic errs by the fourth power
     assert np.all(error < 1e-5 + 0.04 * radians**4)

@@ -10,8 +10,7 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, models, plots, samples
 from frictrack.compare import failing_spans, find_local_forces, start_search
-from frictrack.compare.bumps import GlobalSignificance, _bumps_in_time, curve_length
-from frictrack.compare.local_forces import bump_columns
+from frictrack.compare.local_forces import GlobalSignificance, _bumps_in_time, bump_columns, curve_length
 from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.residual_curves import deconvolve_force, find_failure_pattern, mean_curve, residual_figures
 from frictrack.diagnose.waves import WaveScan

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.calibration.plane import PlaneMap
+from frictrack.distributions import robust_std
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
@@ -140,7 +141,7 @@ def fit_path(at: Array, sigma: Array) -> PathLine | None:
         offsets = at - middle
         direction = np.linalg.svd(offsets * np.sqrt(weight)[:, None], full_matrices=False)[2][0]
         deviation = offsets @ [-direction[1], direction[0]]
-        scale = max(1.4826 * float(np.median(np.abs(deviation))), float(np.median(sigma)))
+        scale = max(float(robust_std(deviation)), float(np.median(sigma)))
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(deviation), 1e-30))
     s = offsets @ direction
     if np.ptp(s) < MIN_TRAVEL_SIGMAS * float(np.median(sigma)):
@@ -158,7 +159,7 @@ def _fit_bend(direction: Array, place: Array, weight: Array, noise: float) -> Pa
     design = np.stack([np.ones_like(u), u, u**2], axis=1) * root[:, None]
     shape = np.linalg.lstsq(design, deviation * root, rcond=None)[0]
     residual = deviation - np.stack([np.ones_like(u), u, u**2], axis=1) @ shape
-    spread = 1.4826 * float(np.median(np.abs(residual)))
+    spread = float(robust_std(residual))
     std = (
         max(spread, noise)
         * np.sqrt(frames_per_independent(residual))

@@ -9,12 +9,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.axes import AXES
 from frictrack.cli.findings_output import findings
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
 from frictrack.cli.tables import table as _table
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_plain, format_plus_minus
 from frictrack.verdicts import (
     VERDICT_ONLY,

@@ -9,26 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.compare.bumps import Bump, bump_grid, force_traces, width_limits
 from frictrack.compare.local_forces import (
     ALPHA,
     ALPHA_PIECE,
+    Bump,
     LocalForces,
     bump_columns,
+    bump_grid,
     continue_search,
     find_local_forces,
     solve_sizes,
     start_search,
+    width_limits,
     without_model,
 )
 from frictrack.distributions import normal_sf
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import (
-    ModelProjection,
-    PieceResponse,
-    Solution,
-    position_and_velocity,
-)
+from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
 from frictrack.fit.linearised import LinearisedPiece
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.pieces import Rows
@@ -209,13 +206,10 @@ def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array])
     own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
     if _has_size_per_run(effect):
         return own
-    scales = []
-    for r in solution.responses:
-        _, level = solution.problem.layout.values(solution.p, r.piece.run)
-        carried = {"load": r.piece.path.load * level, "mass": r.piece.path.mass_ratio}
-        scales.append(float(carried.get(effect.scales_with, 1.0)))
-    largest = max(f / s for f, s in zip(own, scales, strict=True))
-    return [largest * s for s in scales]
+    paths = [(r.piece.path, solution.problem.layout.values(solution.p, r.piece.run)[1]) for r in solution.responses]
+    factors = [{"load": path.load * level, "mass": path.mass_ratio} for path, level in paths]
+    scales = np.array([float(f.get(effect.scales_with, 1.0)) for f in factors])
+    return list(np.max(np.array(own) / scales) * scales)
 
 
 def _has_size_per_run(effect: Effect) -> bool:
@@ -230,7 +224,7 @@ def _search_without(solution: Solution, effect: Effect) -> tuple[LocalForces, li
     forces = [_effect_force(piece, effect.name) for piece in search.model.pieces]
     trace = np.zeros((len(search.law.r), 1))
     for rows, piece, force in zip(search.law.rows, search.model.pieces, forces, strict=True):
-        trace[rows] = force_traces(piece, force[None]).T
+        trace[rows] = piece.data_of(force[None], is_measurement=False).T
     law = replace(search.law, r=search.law.r + without_model(search.law, trace)[:, 0])
     return replace(search, law=law, residual=law), forces
 
@@ -246,7 +240,7 @@ def _partial_trace(search: LocalForces, i: int, rows: Rows, force: Array) -> Arr
     piece, out = search.model.pieces[i], np.zeros_like(search.law.r)
     t, at = piece.path.t, piece.response.piece.t[rows]
     inside = np.where((t >= at[0]) & (t <= at[-1]), force, 0.0)
-    out[search.law.rows[i]] = force_traces(piece, inside[None])[0]
+    out[search.law.rows[i]] = piece.data_of(inside[None], is_measurement=False)[0]
     return out
 
 
@@ -270,17 +264,7 @@ def _close_gaps(acts: Mask) -> Mask:
 
 def _to_dict(response: PieceResponse, runs: Sequence[Run], span: FailingSpan) -> dict[str, Any]:
     """JSON of one span."""
-    run, at = runs[response.piece.run], span.rows
-    x, v = position_and_velocity(response)
-
-    def reach(a: Array) -> list[float]:
-        return [float(a[at].min()), float(a[at].max())]
-
-    return {
-        "run": run.name,
-        "t": reach(run.displacement.t[response.piece.frames]),
-        "x": reach(x),
-        "v": reach(v),
-        "share_of_error": round(float(np.clip(span.share, 0.0, 1.0)), 4),
-        "p": span.p,
-    }
+    run, (x, v) = runs[response.piece.run], position_and_velocity(response)
+    series = {"t": run.displacement.t[response.piece.frames], "x": x, "v": v}
+    ranges = {name: [float(q[span.rows].min()), float(q[span.rows].max())] for name, q in series.items()}
+    return {"run": run.name, **ranges, "share_of_error": round(float(np.clip(span.share, 0.0, 1.0)), 4), "p": span.p}

@@ -17,7 +17,7 @@ from frictrack.crate.unit_codes import unit_code
 from frictrack.results import Results
 
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
-TOTAL = "total"  # source of the last row of `frictrack.budget`
+TOTAL = "total"  # source of the last row of `frictrack.error_budget`
 PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
 PARAMETER_COLUMNS = (
     *("model", "current", "parameter", "value", "standard_uncertainty", "standard_uncertainty_misfit"),

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.compressed import CompressedResidual
 from frictrack.diagnose.smooth_forces import ResidualForces, raw_traces, separate_curves
 from frictrack.diagnose.waves import FoundWaves, WaveScan
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import linearise
 from frictrack.fit.pieces import Rows
+from frictrack.motion_axes import AXES
 from frictrack.records import Array
 
 N_DRAWS = 199

@@ -21,7 +21,6 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.compare import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.diagnose.repeatability import Repeatability, assess_repeatability
@@ -31,6 +30,7 @@ from frictrack.effects import Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
+from frictrack.motion_axes import AXES
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of a wave

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logsumexp
 
-from frictrack.axes import AXES
 from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -30,6 +29,7 @@ from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import candidate_axes, forces_of, smooth_forces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.observations import keep_compared_frames
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_probability
 from frictrack.records import Array
 

@@ -45,7 +45,7 @@ from frictrack.fit.pieces import (
     spans_of,
 )
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.prior_transfer import PRIOR_NEEDS_NOISE, apply_prior
+from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
@@ -74,6 +74,9 @@ __all__ = [
     "state",
     "with_uncertainty",
 ]
+
+
+_Unknowns = tuple[Array, list[Array], float]  # parameters (P,), starts of the pieces, scatter of the levels
 
 
 class FitSettings(TypedDict, total=False):
@@ -252,23 +255,18 @@ def _in_kilograms(found: FitOutcome, runs: Sequence[Run], route: Route) -> FitOu
     pieces = [p.in_mass_units(p.mass / q) for p in solution.problem.pieces]
     problem = LeastSquaresProblem(solution.problem.model, layout, pieces)
     optima = np.array([rescale_to_mass(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
-    where = solution.starts, solution.tau
-    return _outcome_at(problem, rescale_to_mass(layout, solution.p, q), where, runs, route, (optima, found.costs))
+    where = rescale_to_mass(layout, solution.p, q), solution.starts, solution.tau
+    return _outcome_at(problem, where, runs, route, (optima, found.costs))
 
 
 def _outcome_at(
-    problem: LeastSquaresProblem,
-    p: Array,
-    starts_and_scatter: tuple[list[Array], float],
-    runs: Sequence[Run],
-    route: Route,
-    optima: tuple[Array, Array],
+    problem: LeastSquaresProblem, where: _Unknowns, runs: Sequence[Run], route: Route, optima: tuple[Array, Array]
 ) -> FitOutcome:
     """The outcome at known unknowns."""
+    p, starts, tau = where
     if route.is_default:
-        starts, tau = starts_and_scatter
         return FitOutcome(refine(problem, p, starts, tau=tau, max_steps=1))
-    return outcome_of(fit_starts(problem, p, *starts_and_scatter), runs, route, optima)
+    return outcome_of(fit_starts(problem, p, starts, tau), runs, route, optima)
 
 
 def _finish(
@@ -358,7 +356,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         fine = max(e.fine for e in law.effects)
         cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
         problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
-    found = _outcome_at(problem, p, (starts, tau), fitted, route, optima)
+    found = _outcome_at(problem, (p, starts, tau), fitted, route, optima)
     return _finish(found, runs, reference, route, lengths)
 
 

@@ -5,32 +5,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.distributions import normal_ppf
 from frictrack.errors import FrictrackError
 from frictrack.fit.collisions import collisions
 from frictrack.fit.free_run import FreeRun, free_errors
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
-from frictrack.fit.prior_transfer import prior_of
+from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
     Misfit,
-    PriorAgreement,
+    Parameters,
     UncertaintyAnalysis,
     level_remarks,
-    prior_agreement,
+    reported_by_address,
     with_misfit,
 )
-from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.lazy import imported
 from frictrack.models import Model
+from frictrack.number_format import format_number, format_plus_minus
 from frictrack.priors import Prior
 from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
@@ -43,8 +45,41 @@ if TYPE_CHECKING:
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
+class FitSummary(dict[str, Any]):
+    """The JSON of a fit; printed, it is a table of the parameters with errors and remarks."""
+
+    def __repr__(self) -> str:
+        rows = [("parameter", "value", "unit", "")]
+        for address, p in self["parameters"].items():
+            value = format_plus_minus(p["value"], p.get("std_misfit", p["std"]))
+            remark = p["reason"] or ("at its bound" if p["at_bound"] else "")
+            rows.append((address, value, "" if p["unit"] == "1" else p["unit"], remark))
+        widths = [max(len(row[k]) for row in rows) for k in range(3)] + [0]
+        table = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        errors = self["errors"]
+        shown = ("reduced_chi2", "rms_displacement_um", "heldout_rms_um", "rms_N", "heldout_rms_N")
+        known = [f"{key} {format_number(errors[key])}" for key in shown if errors.get(key) is not None]
+        head = f"Fit of {' + '.join(self['model'])} ({self['domain']} domain, {self['search']})"
+        remarks = [*([self["misfit"]["words"]] if self.get("misfit") else []), *self["remarks"]]
+        return "\n".join([head, "", *table, "", ", ".join(known), *(f"- {line}" for line in remarks)])
+
+    __str__ = __repr__
+
+
 class StorableFit(NotebookView):
     """Base of fits: what is stored of them, which is also what figures take."""
+
+    def _repr_html_(self) -> str:
+        fitted: Any = self  # a Fit or GroupFits
+        groups: dict[str, Any] = fitted.fits if isinstance(self, GroupFits) else {"": self}
+        cells = "".join(
+            f"<tr><th>{escape(address + (group and f'[{group}]'))}</th><td>{escape(str(e))}</td>"
+            f"<td>{escape(e.reason or '')}</td></tr>"
+            for group, one in groups.items()
+            for address, e in one.parameters.items()
+        )
+        head = "<tr><th>parameter</th><th>value</th><th></th></tr>"
+        return f"<table>{head}{cells}</table>{super()._repr_html_()}"
 
     def to_results(self, name: str = "") -> ModelResults:
         """Return what is stored of a fit: its JSON, its curves and its modelled motion.
@@ -108,11 +143,6 @@ class Fit(FittedRuns, StorableFit):
         """Draw per run the modelled and the measured friction force over time, and the residual below."""
         figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
         return figure
-
-    @property
-    def is_default_route(self) -> bool:
-        """Whether variable projection fitted the displacement."""
-        return self.route.is_default
 
     @property
     def domain(self) -> str:
@@ -183,9 +213,70 @@ class Fit(FittedRuns, StorableFit):
         return self.estimates.covariance
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Parameters:
         """Estimates by address."""
         return self.estimates.parameters
+
+    def conf_int(self, alpha: float = 0.05) -> pd.DataFrame:
+        """Return confidence intervals of all parameters as a pandas DataFrame, ``lower`` and ``upper`` by address.
+
+        At the default level an interval from a profile or a bootstrap counts where one was computed
+        (`analyse_uncertainty`); an end that was not reached is infinite. All others are the value and the normal
+        quantile times its standard deviation, which includes the effect of a missing force where the model is rejected.
+        A parameter that the runs do not determine has NaN.
+
+        Parameters
+        ----------
+        alpha
+            One minus the confidence level.
+
+        Examples
+        --------
+        >>> import frictrack as ft
+        >>> fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+        >>> fit.conf_int().loc["patch.x_c"].round(3).tolist()
+        [0.1, 0.1]
+
+        """
+        import pandas as pd  # noqa: PLC0415 - half a second
+
+        if not 0 < alpha < 1:
+            raise FrictrackError(f"expected alpha between 0 and 1, such as 0.05, but got {alpha:g}", usage=True)
+        frame, times = self.to_dataframe(), float(normal_ppf(1 - alpha / 2))
+        ends = pd.DataFrame(
+            {"lower": frame["value"] - times * frame["std"], "upper": frame["value"] + times * frame["std"]}
+        )
+        for address, (low, high) in self.uncertainty.intervals.items() if np.isclose(alpha, 0.05) else ():
+            if self.parameters[address].value is not None:
+                ends.loc[address] = -np.inf if low is None else low, np.inf if high is None else high
+        return ends
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, chi-squared + 2 k, for k fitted numbers; smaller is better.
+
+        Only differences between models of the same runs mean something: a constant of the data is left out, as in
+        lmfit. Starts count among the fitted numbers, friction levels as what their scatter leaves.
+        """
+        chi2, numbers, _ = self._likelihood()
+        return chi2 + 2 * numbers
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's information criterion, chi-squared + k ln n, for n frames; see `aic`."""
+        chi2, numbers, frames = self._likelihood()
+        return chi2 + numbers * float(np.log(frames))
+
+    def _likelihood(self) -> tuple[float, float, int]:
+        """Chi-squared in independent standard deviations of noise, fitted numbers and frames."""
+        if self.found.force is not None:
+            raise FrictrackError(
+                "expected a fit of the displacement or of measured friction for AIC and BIC but got one of "
+                'accelerations, whose residuals have no likelihood; fit without domain = "force"'
+            )
+        weighted = self.observation.weighted(self.solution)
+        numbers = weighted.fitted_numbers + sum(len(start) for start in weighted.starts)
+        return weighted.chi2, numbers, weighted.problem.n_frames
 
     @cached_property
     def heldout(self) -> tuple[float, str]:
@@ -201,12 +292,9 @@ class Fit(FittedRuns, StorableFit):
     def curves(self) -> tuple[Curve, ...]:
         """Curves of measurement and model, run by run, validation runs last."""
         make_curves = self.observation.curves
-        fitted = make_curves(self.solution, self.runs, "fit")
-        return fitted + tuple(
-            c
-            for s, run in zip(self.predictions, self.validation, strict=True)
-            for c in make_curves(s, [run], "validation")
-        )
+        predicted = zip(self.predictions, self.validation, strict=True)
+        parts = [make_curves(solution, [run], "validation") for solution, run in predicted]
+        return tuple(chain(make_curves(self.solution, self.runs, "fit"), *parts))
 
     @cached_property
     def motion(self) -> tuple[ModelledMotion, ...]:
@@ -240,11 +328,11 @@ class Fit(FittedRuns, StorableFit):
             **free_errors(list(self.free_runs.values()), "validation" if self.validation else "fit"),
         }
 
-    def summary(self) -> dict[str, Any]:
-        """Return the JSON of `frictrack fit`."""
+    def summary(self) -> FitSummary:
+        """Return the JSON of `frictrack fit`, a dictionary that prints itself as a table."""
         agreement = self.prior_agreement
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
-        return (
+        return FitSummary(
             {
                 "model": self.model.names,
                 "equation": self.equation,
@@ -279,22 +367,18 @@ class Fit(FittedRuns, StorableFit):
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
         """The coefficient of friction to a force that scales with the load, where the load is known."""
         effect, _, parameter = address.partition("[")[0].rpartition(".")
-        made = next((e for e in self.model.effects if e.name == effect), None)
         load = self.reference.load if self.observation.knows_load(self) else float("nan")
-        if made is None or found.value is None or found.unit != "N" or not np.isfinite(load):
+        if found.value is None or found.unit != "N" or not np.isfinite(load) or effect not in self.model:
             return {}
-        if not made.parameter(parameter).loaded:
+        if not next(e for e in self.model.effects if e.name == effect).parameter(parameter).loaded:
             return {}
         std = found.reported_std
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
         """The distinct optima of a search within 1 % of the best, best first."""
-        found = self.found
-        return [
-            {"misfit": float(cost), "parameters": quoted(found.solution, p)}
-            for p, cost in zip(found.optima, found.costs, strict=True)
-        ]
+        optima = zip(self.found.optima, self.found.costs, strict=True)
+        return [{"misfit": float(cost), "parameters": reported_by_address(self.solution, p)} for p, cost in optima]
 
 
 def with_uncertainty(result: Fit, found: UncertaintyAnalysis) -> Fit:
@@ -374,11 +458,11 @@ class GroupFits(StorableFit):
             **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),
         }
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> FitSummary:
         """Return the JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
         group_fits = {name: f.summary() for name, f in self.fits.items()}
         first = next(iter(group_fits.values()))
-        return (
+        return FitSummary(
             {key: first[key] for key in ("model", "domain", "search")}
             | {
                 "per": "group",
@@ -407,8 +491,7 @@ def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
         (usage) If a run has no group.
 
     """
-    ungrouped = [r.name for r in runs if not r.group]
-    if ungrouped:
+    if ungrouped := [r.name for r in runs if not r.group]:
         raise FrictrackError(
             f"per group: expected every run to have a group but {', '.join(ungrouped)} has none; give it "
             'group = "low", for example',

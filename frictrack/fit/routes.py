@@ -98,6 +98,11 @@ class FittedRuns:
         return self.found.force or self.solution
 
     @property
+    def covariance(self) -> Array:
+        """Covariance (P, P) of the unknowns."""
+        raise NotImplementedError
+
+    @property
     def weighed(self) -> tuple[Run, ...]:
         """The fitted runs, each with its mass: given, or the fitted one."""
         return tuple(with_fitted_mass(run, self.reference.mass) for run in self.runs)
@@ -107,6 +112,15 @@ class FittedRuns:
         """Degrees of freedom: frames less fitted numbers (levels count as what their scatter leaves)."""
         starts = sum(len(start) for start in self.solution.starts)
         return int(self.solution.problem.n_frames - starts - round(self.solution.fitted_numbers))
+
+
+def require_one_fit(result: object) -> None:
+    """Raise an error (usage) for fits of several groups."""
+    if not isinstance(result, FittedRuns):
+        raise FrictrackError(
+            "expected the fit of one group but got several; take one of fits[name], or leave out --per group",
+            usage=True,
+        )
 
 
 def check_route(domain: str, search: str, per: str | None = None, over: str = "all") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from frictrack.budget import budget
+from frictrack.error_budget import budget
 from frictrack.flow.film_stages import REFERENCE, min_shake_px
 from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.results import to_builtins

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.arrays import with_even_clock
 from frictrack.errors import FrictrackError
 from frictrack.flow.summaries import ImpactEnergy, SensorSummary
 from frictrack.friction import release_time
@@ -28,6 +27,7 @@ from frictrack.sensors import (
     second_differences,
 )
 from frictrack.study import RunTable, TableData, read_run_table, read_sensor_table
+from frictrack.tables import with_even_clock
 
 if TYPE_CHECKING:
     from frictrack.flow.pipeline import RunPipeline

@@ -218,8 +218,8 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
-        from frictrack.arrays import jitter_notes  # noqa: PLC0415
         from frictrack.flow.duplicate_runs import find_duplicate_runs  # noqa: PLC0415
+        from frictrack.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":

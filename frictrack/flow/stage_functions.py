@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from frictrack import models
-from frictrack.arrays import displacement_of_table
 from frictrack.errors import FrictrackError
 from frictrack.flow.film_stages import (
     make_displacement,
@@ -23,6 +22,7 @@ from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, 
 from frictrack.repairing import repaired_rows
 from frictrack.results import Sensors
 from frictrack.study import read_run_table
+from frictrack.tables import displacement_of_table
 
 __all__ = [
     "make_cutoff",

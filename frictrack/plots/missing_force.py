@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from frictrack.axes import AXES
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.style import axis_label, draw_band, new_figure, styled

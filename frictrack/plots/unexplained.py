@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from frictrack.axes import AXES
+from frictrack.motion_axes import AXES
 from frictrack.plots import style
 from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.records import Array

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from frictrack.axes import AXES
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel

@@ -5,22 +5,22 @@ field names its unit, which the store writes beside the numbers. NaN means "not 
 that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 """
 
-from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar, stretches
-from frictrack.records.measured import (
+from frictrack.records.frame_table import Array, FrameTable, Mask, NotebookView, column, scalar, stretches
+from frictrack.records.run import GRAVITY, EarlierRuns, Run
+from frictrack.records.series import (
     INTERPOLATED,
     MEASURED,
+    Curve,
     CutoffTradeOff,
     Displacement,
     Filtered,
     Friction,
+    ModelledMotion,
     Motion,
     Point,
     RunEvents,
     Track,
 )
-from frictrack.records.modelled import Curve, ModelledMotion
-from frictrack.records.notebook_view import NotebookView
-from frictrack.records.run import GRAVITY, EarlierRuns, Run
 
 __all__ = [
     "GRAVITY",

@@ -1,4 +1,4 @@
-"""The base of all records with one row per frame: columns with units, checked when a record is built."""
+"""The base of records and results: columns with units, checked when a record is built; views for notebooks."""
 
 from __future__ import annotations
 
@@ -8,11 +8,52 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import raise_faults
-from frictrack.records.notebook_view import NotebookView
+from frictrack.errors import FrictrackError, raise_faults
+from frictrack.lazy import imported
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+class NotebookView:
+    """Base of records and results that can be drawn; a notebook shows their line of text and their figure."""
+
+    drawn_by: ClassVar[str]  # the function that draws it, "package.module:name"; it is imported when it is called
+
+    def plot(self) -> Figure:
+        """Draw it as a matplotlib figure."""
+        figure: Figure = imported(self.drawn_by)(self)
+        return figure
+
+    def _repr_html_(self) -> str:
+        page: str = imported("frictrack.plots:html")(self)
+        return page
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return it as a pandas DataFrame; ``attrs["units"]`` holds the units of the columns where they differ."""
+        raise NotImplementedError
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return it as an xarray Dataset, over the time ``t`` or over the rows of the DataFrame; needs xarray.
+
+        Raises
+        ------
+        FrictrackError
+            If xarray is not installed.
+
+        """
+        try:
+            import xarray as xr  # noqa: PLC0415 - optional
+        except ImportError as e:
+            raise FrictrackError("to_xarray needs xarray; pip install xarray") from e
+        frame = self.to_dataframe()
+        dataset = xr.Dataset.from_dataframe(frame.set_index("t") if "t" in frame else frame)
+        for name, unit in frame.attrs.get("units", {}).items():
+            dataset[name].attrs["units"] = unit
+        return dataset
+
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -93,14 +134,16 @@ class FrameTable(NotebookView):
         n = len(np.atleast_1d(np.asarray(self.t)))  # type: ignore[attr-defined]
         if n < self.min_rows:
             faults.append(f"expected at least {self.min_rows} frames but got {n}")
-        for f in fields(self):  # type: ignore[arg-type]
-            if f.metadata.get("column"):
-                faults += self._check_column(f.name, f.metadata, n)
+        for f in self._columns():
+            faults += self._check_column(f.name, f.metadata, n)
         t = self.t  # type: ignore[attr-defined]
         if not faults and np.any(np.diff(t) <= 0):
             i = int(np.argmax(np.diff(t) <= 0))
             faults.append(f"expected rising time but got t[{i + 1}] = {t[i + 1]:g} s after t[{i}] = {t[i]:g} s")
         raise_faults(faults, type(self).__name__)
+
+    def _columns(self) -> list[Field[Any]]:
+        return [f for f in fields(self) if f.metadata.get("column")]  # type: ignore[arg-type]
 
     def _check_column(self, name: str, meta: Any, n: int) -> list[str]:
         value = getattr(self, name)
@@ -122,18 +165,16 @@ class FrameTable(NotebookView):
     def __repr__(self) -> str:
         name, t = getattr(self, "name", None) or getattr(self, "run", ""), self.t  # type: ignore[attr-defined]
         named = f' "{name}"' if name else ""
-        ranges = [text for f in fields(self) if f.name != "t" and (text := self._range_text(f))]  # type: ignore[arg-type]
+        ranges = [text for f in self._columns() if f.name != "t" and (text := self._range_text(f))]
         head = f"{type(self).__name__}{named}: {len(t)} frames, {t[0]:.6g} to {t[-1]:.6g} s"
         return f"<{'; '.join([head, *ranges])}>"
 
     def _range_text(self, f: Field[Any]) -> str:
         """Smallest and largest value of a numeric column with its unit; empty for others and where nothing is known."""
         values = getattr(self, f.name)
-        if not f.metadata.get("column") or values is None or values.dtype.kind != "f":
+        if values is None or values.dtype.kind != "f" or not np.any(finite := np.isfinite(values)):
             return ""
-        known = values[np.isfinite(values)]
-        if not len(known):
-            return ""
+        known = values[finite]
         low, high = f"{known.min():.4g}", f"{known.max():.4g}"
         return f"{f.name} {low if low == high else f'{low} to {high}'} {f.metadata['unit']}"
 
@@ -151,20 +192,12 @@ class FrameTable(NotebookView):
         """
         import pandas as pd  # noqa: PLC0415 - half a second
 
-        own = [f for f in fields(self) if f.metadata.get("column")]  # type: ignore[arg-type]
-        columns = {f.name: getattr(self, f.name) for f in own}
-        frame = pd.DataFrame({name: values for name, values in columns.items() if values is not None})
-        frame.attrs["units"] = {f.name: f.metadata["unit"] for f in own if columns[f.name] is not None}
+        known = [f for f in self._columns() if getattr(self, f.name) is not None]
+        frame = pd.DataFrame({f.name: getattr(self, f.name) for f in known})
+        frame.attrs["units"] = {f.name: f.metadata["unit"] for f in known}
         return frame
 
     def rows(self, part: slice) -> Self:
-        """Return the record with some of its rows.
-
-        Parameters
-        ----------
-        part
-            The rows; at least two remain.
-
-        """
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
+        """Return the record with some of its rows; at least two remain."""
+        columns = {f.name: getattr(self, f.name) for f in self._columns()}
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]

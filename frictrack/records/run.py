@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 
 from frictrack.errors import raise_faults
 from frictrack.lazy import imported
-from frictrack.records.frame_table import Array, scalar
-from frictrack.records.measured import Displacement, Motion
-from frictrack.records.notebook_view import NotebookView
+from frictrack.records.frame_table import Array, NotebookView, scalar
+from frictrack.records.series import Displacement, Motion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,7 +182,7 @@ class Run(NotebookView):
 
         """
         optional = {"friction": friction, "drive": drive, "sigma": sigma}
-        run: Run = imported("frictrack.arrays:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
+        run: Run = imported("frictrack.tables:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
         return run
 
     @classmethod
@@ -232,7 +231,7 @@ class Run(NotebookView):
         0.35
 
         """
-        make = imported("frictrack.arrays:run_of_dataframe")
+        make = imported("frictrack.tables:run_of_dataframe")
         run: Run = make(frame, columns or {}, mass, settings)
         return run
 

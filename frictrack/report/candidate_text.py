@@ -2,36 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from markupsafe import Markup
 
 from frictrack.number_format import format_change, format_number
-
-
-def join_words(words: Sequence[str], last: str = "and") -> str:
-    """Join words as in a sentence.
-
-    Examples
-    --------
-    >>> join_words(["a", "b", "c"]), join_words(["a", "b"], "or"), join_words([])
-    ('a, b and c', 'a or b', '')
-
-    """
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
-
-
-def lower_first(sentence: str) -> str:
-    """Turn a sentence into a clause: lower-case first letter, no full stop.
-
-    Examples
-    --------
-    >>> lower_first("Film a fixed mark.")
-    'film a fixed mark'
-
-    """
-    return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
 def find_candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
-from frictrack.axes import AXES
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_change, format_number
 from frictrack.plots.style import run_styles
 from frictrack.report.tables import TextTable, failing_span_table, make_table

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from frictrack import plots
-from frictrack.axes import AXES
-from frictrack.number_format import format_number, format_range, format_share
+from frictrack.motion_axes import AXES
+from frictrack.number_format import format_number, format_range, format_share, join_words
 from frictrack.plots import passes
 from frictrack.report import provenance, tables
-from frictrack.report.candidate_text import held_out_change, held_out_error, join_words
+from frictrack.report.candidate_text import held_out_change, held_out_error
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
 from frictrack.results import ModelResults, Results

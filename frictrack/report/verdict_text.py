@@ -9,17 +9,10 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from frictrack.axes import AXES
-from frictrack.number_format import format_number
+from frictrack.motion_axes import AXES
+from frictrack.number_format import format_number, join_words, lower_first
 from frictrack.plots import noise_um, passes, plain_name
-from frictrack.report.candidate_text import (
-    evidence_text,
-    find_candidate,
-    held_out_clause,
-    held_out_error,
-    join_words,
-    lower_first,
-)
+from frictrack.report.candidate_text import evidence_text, find_candidate, held_out_clause, held_out_error
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
 from frictrack.verdicts import certain_effects, describe_alternatives, indistinguishable_effects

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import student_sf
+from frictrack.distributions import robust_std, student_sf
 from frictrack.records import Array
 from frictrack.sampling.outlier_search import consecutive_noise
-from frictrack.sampling.steps import MEDIAN_TO_SIGMA, quantum
+from frictrack.sampling.steps import quantum
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
@@ -353,5 +353,5 @@ def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
 
 def _clipped_variance(difference: Array) -> float:
     """Variance from clipped squares, consistent for Gaussian noise and robust against outliers (Huber 1981)."""
-    most = CLIP_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    most = CLIP_SIGMAS * float(robust_std(difference))
     return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / CLIPPED_MEAN_SQUARE

@@ -15,9 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.distributions import chi2_ppf
+from frictrack.distributions import MEDIAN_TO_SIGMA, chi2_ppf, noise_of_differences
 from frictrack.records import Array, Mask
-from frictrack.sampling.steps import MEDIAN_TO_SIGMA, noise_of_differences
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
 # with a sixth of the weight that others have.

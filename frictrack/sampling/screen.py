@@ -14,10 +14,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Displacement
 from frictrack.sampling.clock import base_interval
 from frictrack.sampling.outlier_search import Outliers, outliers
-from frictrack.sampling.steps import MEDIAN_TO_SIGMA, MIN_NOISE_SHARE, noise_of_differences, quantum, rounding_noise
+from frictrack.sampling.steps import MIN_NOISE_SHARE, quantum, rounding_noise
 
 MAX_LISTED_FRAMES = 8  # frames that a finding names
 MIN_ROWS = 8  # known rows that can be checked
@@ -171,7 +172,7 @@ def _clipped_differences(x: Array) -> Array:
     if len(x) < MIN_COMMON_ROWS:
         return np.zeros(0)
     difference = np.diff(x, 4)
-    usual = MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    usual = float(robust_std(difference))
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Mask
-from frictrack.sampling.steps import MEDIAN_TO_SIGMA, MIN_KNOWN_STEPS, REACH_STEPS, noise_of_differences, usual_steps
+from frictrack.sampling.steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
 MAX_STILL_STEP = 0.15  # of the usual step; a smaller one is none
 MIN_NEIGHBOUR_STEP = 0.6  # of the usual step, before and after: nothing stops and goes on in between
@@ -251,7 +252,7 @@ def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
     design = np.stack([np.ones(len(used)), used - i], axis=1)
     best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
     left = steps[used] - design @ best
-    spread = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(left))), float(np.std(left)))
+    spread = max(float(robust_std(left)), float(np.std(left)))
     error = spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
     usual = float(best[0])
     multiple = round(steps[i] / usual)

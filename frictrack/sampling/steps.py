@@ -8,8 +8,6 @@ with the samples before: differences of the positions then show less noise than 
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 
 from frictrack.records import Array
@@ -17,7 +15,6 @@ from frictrack.records import Array
 REACH_STEPS = 12  # steps on either side from which the usual step is taken
 MIN_KNOWN_STEPS = 3  # known steps that can show it
 ROWS_AT_ONCE = 1 << 14  # whose quantiles are computed together
-MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
 MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
 MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
@@ -28,13 +25,6 @@ MIN_BITS = 8  # of a counter
 MAX_STEP_RATIO = 3.0  # an unwrapped step may differ from the usual one by so many times what its neighbours do
 MAX_SPREAD = 0.15  # of the range of a counter; steps that scatter by more show no jump
 MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
-
-
-def noise_of_differences(differences: Array, order: int) -> float:
-    """White noise of positions from their n-th differences, whose variance is comb(2 n, n) times as large."""
-    if not len(differences):
-        return 0.0
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(differences))) / float(np.sqrt(comb(2 * order, order)))
 
 
 def usual_steps(steps: Array, share: float = 0.5) -> Array:

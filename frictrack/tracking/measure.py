@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
@@ -161,10 +162,7 @@ def _erode_outliers(
 
 def _residual_scale(residuals: Patch, share: Patch) -> Array:
     """Standard deviation (n,) of the residuals where pixels count, from their median."""
-    scale = [
-        1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0
-        for p, s in zip(residuals, share, strict=True)
-    ]
+    scale = [robust_std(p[s > 0.5]) if np.any(s > 0.5) else 1.0 for p, s in zip(residuals, share, strict=True)]
     return np.maximum(scale, 1e-6)
 
 

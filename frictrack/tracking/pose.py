@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
@@ -276,7 +277,7 @@ def _widen_sigma(pose: Pose, other: Pose) -> Pose:
 
 def _residual_scale(standardised: Array) -> float:
     """Standard deviation of residuals, from their median."""
-    return 1.4826 * float(np.median(np.abs(standardised)))
+    return float(robust_std(standardised))
 
 
 def _fit_pose(window: _Window, start: Pose, rotatable: RotatableTemplate, share: Array | None) -> Pose:

@@ -11,7 +11,7 @@ from frictrack.fit.observations.acceleration import (
     fit_starts,
     linearise_accelerations,
 )
-from frictrack.fit.observations.displacement import DisplacementObservation
+from frictrack.fit.observations.displacement import DisplacementObservation, Observation
 from frictrack.fit.observations.load_cell import (
     MeasuredFrictionPiece,
     check_effects,
@@ -24,7 +24,6 @@ from frictrack.fit.observations.load_cell import (
     uses_measured_friction,
 )
 from frictrack.fit.observations.measured_friction import FrictionObservation, weight_by_noise
-from frictrack.fit.observations.observation import Observation
 
 __all__ = [
     "MeasuredFrictionPiece",

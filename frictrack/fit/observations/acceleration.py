@@ -67,13 +67,12 @@ class AccelerationProblem(LeastSquaresProblem):
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it, seen through its chain."""
-        pairs = zip(super().evaluate(p, starts), self.chains, strict=True)
-        return [self._response(displacement, self._filtered(displacement, chain)) for displacement, chain in pairs]
-
-    @staticmethod
-    def _response(displacement: PieceResponse, filtered: Array) -> AccelerationResponse:
-        seen = {"jac": filtered[:, :-1], "r": filtered[:, -1], "r_full": filtered[:, -1]}
-        return AccelerationResponse(**vars(displacement) | seen, displacement=displacement)
+        out: list[PieceResponse] = []
+        for displacement, chain in zip(super().evaluate(p, starts), self.chains, strict=True):
+            filtered = self._filtered(displacement, chain)
+            seen = {"jac": filtered[:, :-1], "r": filtered[:, -1], "r_full": filtered[:, -1]}
+            out.append(AccelerationResponse(**vars(displacement) | seen, displacement=displacement))
+        return out
 
     def _filtered(self, displacement: PieceResponse, chain: AccelerationChain) -> Array:
         """Sensitivities and residual (m, A + 1) after a chain."""
@@ -93,21 +92,7 @@ class AccelerationProblem(LeastSquaresProblem):
         ]
 
     def noise_in(self, responses: Sequence[PieceResponse], columns: Array) -> Array:
-        """Compute the displacement noise that enters products with columns.
-
-        Parameters
-        ----------
-        responses : sequence of PieceResponse
-            The pieces.
-        columns : array of shape (M, k)
-            Columns over all compared accelerations.
-
-        Returns
-        -------
-        array of shape (N, k)
-            Z with Z'Z = columns' V columns, frame by frame in units of sigma.
-
-        """
+        """Return Z (N, k), in units of sigma, with Z'Z = C' V C for columns C (M, k) over all accelerations."""
         out, ends = [], np.cumsum([len(r.r) for r in responses])[:-1]
         for chain, response, own in zip(self.chains, responses, np.split(columns, ends), strict=True):
             back = response.piece.coloured_transposed(chain.transposed(own)) / self.noise

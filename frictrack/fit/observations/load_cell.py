@@ -17,13 +17,7 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import (
-    LeastSquaresProblem,
-    PieceResponse,
-    Solution,
-    fit_with_scatter,
-    hold,
-)
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import (
@@ -35,9 +29,8 @@ from frictrack.fit.separable import (
     rows_at_compared,
     variable_projection,
 )
-from frictrack.friction import free_section, is_moving
+from frictrack.friction import free_section, is_moving, white_noise
 from frictrack.models import Model
-from frictrack.motion import noise_level
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
@@ -98,10 +91,8 @@ class MeasuredFrictionPiece(Piece):
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the compared frames, for effects without memory."""
         known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
-        at_compared: dict[str, Any] = {
-            name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)
-        }
-        return replace(self.path, x=x, v=v, load=self.path.load * level, **at_compared)
+        compared: dict[str, Any] = {k: value[self.at] for k, value in known.items() if isinstance(value, np.ndarray)}
+        return replace(self.path, x=x, v=v, load=self.path.load * level, **compared)
 
     def compared_frames(self) -> MeasuredFrictionPiece:
         """Return the piece whose path holds its compared frames alone, where they are few."""
@@ -184,14 +175,7 @@ def keep_compared_frames(solution: Solution) -> Solution:
 
 
 def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
-    """Return whether these runs are fitted to their measured friction: by default, if they have it.
-
-    Raises
-    ------
-    FrictrackError
-        If only some of the runs have it.
-
-    """
+    """Return whether these runs are fitted to their measured friction: by default, if all of them have it."""
     without_friction = [run.name for run in runs if run.friction_N is None]
     if domain == "displacement" or len(without_friction) == len(runs):
         return False
@@ -204,19 +188,11 @@ def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
 
 
 def check_effects(model: Model) -> None:
-    """Check that no effect acts on a camera measurement, which a measured friction does not have.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) For such an effect.
-
-    """
-    measurement_effects = [e.name for e in model.effects if e.acts_on == "measurement"]
-    if measurement_effects:
+    """Check that no effect acts on a camera measurement, which a measured friction does not have."""
+    if of_camera := [e.name for e in model.effects if e.acts_on == "measurement"]:
         raise FrictrackError(
             "expected effects on the force, because friction itself was measured, but got "
-            f"{', '.join(measurement_effects)}, which acts on the camera measurement; remove it",
+            f"{', '.join(of_camera)}, which acts on the camera measurement; remove it",
             usage=True,
         )
 
@@ -230,30 +206,15 @@ def reference_load(runs: Sequence[Run]) -> float:
 def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
     """Create one piece per run, all with the same noise, so that residuals in N have equal weights.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs with a measured friction.
-    reference : float
-        Normal load at which newtons are reported, N; NaN if a load is not known.
-
-    Returns
-    -------
-    list of Piece
-        One `MeasuredFrictionPiece` per run.
-
+    Newtons are reported at the normal load `reference`, N; NaN if a load is not known.
     """
     noise = float(np.sqrt(np.mean([_white_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
     return [_make_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
 
 
-def friction_spans(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
-    """Compute the span of every run: duration, places and speeds."""
-    return tuple(_span(piece, fps) for piece in pieces)
-
-
 def _span(piece: Piece, fps: float) -> Span:
+    """Duration, places and speeds of a run."""
     x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
     return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
 
@@ -263,9 +224,8 @@ def _white_noise(run: Run) -> float:
     if run.noise is not None:
         return run.noise
     series = np.asarray(run.friction_N, dtype=float)
-    known = np.isfinite(series)
-    sigma = float(np.nan_to_num(noise_level(series, known)[0]))
-    return max(sigma, MIN_NOISE_SHARE * float(np.max(np.abs(series[known]), initial=0.0)), 1e-12)
+    largest = float(np.nanmax(np.abs(series), initial=0.0))
+    return max(white_noise(series), MIN_NOISE_SHARE * largest, 1e-12)
 
 
 def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
@@ -328,30 +288,7 @@ def _direction(v: Array, held: float) -> Array:
 
 
 def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
-    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    pieces : sequence of Piece
-        One `MeasuredFrictionPiece` per run.
-    names : tuple of str
-        Names of the runs.
-    fps : float
-        Frame rate, 1/s.
-
-    Returns
-    -------
-    Solution
-        The fit.
-
-    Raises
-    ------
-    FrictrackError
-        If the runs lack what an effect needs.
-
-    """
+    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together."""
     problem = friction_problem(model, pieces, names, fps)
     separable = SeparableModel(problem.layout, [friction_block(p) for p in pieces])
     state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
@@ -362,7 +299,8 @@ def friction_problem(
     model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float
 ) -> MeasuredFrictionProblem:
     """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
-    return MeasuredFrictionProblem(model, ParameterLayout(model, names, friction_spans(pieces, fps)), pieces)
+    spans = tuple(_span(piece, fps) for piece in pieces)
+    return MeasuredFrictionProblem(model, ParameterLayout(model, names, spans), pieces)
 
 
 def friction_block(piece: Piece) -> DataBlock:
@@ -384,9 +322,7 @@ def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> Se
     for g, group in enumerate(problem.separable.groups):
         if not any(e.modifies and not e.linear for e in group.model.effects):
             continue
-        found = [
-            problem.at(nonlinear_values, state, {g}) for nonlinear_values in _grid(problem, state.nonlinear_values, g)
-        ]
+        found = [problem.at(values, state, {g}) for values in _grid(problem, state.nonlinear_values, g)]
         best = sorted(found, key=lambda s: s.misfit)[:MAX_GRID_STARTS]
         state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
     return state
@@ -401,11 +337,8 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
         parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
         if parameter.scan is not None:
             scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
-    points_per_axis = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)
-    axes = [
-        axis[np.linspace(0, len(axis) - 1, min(points_per_axis, len(axis))).round().astype(int)]
-        for axis in scanned.values()
-    ]
+    most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)  # points per axis
+    axes = [a[np.linspace(0, len(a) - 1, min(most, len(a))).round().astype(int)] for a in scanned.values()]
     points = np.array(list(product(*axes)))
     out = np.tile(nonlinear_values, (len(points), 1))
     out[:, list(scanned)] = points

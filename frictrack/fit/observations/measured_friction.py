@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
+from frictrack.fit.observations.displacement import Observation
 from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts, correlated_frames
-from frictrack.fit.observations.observation import Observation
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
@@ -51,45 +51,19 @@ MIN_SLOW_NOISE_RATIO = 1.3  # ratio to the white noise; means of few strokes sca
 
 @dataclass(frozen=True)
 class FrictionNoise:
-    """The noise of a measured friction force.
+    """The noise of a measured friction force."""
 
-    Attributes
-    ----------
-    rms : float
-        All noise, N.
-    correlation_frames : float
-        Integrated correlation time, frames.
-    white : float
-        Part that is independent from frame to frame, N.
-    stroke_count : int
-        Number of repeated strokes from which the slow part is known; 0 if it is not.
-
-    """
-
-    rms: float
-    correlation_frames: float
-    white: float
-    stroke_count: int = 0
+    rms: float  # all noise, N
+    correlation_frames: float  # integrated correlation time
+    white: float  # part that is independent from frame to frame, N
+    stroke_count: int = 0  # repeated strokes from which the slow part is known; 0 if it is not
 
 
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
-    """Weight every frame by the noise of the measurement.
+    """Return the same unknowns over frames weighted by the noise of the measurement, and that noise.
 
     Of correlated frames only some are kept; of a long series every block is one frame. The noise is always that of all
     frames: a model that was refined on few of them is first refined on all.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-
-    Returns
-    -------
-    solution : Solution
-        The same unknowns over the weighted frames.
-    noise : FrictionNoise
-        The noise.
-
     """
     solution = _over_all_frames(solution)
     noise = friction_noise(solution)
@@ -119,29 +93,13 @@ def _over_all_frames(solution: Solution) -> Solution:
 
 
 def friction_noise(solution: Solution) -> FrictionNoise:
-    """Estimate the noise of all runs together.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-
-    Returns
-    -------
-    FrictionNoise
-        The white part, or the part that does not repeat between strokes where that is larger.
-
-    """
-    white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
-    differences = [d for r in solution.responses for d in _stroke_differences(r)]
-    if not differences:
-        return FrictionNoise(white, 1.0, white)
-    all_differences = np.concatenate([d for d, _ in differences])
-    strokes = sum(n for _, n in differences)
-    rms = float(np.sqrt(np.mean(all_differences**2)))
-    if rms < MIN_SLOW_NOISE_RATIO * white:
-        return FrictionNoise(white, 1.0, white, strokes)
-    return FrictionNoise(rms, max(correlation_time_frames(d) for d, _ in differences), white, strokes)
+    """Estimate the noise of all runs: the white part, or the part that does not repeat between strokes if larger."""
+    white = _rms(np.concatenate([r.piece.sigma for r in solution.responses]))
+    found = [d for r in solution.responses for d in _stroke_differences(r)]
+    differences, count = [d for d, _ in found], sum(n for _, n in found)
+    if not found or (rms := _rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
+        return FrictionNoise(white, 1.0, white, count)
+    return FrictionNoise(rms, max(correlation_time_frames(d) for d in differences), white, count)
 
 
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
@@ -149,25 +107,15 @@ def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
     piece, residual = response.piece, response.r * response.piece.sigma
     x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
     for coordinate in (x, v):
-        groups = list(_comparable_strokes(strokes(coordinate), coordinate, v))
-        if groups:
-            for group in groups:
-                yield _unrepeated_residual(group, coordinate, residual), len(group)
+        if groups := list(_comparable_strokes(strokes(coordinate), coordinate, v)):
+            yield from ((_unrepeated_residual(group, coordinate, residual), len(group)) for group in groups)
             return
 
 
 def strokes(coordinate: Array) -> list[Rows]:
-    """Split a coordinate into strokes of one direction; reversals below a quarter of its range are ignored.
+    """Return the rows of every stroke of one direction of a coordinate (n,).
 
-    Parameters
-    ----------
-    coordinate : array of shape (n,)
-        Position or speed.
-
-    Returns
-    -------
-    list of array of int
-        Rows of every stroke.
+    Reversals below a quarter of its range are ignored.
 
     Examples
     --------
@@ -195,15 +143,10 @@ def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) 
     length = max((float(np.ptp(coordinate[s])) for s in found), default=0.0)
     long = [s for s in found if np.ptp(coordinate[s]) >= MIN_SHARE * length > 0]
     for direction in (1.0, -1.0):
-        same_direction = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == direction]
-        if not same_direction:
-            continue
-        typical_speed = float(np.median([np.median(speed[s]) for s in same_direction]))
-        similar = [
-            s
-            for s in same_direction
-            if abs(np.median(speed[s]) - typical_speed) <= MAX_SPEED_DIFFERENCE * typical_speed
-        ]
+        same = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == direction]
+        speeds = np.array([np.median(speed[s]) for s in same])
+        usual = np.median(speeds) if same else 0.0
+        similar = [same[k] for k in np.flatnonzero(np.abs(speeds - usual) <= MAX_SPEED_DIFFERENCE * usual)]
         if len(similar) >= MIN_STROKES:
             yield similar
 
@@ -214,17 +157,11 @@ def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Arr
     high = min(float(coordinate[s].max()) for s in group)
     low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
     at = np.linspace(low, high, STROKE_POINTS)
-    each = [_interpolated_residual(coordinate[s], residual[s], at) for s in group]
-    mean = np.mean(each, axis=0)
+    rising = [s[np.argsort(coordinate[s])] for s in group]
+    mean = np.mean([np.interp(at, coordinate[s], residual[s]) for s in rising], axis=0)
     unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
     inside = [s[(coordinate[s] >= low) & (coordinate[s] <= high)] for s in group]
     return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
-
-
-def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Array:
-    """A residual along a nearly monotonic coordinate, at positions (k,)."""
-    order = np.argsort(coordinate)
-    return np.interp(at, coordinate[order], residual[order])
 
 
 def _thinned(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
@@ -252,21 +189,7 @@ def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
 
 
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
-    """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    runs : sequence of Run
-        The runs.
-
-    Returns
-    -------
-    list of str
-        Sentences for the report.
-
-    """
+    """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain."""
     noise = weight_by_noise(solution)[1]
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if all(_goes_one_way(r) for r in solution.responses):

@@ -1,21 +1,36 @@
-"""Convert fitted unknowns to estimates: value, standard deviation, and the reason where no value is given."""
+"""Convert fitted unknowns to estimates: value, standard deviation, and the reason where no value is given.
+
+A parameter has no value if the data do not respond to it, or if its profile is not bounded.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any, NoReturn
 
 import numpy as np
 
-from frictrack.fit.least_squares import Solution, covariance_of
-from frictrack.fit.uncertainty.identifiability import undetermined_reasons, unseen_reasons
-from frictrack.fit.uncertainty.remarks import correlated_noise_remark, identifiability_remarks, negative_force_remark
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, covariance_of
+from frictrack.fit.parameters import LEVEL, MASS
+from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
+from frictrack.fit.uncertainty.remarks import (
+    correlated_noise_remark,
+    deciding_experiment,
+    identifiability_remarks,
+    negative_force_remark,
+)
 from frictrack.fit.uncertainty.reported_values import (
+    parse_quantity,
+    reported_names,
     reported_slots,
     reported_values_and_jacobian,
     standard_deviations,
 )
-from frictrack.number_format import format_plus_minus
+from frictrack.number_format import format_plus_minus, join_words, lower_first
 from frictrack.records import Array
 
 MIN_CORRELATION = 0.95  # stronger correlations are reported
@@ -57,96 +72,64 @@ class Estimate:
 
     def json(self) -> dict[str, Any]:
         """Return JSON; `interval` and `std_misfit` only where they are known."""
-        out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
-        out |= {} if self.interval is None else {"interval": list(self.interval)}
-        return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
+        out = {k: v for k, v in vars(self).items() if v is not None or k not in ("interval", "std_misfit")}
+        return out | ({} if self.interval is None else {"interval": list(self.interval)})
+
+
+class UnknownParameterError(FrictrackError, KeyError):
+    """The address is no parameter of the fit; the message lists the nearest ones."""
+
+    __str__ = FrictrackError.__str__  # that of KeyError adds quotes
+
+
+class Parameters(dict[str, Estimate]):
+    """The estimates of a fit by address; an unknown address raises `UnknownParameterError`, which is a `KeyError`."""
+
+    def __missing__(self, address: str) -> NoReturn:
+        by_folded = {name.lower(): name for name in self}  # names differ in their case as well: F_c, f_c
+        nearest = [by_folded[found] for found in get_close_matches(str(address).lower(), by_folded, 3, 0.5)]
+        what = f"did you mean {', '.join(nearest)}?" if nearest else f"it has {', '.join(self)}"
+        raise UnknownParameterError(f'expected a parameter of the fit but got "{address}"; {what}', usage=True)
 
 
 @dataclass(frozen=True)
 class Estimates:
     """All estimates by address, the covariance (P, P) of the unknowns, strong correlations, and remarks."""
 
-    parameters: dict[str, Estimate]
+    parameters: Parameters
     covariance: Array
     correlations: list[tuple[str, str, float]]
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[str]
 
     def with_intervals(self, found: dict[str, tuple[float | None, float | None]]) -> Estimates:
         """Return the same estimates with intervals, by address."""
-        parameters = {
-            name: replace(e, interval=found[name]) if name in found else e for name, e in self.parameters.items()
-        }
-        return replace(self, parameters=parameters)
+        changed = {name: replace(e, interval=found[name]) for name, e in self.parameters.items() if name in found}
+        return replace(self, parameters=Parameters(self.parameters | changed))
 
 
 def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
-    """Compute estimates from a fit. Parameters that the data do not determine get no value, but a reason.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    profile : bool
-        Whether to test that the profiles of the non-linear parameters are bounded, which needs further fits.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
+    """Compute estimates from a fit; `profile` tests by further fits whether non-linear parameters are bounded."""
     covariance, unseen = covariance_of(solution)
     reasons = undetermined_reasons(solution, covariance, profiles=True) if profile else {}
     return _estimates(solution, covariance, unseen_reasons(solution, unseen) | reasons)
 
 
 def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
-    """Compute estimates from the model linearised where it stands, whether or not that is the optimum.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit, in the displacement or the force domain.
-    covariance : array of shape (P, P), optional
-        Replaces the covariance of the domain.
-
-    Returns
-    -------
-    Estimates
-        Reported values with standard deviations.
-
-    """
+    """Compute estimates from the model linearised where it stands; by default with the covariance of its noise."""
     own, unseen = covariance_of(solution)
-    if covariance is None:
-        covariance = own
+    covariance = own if covariance is None else covariance
     reasons = unseen_reasons(solution, unseen) | undetermined_reasons(solution, covariance, profiles=False)
     return _estimates(solution, covariance, reasons)
 
 
 def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
-    """Add the effect of a missing force to the standard deviations.
-
-    Parameters
-    ----------
-    found : Estimates
-        Estimates for noise alone.
-    solution : Solution
-        The fit.
-    covariance : array of shape (P, P)
-        What the missing force adds to the covariance of the unknowns.
-
-    Returns
-    -------
-    Estimates
-        The same with `std_misfit`. Fixed, tied and undetermined parameters are unchanged.
-
-    """
-    layout, parameters = solution.problem.layout, dict(found.parameters)
+    """Add what a missing force adds to the covariance (P, P) to the standard deviations of fitted parameters."""
+    parameters = Parameters(found.parameters)
     _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
-    for i, added in zip(reported_slots(layout), standard_deviations(jacobian, covariance), strict=True):
-        old = parameters[layout.names[i]]
-        if old.std is not None:
-            parameters[layout.names[i]] = replace(old, std_misfit=float(np.hypot(old.std, added)))
+    added = standard_deviations(jacobian, covariance)
+    for name, more in zip(reported_names(solution.problem.layout), added, strict=True):
+        if (std := parameters[name].std) is not None:
+            parameters[name] = replace(parameters[name], std_misfit=float(np.hypot(std, more)))
     return replace(found, parameters=parameters)
 
 
@@ -158,11 +141,11 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
     low, high = layout.bounds
     tolerance = 1e-6 * np.maximum(1.0, np.abs(p))
     at_bound = (p <= low + tolerance) | (p >= high - tolerance)
-    out: dict[str, Estimate] = {}
+    out = Parameters()
     for i, value, deviation in zip(reported_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
-        value_or_none, std_or_none = (None, None) if reason else (float(value), float(deviation))
-        out[names[i]] = Estimate(value_or_none, std_or_none, layout.slots[i].unit, bool(at_bound[i]), reason)
+        shown, std_shown = (None, None) if reason else (float(value), float(deviation))
+        out[names[i]] = Estimate(shown, std_shown, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
@@ -191,29 +174,125 @@ def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Esti
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:
-    """Return pairs of unknowns whose correlation exceeds `MIN_CORRELATION`.
-
-    Parameters
-    ----------
-    names : list of str
-        Addresses of all unknowns.
-    at : list of int
-        Unknowns to compare.
-    covariance : array of shape (P, P)
-        Their covariance.
-
-    Returns
-    -------
-    list of (str, str, float)
-        Both addresses and the correlation.
-
-    Examples
-    --------
-    >>> correlations(["a", "b"], [0, 1], np.array([[1.0, 0.99], [0.99, 1.0]]))
-    [('a', 'b', 0.99)]
-
-    """
+    """Return pairs of the unknowns `at` that are strongly correlated: both addresses and the correlation."""
     d = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
     return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > MIN_CORRELATION]
+
+
+# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
+MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
+UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
+
+
+def unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
+    """Return by address why the linearised model does not determine some unknowns, `unseen` (P,)."""
+    layout = solution.problem.layout
+    at = reported_slots(layout)
+    out = {layout.names[i]: _confused_with(solution, i) for i in at if unseen[i]}
+    if MASS in layout.model and unseen[layout.index(MASS, "m")]:
+        why = "these runs do not determine the mass, and no force without it"
+        out = {layout.names[i]: why for i in at if layout.slots[i].linear} | out
+    return out
+
+
+def _confused_with(solution: Solution, i: int) -> str:
+    """Why an unknown is not determined: what it is confused with, and which run would separate them."""
+    layout, jac = solution.problem.layout, solution.few_rows
+    norm = np.linalg.norm(jac, axis=0)
+    if norm[i] == 0:
+        return "the runs do not respond to it"
+    norm[norm == 0] = 1.0
+    _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
+    weight = np.max(np.abs(vt[s <= MIN_SINGULAR_VALUE * s[0]]), axis=0, initial=0.0)
+    others = [int(j) for j in np.flatnonzero(weight > 0.05) if j != i and layout.slots[j].effect != LEVEL]
+    named = join_words([layout.names[j] for j in others[:3]]) or "the other parameters"
+    advice = deciding_experiment(layout.model, [layout.slots[j].effect for j in (i, *others)])
+    return f"these runs cannot tell it from {named}{f'; {lower_first(advice)}' if advice else ''}"
+
+
+def undetermined_reasons(solution: Solution, covariance: Array, *, profiles: bool) -> dict[str, str]:
+    """Find non-linear parameters, and F_s, whose profile is not bounded.
+
+    F_s and v_s are reported together: only if the interval of F_s - F_c excludes zero and that of v_s is bounded on
+    both sides. Without profiles these two alone are judged, by their standard deviations.
+    """
+    out: dict[str, str] = {}
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    for effect in solution.problem.model.effects:
+        is_whole = effect.kind == "stribeck" and solution.problem.layout.are_shared_unknowns(effect.name, "F_s", "v_s")
+        if is_whole and (why := _stribeck_reason(solution, covariance, std, effect, profiles)):
+            out |= {f"{effect.name}.{p.name}": why for p in effect.parameters if p.free}
+        elif profiles and effect.name != MASS:
+            out |= dict(_unbounded_parameters(solution, covariance, std, effect))
+    return out
+
+
+def _stribeck_reason(solution: Solution, covariance: Array, std: Array, effect: Effect, profiles: bool) -> str | None:
+    """Why F_s and v_s are not determined; None if they are."""
+    layout, p = solution.problem.layout, solution.p
+    rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
+    advice = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
+    no_rise, no_speed = "F_s - F_c is not distinguishable from zero", "v_s is not bounded on both sides"
+    why: str | None = None
+    if not profiles:
+        is_rise = p[rise] >= NORMAL_QUANTILE_975 * std[rise]
+        is_speed = p[speed] >= NORMAL_QUANTILE_975 * std[speed]
+    elif p[rise] > MIN_EVIDENCE * std[rise] and _is_far_from_bounds(solution, std, speed):
+        return None
+    else:
+        has_level = layout.are_shared_unknowns("coulomb", "F_c")  # a fixed Coulomb level is not an unknown
+        address = f"{effect.name}.F_s - coulomb.F_c" if has_level else f"{effect.name}.F_s"
+        level = 0.0 if has_level else layout.reported_values(p).get("coulomb.F_c", 0.0)
+        is_rise = p[rise] > 0 and _probe(solution, covariance, address).excluded(level)
+        why = _reason_unbounded(solution, covariance, speed) if is_rise else None
+        is_speed = not why
+    if is_rise and is_speed:
+        return None
+    return "; ".join([": ".join(filter(None, [no_speed, why])) if is_rise else no_rise, advice])
+
+
+def _unbounded_parameters(
+    solution: Solution, covariance: Array, std: Array, effect: Effect
+) -> Iterator[tuple[str, str]]:
+    """Yield the non-linear parameters of one effect that are not bounded on both sides, with the reason."""
+    layout = solution.problem.layout
+    mine = [(i, s) for i, s in enumerate(layout.slots) if s.effect == effect.name]
+    sizes = {p.name for p in effect.parameters if p.linear or p.role == "depth"}
+    for i, slot in mine:
+        if slot.parameter in sizes:
+            continue
+        # amplitudes of the same run, or of all runs
+        own = [k for k, s in mine if s.parameter in sizes and (None in (s.run, slot.run) or s.run == slot.run)]
+        evidence = min((abs(solution.p[k]) / max(std[k], 1e-300) for k in own), default=0.0)
+        if effect.parameter(slot.parameter).role == "phase":
+            why = f"any phase fits (± {std[i]:.2g} rad)" if std[i] > UNDETERMINED_PHASE_STD else None
+        elif evidence > MIN_EVIDENCE and _is_far_from_bounds(solution, std, i):
+            continue
+        else:
+            why = _reason_unbounded(solution, covariance, i)
+        if why:
+            yield layout.names[i], f"{why}; {lower_first(effect.confirm)}" if effect.confirm else why
+
+
+def _is_far_from_bounds(solution: Solution, std: Array, i: int) -> bool:
+    """Whether an unknown is certainly determined, so far is it from both bounds."""
+    low, high = solution.problem.layout.slots[i].bounds
+    return bool(min(solution.p[i] - low, high - solution.p[i]) > MIN_DISTANCE_STD * std[i])
+
+
+def _probe(solution: Solution, covariance: Array, address: str) -> ProfileSearch:
+    """A rough profile."""
+    quantity = parse_quantity(solution.problem.layout, address)
+    return ProfileSearch(solution, quantity, covariance, min_fall=PROBE_MIN_FALL)
+
+
+def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
+    """Why the profile of one unknown is unbounded; None if it is bounded on both sides."""
+    search = _probe(solution, covariance, solution.problem.layout.names[i])
+    try:
+        found = [search.bounded(side) for side in (-1, 1)]
+    except (FrictrackError, np.linalg.LinAlgError):
+        return "its misfit cannot be followed"
+    return next((why for is_bounded, why in found if not is_bounded), None)

@@ -61,22 +61,11 @@ _Forces = list[tuple[slice, Array]]  # per piece: which of all K forces act ther
 
 @dataclass(frozen=True)
 class Misfit:
-    """The missing force of a rejected model.
+    """The missing force of a rejected model."""
 
-    Attributes
-    ----------
-    axis : str
-        What the force is a function of: "t" (independent in every run), "x" or "v".
-    evidence : float
-        Twice the rise of the log restricted likelihood.
-    covariance : array of shape (P, P)
-        What it adds to the covariance of the unknowns.
-
-    """
-
-    axis: str
-    evidence: float
-    covariance: Array
+    axis: str  # what the force is a function of: "t" (independent in every run), "x" or "v"
+    evidence: float  # twice the rise of the log restricted likelihood
+    covariance: Array  # what it adds to the covariance of the unknowns, (P, P)
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON `misfit` of a fit."""
@@ -84,19 +73,7 @@ class Misfit:
 
 
 def misfit_of(solution: Solution) -> Misfit | None:
-    """Find the most likely missing force of a model, and its effect on the unknowns.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-
-    Returns
-    -------
-    Misfit or None
-        None if noise explains the residual.
-
-    """
+    """Find the most likely missing force of a model, and its effect on the unknowns; None for noise alone."""
     if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
         return None
     law = model_projection(solution)
@@ -108,11 +85,8 @@ def misfit_of(solution: Solution) -> Misfit | None:
         moved = inverse_hessian @ gradient @ force.prior
         candidates.append(Misfit(axis, force.gain, moved @ moved.T))
     best = max(candidates, key=lambda m: m.evidence)
-    return (
-        _widest_covariance(best, [m for m in candidates if m.evidence > MIN_EVIDENCE_SHARE * best.evidence])
-        if best.evidence > MIN_EVIDENCE
-        else None
-    )
+    plausible = [m for m in candidates if m.evidence > MIN_EVIDENCE_SHARE * best.evidence]
+    return _widest_covariance(best, plausible) if best.evidence > MIN_EVIDENCE else None
 
 
 def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array, Array]:
@@ -147,22 +121,8 @@ def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
 def dispersion(solution: Solution) -> float:
     """Compute the factor by which differences of chi-squared are divided while a model leaves more than noise.
 
-    It is chi-squared per degree of freedom times the correlation time of the residual in frames (quasi-likelihood).
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-
-    Returns
-    -------
-    float
-        The factor, at least 1.
-
-    References
-    ----------
-    Wedderburn, R. W. M. (1974). Quasi-likelihood functions. Biometrika 61, 439-447.
-
+    It is chi-squared per degree of freedom times the correlation time of the residual in frames, at least 1
+    (quasi-likelihood; Wedderburn 1974, Biometrika 61, 439-447).
     """
     free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
     chi2_per_frame = solution.chi2 / free

@@ -32,13 +32,8 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
-from frictrack.fit.uncertainty.reported_values import (
-    FittedModel,
-    reported_slots,
-    reported_values_and_jacobian,
-    require_one_fit,
-    standard_deviations,
-)
+from frictrack.fit.routes import FittedRuns, require_one_fit
+from frictrack.fit.uncertainty.reported_values import reported_names, reported_values_and_jacobian, standard_deviations
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
 from frictrack.threads import one_thread
@@ -118,24 +113,21 @@ class Bootstrap:
 
     def summary(self) -> dict[str, Any]:
         """Return JSON."""
-        std, bias, percentiles = self.std, self.bias, self.percentiles
-        return {
-            "draws": len(self.values),
-            "failed": self.failed,
-            "reasons": self.reasons,
-            "level": self.level,
-            "correlated": self.correlated,
-            "parameters": {
-                name: {"std": std[name], "bias": bias[name], "percentiles": percentiles[name], "interval": interval}
-                for name, interval in self.intervals.items()
-            },
+        found: dict[str, dict[str, Any]] = {
+            "std": self.std,
+            "bias": self.bias,
+            "percentiles": self.percentiles,
+            "interval": self.intervals,
         }
+        parameters = {name: {key: each[name] for key, each in found.items()} for name in self.names}
+        own = {key: getattr(self, key) for key in ("failed", "reasons", "level", "correlated")}
+        return {"draws": len(self.values)} | own | {"parameters": parameters}
 
 
 @accepts_seed
 @one_thread()
 def bootstrap(
-    result: FittedModel,
+    result: FittedRuns,
     draws: int = 200,
     *,
     rng: RNG = 0,
@@ -147,7 +139,7 @@ def bootstrap(
 
     Parameters
     ----------
-    result : FittedModel
+    result : Fit
         The fit.
     draws : int
         Number of draws, at least 20.
@@ -186,8 +178,8 @@ def bootstrap(
     if draws < MIN_DRAWS:
         raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
     require_one_fit(result)
-    if scratch and not result.is_default_route:
-        how = f"{result.domain} domain, {result.search}"
+    if scratch and not result.route.is_default:
+        how = f"{result.route.domain} domain, {result.route.search}"
         raise FrictrackError(
             f"expected a fit of displacements by varpro to draw from scratch but got {how}; leave scratch out",
             usage=True,
@@ -210,18 +202,9 @@ def bootstrap(
     values, stds, scatter = (np.array(column) for column in zip(*found, strict=True))
     fitted, std, _ = _reported_with_std(result.compared)
     in_blocks = [layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b]
-    return Bootstrap(
-        names=[layout.names[i] for i in reported_slots(layout)],
-        fitted=fitted,
-        std_fitted=std,
-        values=values,
-        stds=stds,
-        scatter=scatter,
-        level=level,
-        failed=len(reasons),
-        reasons=sorted(set(reasons)),
-        correlated=list(dict.fromkeys(in_blocks)),
-    )
+    failed, correlated = sorted(set(reasons)), list(dict.fromkeys(in_blocks))
+    names = reported_names(layout)
+    return Bootstrap(names, fitted, std, values, stds, scatter, level, len(reasons), failed, correlated)
 
 
 def _reported_with_std(solution: Solution) -> tuple[Array, Array, float]:

@@ -33,7 +33,8 @@ from frictrack.fit.least_squares import (
     refine,
     white_noise_covariance,
 )
-from frictrack.fit.uncertainty.reported_values import FittedModel, Quantity, parse_quantity, require_one_fit
+from frictrack.fit.routes import FittedRuns, require_one_fit
+from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
 from frictrack.records import Array, Mask
 from frictrack.threads import one_thread
 
@@ -98,26 +99,18 @@ class Profile:
 
     def summary(self) -> dict[str, Any]:
         """Return JSON."""
-        why = {k: v for k, v in (("why_low", self.why_low), ("why_high", self.why_high)) if v}
-        return {
-            "value": self.value,
-            "unit": self.unit,
-            "level": self.level,
-            "low": self.low,
-            "high": self.high,
-            **why,
-            "values": self.values.tolist(),
-            "rise": self.rise.tolist(),
-        }
+        own = {key: getattr(self, key) for key in ("value", "unit", "level", "low", "high", "why_low", "why_high")}
+        known = {key: value for key, value in own.items() if value != ""}
+        return known | {"values": self.values.tolist(), "rise": self.rise.tolist()}
 
 
 @one_thread()
-def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profile:
+def profile(result: FittedRuns, address: str, *, level: float = 0.95) -> Profile:
     """Compute the profile of one parameter of a fit, or of the difference of two.
 
     Parameters
     ----------
-    result : FittedModel
+    result : Fit
         The fit.
     address : str
         A reported parameter, such as ``"coulomb.F_c"``, or ``"stribeck.F_s - coulomb.F_c"``.
@@ -151,27 +144,14 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
         raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
     require_one_fit(result)
     solution = result.compared
-    if not result.is_default_route:  # a global search may not have reached the optimum
+    if not result.route.is_default:  # a global search may not have reached the optimum
         solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
     wanted = parse_quantity(solution.problem.layout, address)
     return ProfileSearch(solution, wanted, result.covariance, level).profile()
 
 
 class FixedQuantityProblem(LeastSquaresProblem):
-    """The same problem with one unknown (the pivot) chosen so that a quantity has a given value.
-
-    Parameters
-    ----------
-    inner : LeastSquaresProblem
-        The problem without the condition.
-    quantity : Quantity
-        The reported quantity.
-    value : float
-        Its value.
-    pivot : int
-        The unknown that follows from the others.
-
-    """
+    """The same problem with one unknown (the pivot) chosen so that a reported quantity has a given value."""
 
     def __init__(self, inner: LeastSquaresProblem, quantity: Quantity, value: float, pivot: int) -> None:
         super().__init__(inner.model, inner.layout, inner.pieces)
@@ -183,14 +163,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
         return np.arange(len(self.layout.slots)) != self.pivot
 
     def law(self, p: Array) -> Array:
-        """Compute all unknowns (P,) with the pivot solved for.
-
-        Raises
-        ------
-        FrictrackError
-            If the pivot would leave its bounds.
-
-        """
+        """Compute all unknowns (P,) with the pivot solved for; `FrictrackError` if it would leave its bounds."""
         p = np.array(p, dtype=float)
         tolerance = 1e-12 * max(abs(self.value), 1e-3)
         for _ in range(MAX_NEWTON_STEPS):
@@ -225,18 +198,7 @@ class FixedQuantityProblem(LeastSquaresProblem):
 
 
 def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int:
-    """Choose the pivot: the reported unknown, unless it is close to a bound and another one is not.
-
-    Parameters
-    ----------
-    quantity : Quantity
-        The reported quantity.
-    solution : Solution
-        The fit.
-    std : array of shape (P,)
-        Standard deviations of the unknowns.
-
-    """
+    """Choose the pivot: the reported unknown, unless it is close to a bound (in its `std`) and another one is not."""
     p, layout, own = solution.p, solution.problem.layout, quantity.slot
     low, high = layout.bounds
     matters = _depends_on(quantity, solution, std)
@@ -272,34 +234,15 @@ class ProfilePoint:
 
 @dataclass(eq=False)
 class ProfileSearch:
-    """The search along one quantity, outward from the best fit.
+    """The search along one quantity, outward from the best fit."""
 
-    Attributes
-    ----------
-    solution : Solution
-        The best fit.
-    quantity : Quantity
-        The quantity.
-    covariance : array of shape (P, P)
-        Covariance of the unknowns.
-    level : float
-        Confidence level.
-    min_fall : float
-        Predicted fall of the objective below which the fits of points end.
-    points : list of ProfilePoint
-        Points computed so far.
-    better : float
-        How far the objective fell below that of the best fit.
-
-    """
-
-    solution: Solution
+    solution: Solution  # the best fit
     quantity: Quantity
-    covariance: Array
-    level: float = 0.95
-    min_fall: float = MIN_CHI2_FALL
-    points: list[ProfilePoint] = field(default_factory=list)
-    better: float = 0.0
+    covariance: Array  # of the unknowns, (P, P)
+    level: float = 0.95  # of confidence
+    min_fall: float = MIN_CHI2_FALL  # predicted fall of the objective below which the fits of points end
+    points: list[ProfilePoint] = field(default_factory=list)  # computed so far
+    better: float = 0.0  # how far the objective fell below that of the best fit
 
     def __post_init__(self) -> None:
         s = self.solution
@@ -358,23 +301,7 @@ class ProfileSearch:
         return end is not None, why
 
     def end(self, side: int, max_refinements: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
-        """Find where the profile passes the quantile on one side, beyond the points that do not reach it.
-
-        Parameters
-        ----------
-        side : int
-            -1 or 1.
-        max_refinements : int
-            Largest number of fits.
-
-        Returns
-        -------
-        end : float or None
-            The end of the interval.
-        reason : str
-            Why there is no end; empty if there is one.
-
-        """
+        """Find where the profile passes the quantile on one side, -1 or 1: that end, or why there is none."""
         outer, failed_at, bound = None, side * np.inf, self.bounds[side > 0]
         known = sorted((q for q in self.points if side * (q.c - self.best.c) > 0), key=lambda q: abs(q.c - self.best.c))
         last, inner = [self.best, self.best, *(q for q in known if q.z < self.target)][-2:]
@@ -401,14 +328,7 @@ class ProfileSearch:
         return None, self._reason_open(inner, bound, failed_at)
 
     def at(self, c: float) -> ProfilePoint:
-        """Fit all other unknowns with the quantity held at c, from the nearest points.
-
-        Raises
-        ------
-        FrictrackError
-            If no such fit exists.
-
-        """
+        """Fit all other unknowns with the quantity held at c, from the nearest points."""
         s = self.solution
         held = FixedQuantityProblem(s.problem, self.quantity, c, self.pivot)
         p, starts = self._predicted(c)

@@ -14,6 +14,7 @@ from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution, inverse_normal_matrix
 from frictrack.fit.uncertainty.reported_values import reported_slots
 from frictrack.models import Model
+from frictrack.number_format import join_words, lower_first
 from frictrack.records import Array
 
 MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable
@@ -29,20 +30,7 @@ def identifiability_remarks(
 ) -> list[str]:
     """State which parameters are confused with each other, and what would separate them.
 
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    correlations : sequence of (str, str, float)
-        Strongly correlated pairs.
-    undetermined : sequence of str
-        Addresses that have no value.
-
-    Returns
-    -------
-    list of str
-        Sentences for the report.
-
+    `correlations` are strongly correlated pairs of addresses; `undetermined` addresses have no value.
     """
     groups = _correlated_groups(correlations)
     remarks = [_trade_remark(solution.problem.model, group, correlations) for group in groups]
@@ -112,8 +100,8 @@ def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tup
     text = f"{named} are hard to distinguish {how}: these runs determine a combination of them better than "
     text += "either" if len(own) == 2 else "each"
     if confused:
-        text += f"; {confused[0].kind.replace('_', ' ')} is mistaken for {as_clause(confused[0].mistaken_for)}"
-    return f"{text}.{f' To separate them, {as_clause(advice)}.' if advice else ''}"
+        text += f"; {confused[0].kind.replace('_', ' ')} is mistaken for {lower_first(confused[0].mistaken_for)}"
+    return f"{text}.{f' To separate them, {lower_first(advice)}.' if advice else ''}"
 
 
 def deciding_experiment(model: Model, names: Sequence[str]) -> str:
@@ -134,30 +122,6 @@ def _confused(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effe
         for second in mine:
             if first is not second and second.kind.replace("_", " ") in first.mistaken_for.lower():
                 yield first, second
-
-
-def join_words(words: Sequence[str]) -> str:
-    """Join words as in a sentence.
-
-    Examples
-    --------
-    >>> join_words(["a", "b", "c"])
-    'a, b and c'
-
-    """
-    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)
-
-
-def as_clause(sentence: str) -> str:
-    """Return a sentence in the form that it has after a semicolon.
-
-    Examples
-    --------
-    >>> as_clause("Film a slower run.")
-    'film a slower run'
-
-    """
-    return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
 def negative_force_remark(solution: Solution, found: Mapping[str, tuple[float | None, float | None]]) -> Iterator[str]:
@@ -190,15 +154,7 @@ def correlated_noise_remark(solution: Solution) -> Iterator[str]:
 def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float) -> Iterator[str]:
     """State which run has another level of dry friction than all others, and what may cause that.
 
-    Parameters
-    ----------
-    solution
-        A fit.
-    covariance
-        Covariance (P, P) of its unknowns, for noise alone.
-    reduced_chi2
-        Of the fit; a misfit widens the standard deviations by its root.
-
+    The covariance (P, P) is for noise alone; a misfit widens the standard deviations by the root of `reduced_chi2`.
     """
     layout = solution.problem.layout
     at = np.asarray(layout.levels, dtype=int)
@@ -208,16 +164,7 @@ def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float) ->
 
 
 def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Array) -> Iterator[str]:
-    """Describe every run whose level differs from all others, which agree.
-
-    Parameters
-    ----------
-    names
-        Names of the runs.
-    levels
-        Levels (R,) of dry friction, as factors.
-    covariance
-        Covariance (R, R) of their logarithms.
+    """Describe every run whose level (R,) differs from all others, which agree; the covariance is of log levels.
 
     Examples
     --------

@@ -24,8 +24,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from frictrack.distributions import chi2_isf
-from frictrack.motion.noise.white import DIFFERENCE_ORDER, MEDIAN_TO_SIGMA, OUTLIER_SIGMAS
+from frictrack.distributions import chi2_isf, robust_std
+from frictrack.motion.noise.white import DIFFERENCE_ORDER, OUTLIER_SIGMAS
 from frictrack.records import Array
 
 MIN_FRAMES = 64  # of a stretch
@@ -187,7 +187,7 @@ def _longest_undisturbed(x: Array) -> Array:
     d = np.abs(np.diff(x, DIFFERENCE_ORDER))
     if not len(d):
         return x
-    jumps = np.flatnonzero(d > OUTLIER_SIGMAS * MEDIAN_TO_SIGMA * np.median(d)) + DIFFERENCE_ORDER // 2
+    jumps = np.flatnonzero(d > OUTLIER_SIGMAS * robust_std(d)) + DIFFERENCE_ORDER // 2
     return max(np.split(x, np.unique(np.concatenate([jumps, jumps + 1]))), key=len) if len(jumps) else x
 
 

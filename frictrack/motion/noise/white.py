@@ -11,6 +11,7 @@ from math import comb
 
 import numpy as np
 
+from frictrack.distributions import robust_std
 from frictrack.records import Array, Mask
 from frictrack.sampling import frame_numbers
 
@@ -18,7 +19,6 @@ DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
 MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
-MEDIAN_TO_SIGMA = 1.4826022  # standard deviation of a Gaussian over its median absolute value
 
 
 def difference_variance(order: int) -> float:
@@ -98,7 +98,7 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     if not np.any(whole):
         return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
     d = d[whole] / _expected(relative, valid, order)[whole].reshape(-1, *[1] * (x.ndim - 1))
-    usual = MEDIAN_TO_SIGMA * np.median(np.abs(d), axis=0)
+    usual = robust_std(d, axis=0)
     kept = np.abs(d) <= OUTLIER_SIGMAS * usual
     m = np.sum(kept, axis=0)
     sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from frictrack.distributions import chi2_sf
+from frictrack.distributions import chi2_sf, robust_std
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
@@ -63,7 +63,7 @@ def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
     if steps.shape[1] < MIN_REPEATS:
         return np.nan, np.nan
     middle = np.median(steps, axis=1)  # a bump or a bad frame must not make a jump
-    spread = 1.4826 * np.median(np.abs(steps - middle[:, None]), axis=1)
+    spread = robust_std(steps - middle[:, None], axis=1)
     error = 1.2533 * spread / np.sqrt(steps.shape[1])
     return float(np.hypot(*middle)), float(np.hypot(*error))
 
@@ -157,7 +157,7 @@ def peak_locking(track: Track) -> PeakLocking | None:
     residual = np.concatenate([_detrend(x[part]) for part in parts])
     harmonics = np.concatenate([_detrend(_pixel_harmonics(x[part])) for part in parts])
     sigma = np.concatenate([track.sigma_px[part] for part in parts])
-    keep = np.isfinite(sigma) & (np.abs(residual) < 6 * 1.4826 * np.median(np.abs(residual)) + 1e-12)
+    keep = np.isfinite(sigma) & (np.abs(residual) < 6 * robust_std(residual) + 1e-12)
     design, value = harmonics[keep] / sigma[keep, None], residual[keep] / sigma[keep]
     power, axes = np.linalg.eigh(design.T @ design)
     if len(value) < 40 or power[0] < 1e-6 * len(value) / np.median(sigma) ** 2:
@@ -239,7 +239,7 @@ def scores(track: Track) -> Scores | None:
         return None
     score = np.where(known, track.score, np.nan)
     usual = float(np.nanmedian(score))
-    spread = 1.4826 * float(np.nanmedian(np.abs(score - usual)))
+    spread = float(robust_std(score[np.isfinite(score)] - usual))
     low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW_SCORE_MARGIN, 6 * spread))
     at = int(np.nanargmin(score))
     return Scores(usual, float(score[at]), at, tuple((s.start, s.stop - 1) for s in stretches(low)))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import MEDIAN_TO_SIGMA
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.correlation import Rectangle
@@ -65,7 +66,7 @@ def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
     away = np.abs(np.stack([frame - light_ratio(frame, still) * still for frame in frames]))
     # Bright parts are noisier than dark ones, and saturated pixels have no noise.
-    noise = np.maximum(1.4826 * cv2.blur(np.median(away, axis=0), (15, 15)), 0.3)
+    noise = np.maximum(MEDIAN_TO_SIGMA * cv2.blur(np.median(away, axis=0), (15, 15)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
     moved = cv2.blur(away.max(axis=0) - MAX_SHAKE_ERROR_PX * slope, (3, 3)) > MIN_CHANGE_SIGMAS * noise
     for mask in scene.foreground:

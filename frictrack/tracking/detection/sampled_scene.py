@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.distributions import MEDIAN_TO_SIGMA
 from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
@@ -164,8 +165,8 @@ def _noise(differences: list[Picture], background: Picture) -> float:
     everywhere = float(np.median([np.median(d) for d in off]))
     lit = sparse < 0.97 * sparse.max()
     if everywhere > 0.1 or lit.mean() < 0.02:
-        return 1.4826 * everywhere
-    return 1.4826 * float(np.median([np.median(d[lit]) for d in off]))
+        return MEDIAN_TO_SIGMA * everywhere
+    return MEDIAN_TO_SIGMA * float(np.median([np.median(d[lit]) for d in off]))
 
 
 def without_body(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene | None:
@@ -228,7 +229,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
     """Further frames to sample where all change lies between a few of the samples."""
     steps = np.abs(np.diff(np.stack(small)[:, ::2, ::2], axis=0))
-    noise = 1.4826 * max(float(np.median(steps)), 0.3)
+    noise = MEDIAN_TO_SIGMA * max(float(np.median(steps)), 0.3)
     busy = np.flatnonzero(np.sum(steps > 6 * noise, axis=(1, 2)) > MIN_AREA_REDUCED / 4)
     if not 0 < len(busy) < MIN_BUSY_INTERVALS:
         return []

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, TypedDict
 
 from frictrack import plots
-from frictrack.axes import AXES
 from frictrack.flow import effect_of_formula
+from frictrack.motion_axes import AXES
 from frictrack.number_format import format_change, format_interval, format_number, format_share
 from frictrack.report import held_out_change, mark_code, study_verdict
 from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments

@@ -1,9 +1,9 @@
-"""Records of what was measured: track, displacement, smoothed displacement, motion, friction force, events."""
+"""Records of what was measured (track, displacement, motion, friction force, events) and of what a model says."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from frictrack.records.frame_table import Array, FrameTable, Mask, column, scalar
 
 Point = tuple[float, float]
+Codes = NDArray[np.int8]  # what was done in a frame; a record without any repaired frame has none
 INTERPOLATED = 2  # code in the column `repaired` of a frame without data
 MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN if lost
 
@@ -56,9 +57,7 @@ class Track(FrameTable):
     outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
     exclude: tuple[tuple[Point, ...], ...] = ()  # polygons in that frame that do not belong to the target
     obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture, behind which the target passes
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
     @property
     def found(self) -> Mask:
@@ -119,9 +118,7 @@ class Displacement(FrameTable):
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise
     stamped_rate: float | None = scalar("Hz", default=None)  # of a table's time stamps, if the given fps contradicts it
     sigma_angle: Array | None = column("rad", nan=True, default=None)
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
     @property
     def known(self) -> Mask:
@@ -164,9 +161,7 @@ class Filtered(FrameTable):
     y_measured: Array | None = column("m", nan=True, default=None)
     x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, if later stages need it
     sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of a fused acceleration, inf without one
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -202,9 +197,7 @@ class Motion(FrameTable):
     events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
     lines: tuple[float, ...] = ()  # Hz, vibrations
     shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -220,9 +213,7 @@ class Friction(FrameTable):
     sigma_F: Array = column("N")
     free: Mask = column("", kind=np.bool_)
     reason: str = ""  # why the free section begins and ends there
-    repaired: NDArray[np.int8] | None = column(
-        "", kind=np.int8, default=None
-    )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,3 +263,51 @@ class RunEvents:
     events: tuple[tuple[str, float, float], ...] = ()
     rests: tuple[tuple[float, float], ...] = ()
     noise_at_rest: float = scalar("m", default=float("nan"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Curve(FrameTable):
+    """Measurement and fitted model of one run, at the frames that were fitted (or predicted)."""
+
+    signals: ClassVar[tuple[str, ...]] = ("x", "x_model")
+    t: Array = column("s")
+    x: Array = column("m")  # measured displacement
+    sigma_x: Array = column("m")
+    x_model: Array = column("m")  # fitted displacement, measurement effects included
+    v_model: Array = column("m/s")
+    a_model: Array = column("m/s^2")
+    F_model: Array = column("N")
+    run: str = "run"
+    role: str = "fit"
+    parts: dict[str, Array] = field(default_factory=dict)  # force of each effect, N
+    repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked again
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus modelled displacement (n,), m."""
+        return self.x - self.x_model
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModelledMotion(FrameTable):
+    """Motion of one run by the fitted model, at the frames that were fitted (or predicted).
+
+    Standard deviations are those of the fit; mass and scale errors, common to all runs, are not included. They are NaN
+    if the model is too far from the data to be linearised.
+    """
+
+    signals: ClassVar[tuple[str, ...]] = ("v",)
+    t: Array = column("s")
+    x: Array = column("m")  # of the slider, without measurement effects
+    v: Array = column("m/s")
+    a: Array = column("m/s^2")
+    F: Array = column("N")
+    sigma_x: Array = column("m", nan=True)
+    sigma_v: Array = column("m/s", nan=True)
+    sigma_a: Array = column("m/s^2", nan=True)
+    sigma_F: Array = column("N", nan=True)
+    blow: Mask = column("", kind=np.bool_)  # frames of a collision too short to be resolved: a and F are unknown there
+    segment: NDArray[np.int_] = column("", kind=np.int_)  # number of the segment that a frame belongs to
+    run: str = "run"
+    role: str = "fit"
+    notes: tuple[str, ...] = ()  # how the standard deviations were computed if the model lacks something

@@ -1,4 +1,4 @@
-"""The error budget of one run, with its summary in sentences: the largest sources, and what would halve the error."""
+"""The error budget of one run: sources, and its summary in sentences, such as what would halve the error."""
 
 from __future__ import annotations
 
@@ -8,19 +8,46 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.budget.contributions import (
-    DRIVE,
-    DRIVE_CLOCK,
-    FILTER,
-    LOCKING,
-    MASS,
-    NOISE,
-    SCALE,
-    SHAKE,
-    TIME,
-    Contribution,
-)
 from frictrack.number_format import format_number, format_plus_minus
+
+NOISE, FILTER, SCALE, MASS, TIME = "pixel noise", "filter", "scale", "mass", "time base"
+LOCKING, SHAKE, DRIVE, DRIVE_CLOCK, SENSOR = "peak locking", "camera shake", "drive sensor", "drive clock", "load cell"
+EACH_FRAME, ALL_FRAMES, ALL_RUNS = "each frame", "all frames", "all runs"  # what shares one and the same error
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One source of error of the friction force.
+
+    Parameters
+    ----------
+    source
+        Its name.
+    size, unit
+        Its standard deviation and unit; None if not known.
+    known_from
+        How the size is known.
+    frame_N
+        Effect on the force of one frame, rms over the free section, N; None if the size is not known.
+    mean_N
+        Effect on the mean force over the free section, N; None if the size is not known.
+    common
+        What shares one and the same error: each frame, all frames of a run, or all runs.
+
+    """
+
+    source: str
+    size: float | None
+    unit: str
+    known_from: str
+    frame_N: float | None
+    mean_N: float | None
+    common: str = EACH_FRAME
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON of the row, without its shares."""
+        return {"told" if key == "known_from" else key: value for key, value in vars(self).items()}
+
 
 MIN_REMAINING_SHARE = 0.95  # of an error: a step that leaves more is not worth taking
 NOISE_FACTOR_TWICE_FRAMES = 2.0**0.5  # twice the frames average the noise as much as noise lower by this factor
@@ -64,19 +91,7 @@ class Budget:
         return _root_sum_square(row.mean_N for row in self.rows)
 
     def row(self, source: str) -> Contribution | None:
-        """Find the row of a source.
-
-        Parameters
-        ----------
-        source
-            Name of the source, such as "scale".
-
-        Returns
-        -------
-        Contribution or None
-            None if the budget has no such source.
-
-        """
+        """Find the row of a source, such as "scale"; None if the budget has none."""
         return next((row for row in self.rows if row.source == source), None)
 
     def summary(self) -> dict[str, Any]:
@@ -148,7 +163,7 @@ def _halving_steps(budget: Budget) -> Iterator[str]:
     """Single steps that would halve the error of the mean, largest source first."""
     half = budget.mean_N / 2.0
     for row in sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0)):
-        others = _error_without(budget, "mean_N", row.source)
+        others = _root_sum_square(other.mean_N for other in budget.rows if other is not row)
         if row.mean_N and row.source in IMPROVEMENTS and others < half:
             yield IMPROVEMENTS[row.source](row, row.mean_N / float(np.sqrt(half**2 - others**2)))
     for times in sorted(budget.noise_reduction):
@@ -188,25 +203,12 @@ def _errors_after(budget: Budget, times: float) -> tuple[float, float]:
     """Errors of a frame and of the mean, N, with `times` the pixels per mm, or with twice the frame rate."""
     frame, mean = budget.noise_reduction[times]
     pixel_factor = 1.0 if times == NOISE_FACTOR_TWICE_FRAMES else 1.0 / times
-    errors = [
-        np.sqrt(
-            (factor * _error_from(budget, key, FILTERED_SOURCES)) ** 2
-            + (pixel_factor * _error_from(budget, key, PIXEL_SOURCES)) ** 2
-            + _error_without(budget, key, *FILTERED_SOURCES, *PIXEL_SOURCES) ** 2
-        )
-        for key, factor in (("frame_N", frame), ("mean_N", mean))
-    ]
-    return float(errors[0]), float(errors[1])
 
+    def remaining(key: str, noise_factor: float) -> float:
+        factors = dict.fromkeys(FILTERED_SOURCES, noise_factor) | dict.fromkeys(PIXEL_SOURCES, pixel_factor)
+        return _root_sum_square(factors.get(row.source, 1.0) * (getattr(row, key) or 0.0) for row in budget.rows)
 
-def _error_from(budget: Budget, key: str, sources: tuple[str, ...]) -> float:
-    """Error from some sources together."""
-    return _error_without(budget, key, *(row.source for row in budget.rows if row.source not in sources))
-
-
-def _error_without(budget: Budget, key: str, *sources: str) -> float:
-    """Error from all sources but some."""
-    return float(np.sqrt(sum((getattr(r, key) or 0.0) ** 2 for r in budget.rows if r.source not in sources)))
+    return remaining("frame_N", frame), remaining("mean_N", mean)
 
 
 def _times(factor: float) -> str:

@@ -27,116 +27,53 @@ class FilterResponse:
     """The low-pass and its derivatives as one linear map from displacement to acceleration."""
 
     def __init__(self, derived: Derivatives, motion: Motion) -> None:
-        self.motion, self._derived = motion, derived
-        self._grid, self._noise = self._derived.grid, self._derived.noise
-        self._structure, self._method = self._derived.smoother.structure, self._derived.smoother.method
-
-    @property
-    def x(self) -> Array:
-        """Low-passed positions, m, (n,)."""
-        return self._derived.x
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of one frame of usual weight, m."""
-        return self._noise
-
-    @property
-    def has_accelerometer(self) -> bool:
-        """Whether an accelerometer was used in the smoother."""
-        return self._derived.sensor_weights is not None
+        self.motion, self.derived, self._grid = motion, derived, derived.grid
+        self.noise = derived.noise  # standard deviation of one frame of usual weight, m
 
     def of(self, displacement: Array) -> Array:
-        """Acceleration that a displacement error appears to be.
-
-        Parameters
-        ----------
-        displacement
-            Displacement errors, m, (n, k).
-
-        Returns
-        -------
-        ndarray, shape (n, k)
-            Apparent accelerations, m/s^2.
-
-        """
-        return np.asarray(self._derived.apparent_motion(displacement)[2])
+        """Accelerations (n, k), m/s^2, that displacement errors (n, k), m, appear to be."""
+        return np.asarray(self.derived.apparent_motion(displacement)[2])
 
     def transmitted_noise(self, weights: Array) -> AccelerationError:
-        """Frame noise that the low-pass transmits.
-
-        Parameters
-        ----------
-        weights
-            Weights of the frames in the sum, (n,).
-
-        Returns
-        -------
-        AccelerationError
-
-        """
-        if self._method is not None:
-            return self._transmitted_by_method(self._method, weights)
+        """Frame noise that the low-pass transmits, in every frame and in a sum with weights (n,)."""
+        if self.derived.smoother.method is not None:
+            return self._transmitted_by_method(self.derived.smoother.method, weights)
         rows = self._grid.to_rows(
-            np.sqrt(self._derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils))
+            np.sqrt(self.derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils))
         )
-        smoothed = self._derived.factor.posterior_covariance_times(self._position_weights(weights))
-        variance = float(np.sum(self._derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
-        if self._derived.sensor_weights is not None:
-            variance += float(np.sum(self._derived.sensor_weights * np.diff(smoothed, 2) ** 2))
-        return AccelerationError(self._noise * rows, self._noise * float(np.sqrt(variance)))
+        smoothed = self.derived.factor.posterior_covariance_times(self._position_weights(weights))
+        variance = float(np.sum(self.derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
+        if self.derived.sensor_weights is not None:
+            variance += float(np.sum(self.derived.sensor_weights * np.diff(smoothed, 2) ** 2))
+        return AccelerationError(self.noise * rows, self.noise * float(np.sqrt(variance)))
 
     def lost_signal(self, weights: Array, transmitted_noise: AccelerationError) -> AccelerationError:
-        """Signal that the low-pass removes, the error of line frequencies included.
-
-        Parameters
-        ----------
-        weights
-            Weights of the frames in the sum, (n,).
-        transmitted_noise
-            The transmitted frame noise.
-
-        Returns
-        -------
-        AccelerationError
-
-        """
+        """Signal that the low-pass removes, the error of line frequencies included; see `transmitted_noise`."""
         total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
         rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
         return AccelerationError(rows, total)
 
     def total_error(self, weights: Array) -> float:
         """Noise and lost signal together, in the weighted sum, m/s^2; see `Derivatives.best`."""
-        if (best := self._derived.best) is not None:
-            away = weights @ (self._derived.values() - best.values())[2]
+        if (best := self.derived.best) is not None:
+            away = weights @ (self.derived.values() - best.values())[2]
             return float(np.hypot(FilterResponse(best, self.motion).total_error(weights), away))
-        return self._noise * float(np.sqrt(self._unit_variance(self._derived.factor, weights * self._scale)))
+        return self.noise * float(np.sqrt(self._unit_variance(self.derived.factor, weights * self._scale)))
 
     def noise_reductions(self, weights: Array, factors: Sequence[float]) -> dict[float, tuple[float, float]]:
         """Factors on both errors if the noise were lower by some factors.
 
-        The signal stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
-
-        Parameters
-        ----------
-        weights
-            Weights of the frames in the sum, (n,).
-        factors
-            Factors by which the noise is lower.
-
-        Returns
-        -------
-        dict of float to tuple
-            By factor: factor on sigma_a (rms where weights are not zero), and on the error of the sum.
-
+        They are the factor on sigma_a (rms where weights are not zero) and that on the error of the sum. The signal
+        stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
         """
-        if self._structure is None:
+        structure = self.derived.smoother.structure
+        if structure is None:
             return {times: (1.0 / times, 1.0 / times) for times in factors}
         scaled = weights * self._scale
-        now = self._mean_and_sum(self._derived.factor, scaled)
-        lower = {times: _with_less_noise(self._structure, 2.0 * np.log(times)) for times in factors}
+        now = self._mean_and_sum(self.derived.factor, scaled)
+        lower = {times: _with_less_noise(structure, 2.0 * np.log(times)) for times in factors}
         return {
-            times: tuple(np.sqrt(self._mean_and_sum(self._derived.factor_smoother(s), scaled) / now) / times)
+            times: tuple(np.sqrt(self._mean_and_sum(self.derived.factor_smoother(s), scaled) / now) / times)
             for times, s in lower.items()
         }
 
@@ -153,17 +90,17 @@ class FilterResponse:
     @cached_property
     def _line_changes(self) -> list[Array]:
         """Change of the acceleration (n,) by one standard deviation of each line frequency, for unit noise."""
-        x = self._grid.to_frames(self._derived.x) / self._noise
+        x = self._grid.to_frames(self.derived.x) / self.noise
         return [
             self._grid.to_rows(change[2])
-            for change in line_frequency_errors(self._derived.factor, x, self._grid.interval)
+            for change in line_frequency_errors(self.derived.factor, x, self._grid.interval)
         ]
 
     @cached_property
     def _scale(self) -> Array:
         """Stated standard deviations over those of the posterior, (n,)."""
-        stated = np.array(self._derived.deviations()[2])  # a copy, so that the others are released
-        return np.asarray(stated / (self._noise * np.sqrt(self._variances(self._derived.factor))))
+        stated = np.array(self.derived.deviations()[2])  # a copy, so that the others are released
+        return np.asarray(stated / (self.noise * np.sqrt(self._variances(self.derived.factor))))
 
     def _variances(self, factor: FactoredSmoother) -> Array:
         found = self._grid.to_rows(factor.variances(stencil_start(self._grid.n), self._stencils))
@@ -184,7 +121,7 @@ class FilterResponse:
     def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:
         """Transmitted noise of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
-        for made, sigma in self._derived.unit_responses(method):
+        for made, sigma in self.derived.unit_responses(method):
             second = made[2, self._grid.frames] * sigma
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))

@@ -1,20 +1,28 @@
-"""Compute the displacement of sampled positions: even clock, jitter, doubled and missing samples."""
+"""Make displacements and runs of tables and arrays: even clock, jitter, doubled and missing samples, noise."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError
-from frictrack.motion import noise_level
-from frictrack.plausibility import CONTRADICTION, MAX_RELATIVE_DIFFERENCE, time_unit
-from frictrack.records import Array, Displacement, Mask
+from frictrack.errors import FrictrackError, raise_faults
+from frictrack.motion import differentiate, low_pass, noise_level
+from frictrack.plausibility import (
+    CONTRADICTION,
+    MAX_RELATIVE_DIFFERENCE,
+    EnteredValues,
+    implausible_entries,
+    implausible_slide,
+    time_unit,
+)
+from frictrack.records import Array, Displacement, Mask, Run
 from frictrack.sampling import (
     EvenClock,
     SampledPath,
@@ -38,10 +46,12 @@ from frictrack.sampling import (
     unevenness,
     unwrapped,
 )
-from frictrack.study import TableData
+from frictrack.study import COLUMNS, TableData, read_frame
+from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
-    from frictrack.recording import Stamps
+    import pandas as pd
+
 
 Rows = NDArray[np.int64]
 MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is reported
@@ -59,25 +69,12 @@ MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a st
 
 @dataclass(frozen=True, eq=False)
 class EvenTable:
-    """A table whose rows lie on an even clock.
-
-    Attributes
-    ----------
-    data
-        The columns.
-    valid
-        Whether a row holds a sample of its own, (n,).
-    numbers
-        Number of each row in the file, from 0, (n,).
-    notes
-        What was corrected.
-
-    """
+    """A table whose rows lie on an even clock."""
 
     data: TableData
-    valid: Mask
+    valid: Mask  # whether a row holds a sample of its own
     numbers: Rows  # of each row in the file, counted from 0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was corrected
 
 
 def displacement_of_table(
@@ -137,11 +134,8 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         table.numbers,
     )
     displacement = _with_jitter_noise(displacement)
-    return (
-        replace(displacement, sigma_x=_table_sigma(displacement))
-        if np.all(np.isnan(displacement.sigma_x))
-        else displacement
-    )
+    is_known = not np.all(np.isnan(displacement.sigma_x))
+    return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
 
 
 def _with_jitter_noise(displacement: Displacement) -> Displacement:
@@ -180,9 +174,8 @@ def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
 
 def _max_resolved_speed(displacement: Displacement) -> float:
     """Return the speed of half a pixel or half a step per sample, m/s; rounding errors grow with the speed below it."""
-    return (
-        0.5 * max(displacement.pixel_pitch or 0.0, displacement.resolution) / float(np.median(np.diff(displacement.t)))
-    )
+    step = max(displacement.pixel_pitch or 0.0, displacement.resolution)
+    return 0.5 * step / float(np.median(np.diff(displacement.t)))
 
 
 def _table_sigma(displacement: Displacement) -> Array:
@@ -195,16 +188,7 @@ def _table_sigma(displacement: Displacement) -> Array:
 
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
-    """Return the rows of a table, unwrapped, on an even clock; a table without faults is not changed.
-
-    Parameters
-    ----------
-    data
-        The table, as read.
-    fps
-        Frame rate of the study file, Hz; it decides where the time stamps say another.
-
-    """
+    """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
     n = len(data.t)
     rows = np.arange(n)
     if data.x is not None:
@@ -248,14 +232,7 @@ def _second_differences(steps: Array) -> Array:
 
 
 def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
-    """Return a table with rounded stamps on an even clock; None where the stamps are not rounded even times.
-
-    Raises
-    ------
-    FrictrackError
-        If the motion contradicts stamps that seem even.
-
-    """
+    """Return a table with rounded stamps on an even clock; None where the stamps are not rounded even times."""
     given = 1 / fps if fps else None
     every = np.arange(len(data.t))
     counts = [every]  # the motion shows missing rows, also where stamps are rounded to an interval or more
@@ -304,25 +281,12 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
     taken = replace(_select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
         return data, np.arange(len(data.t)), ()
-    moved, notes = _without_jitter(taken, ticks)
-    return moved, rows, (*_stamp_notes(read), *notes)
-
-
-def _without_jitter(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
-    """Return a table whose rows are `ticks` intervals after the first one on an even clock, and notes."""
-    assert data.x is not None
-    if is_even(data.t):
-        return data, ()
-    clock = jittered_clock(data.t, ticks, data.x)
-    return (data, ()) if clock is None else (_at_clock(data, clock), clock.notes)
-
-
-def _stamp_notes(read: Stamps) -> tuple[str, ...]:
-    """Return notes on repeated and wrong time stamps."""
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {describe_frames(read.corrupt)}; the row stays in its place",)
-    return notes
+    assert taken.x is not None
+    clock = None if is_even(taken.t) else jittered_clock(taken.t, ticks, taken.x)
+    return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
 
 
 def _doubled_note(rows: Rows) -> tuple[str, ...]:
@@ -410,9 +374,8 @@ def _sampled_path(data: TableData) -> SampledPath:
     noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
     noise = max(noise, rounding_noise(quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
     ticks = frame_numbers(data.t).astype(np.int64)
-    return SampledPath(
-        x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), MIN_JUMP_SIGMAS * noise, exact=True
-    )
+    every = np.ones(len(x), dtype=bool)
+    return SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
 
 
 def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
@@ -429,3 +392,73 @@ def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
         places = describe_frames([int(numbers[s.frame]) for s in lost])
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
+
+
+SMALLEST_STEP_S = np.finfo(float).tiny  # between time stamps that rise
+
+
+def run_of_arrays(
+    t: ArrayLike, x: ArrayLike, *, mass: float | str | None, optional: Mapping[str, Any], settings: Mapping[str, Any]
+) -> Run:
+    """Make a run of arrays; see `Run.from_arrays`. `optional` holds further columns, None where not measured."""
+    columns: dict[str, Any] = {}
+    faults: list[str] = []
+    for name, values in {"t": t, "x": x, **optional}.items():
+        if values is not None:
+            columns[name], found = _column(name, values, np.size(t))
+            faults += found
+    raise_faults(faults, f'run "{settings.get("name", "run")}"')
+    return _run_of(TableData(**columns), mass, settings)
+
+
+def run_of_dataframe(
+    frame: pd.DataFrame, columns: Mapping[str, str], mass: float | str | None, settings: Mapping[str, Any]
+) -> Run:
+    """Make a run of a DataFrame; see `Run.from_dataframe`."""
+    data = read_frame(frame, columns, str(settings.get("name", "run")))
+    return _run_of(data, mass, settings)
+
+
+def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
+    """Convert to an array (n,) of floats, and list what is wrong with it."""
+    try:
+        number = parse_quantity(values, COLUMNS[name][1], name)[0] if isinstance(values, str) else values
+        array = np.asarray(number, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
+    if array.ndim == 0 and name not in ("t", "x"):
+        array = np.full(n, float(array))
+    if array.shape != (n,):
+        return np.full(n, np.nan), [f"expected {name} of shape ({n},), as t has {n} values, but got {array.shape}"]
+    bad = np.flatnonzero(~np.isfinite(array))
+    if len(bad):
+        hint = "; leave the row out where nothing was measured" if name == "x" else ""
+        return array, [f"expected finite {name} but got {array[bad[0]]} in row {bad[0]}{hint}"]
+    if name == "t" and np.any(back := np.diff(array) < (0 if n >= MIN_ROWS and np.ptp(array) > 0 else SMALLEST_STEP_S)):
+        i = int(np.argmax(back))
+        return array, [f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"]
+    return array, []
+
+
+def _in_si(name: str, value: Any) -> Any:
+    """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
+    if isinstance(value, tuple | list):
+        return tuple(_in_si(name, part) for part in value)
+    units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
+    unit = units.get(name, "")
+    return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
+
+
+def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, Any]) -> Run:
+    """Make a run of a table in SI units, and warn of values that are likely in another unit."""
+    weighed, sigma_mass = (None, 0.0) if mass is None else parse_quantity(mass, "kg", "mass")
+    table = with_even_clock(data)
+    displacement, forces = displacement_of_even_table(table), table.data
+    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
+    given |= {name: _in_si(name, value) for name, value in settings.items()}
+    run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
+    bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
+    entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
+    for finding in (*entries, *implausible_slide(run, film=False)):
+        warnings.warn(str(replace(finding, run=run.name)), stacklevel=4)
+    return run

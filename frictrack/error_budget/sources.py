@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.budget.budget_summary import NOISE_FACTOR_TWICE_FRAMES, Budget
-from frictrack.budget.contributions import (
+from frictrack.error_budget.filter_response import FilterResponse
+from frictrack.error_budget.summary import (
     ALL_FRAMES,
     ALL_RUNS,
     DRIVE,
@@ -17,17 +17,17 @@ from frictrack.budget.contributions import (
     LOCKING,
     MASS,
     NOISE,
+    NOISE_FACTOR_TWICE_FRAMES,
     SCALE,
     SENSOR,
     SHAKE,
     TIME,
+    Budget,
     Contribution,
 )
-from frictrack.budget.filter_response import FilterResponse
-from frictrack.budget.frame_rate import frame_rate_error
 from frictrack.errors import FrictrackError
-from frictrack.friction import friction
-from frictrack.motion import Derivatives, noise_level
+from frictrack.friction import friction, white_noise
+from frictrack.motion import Derivatives
 from frictrack.number_format import format_number
 from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 
@@ -98,9 +98,7 @@ def budget(
     response = FilterResponse(Derivatives.of_x(filtered), run.motion)
     rows = (
         *errors.noise_and_filter(response, film is not None),
-        errors.scale(),
-        errors.mass_error(),
-        errors.time_base(film),
+        *errors.common_errors(film),
         *errors.picture_errors(response, quality),
         *errors.drive_errors((clocks or {}).get("drive", {})),
     )
@@ -122,11 +120,6 @@ class _RunErrors:
         assert run.mass is not None
         self.run, self.free, self.weights, self.mass = run, free, weights, run.mass
 
-    @property
-    def inertia(self) -> Array:
-        """Mass times acceleration (n,), N."""
-        return self.mass * self.run.motion.a
-
     def effect(self, rows: Array) -> tuple[float, float]:
         """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
         return float(np.sqrt(np.mean(rows[self.free] ** 2))), abs(float(self.weights @ rows))
@@ -136,50 +129,35 @@ class _RunErrors:
         noise = response.transmitted_noise(self.weights)
         lost = response.lost_signal(self.weights, noise)
         known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
-        if response.has_accelerometer:
+        if response.derived.sensor_weights is not None:
             known_from += "; the effect includes accelerometer noise"
-        frame, frame_lost = (self.mass * float(np.sqrt(np.mean(s.rows[self.free] ** 2))) for s in (noise, lost))
-        how = (
-            f"removed by the smoother (equivalent low-pass {self.run.motion.cutoff:.3g} Hz), estimated from the record"
-        )
+        rms_noise, rms_lost = (float(np.sqrt(np.mean(error.rows[self.free] ** 2))) for error in (noise, lost))
+        cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
+        how = f"removed by the smoother ({cutoff}), estimated from the record"
         return [
-            Contribution(NOISE, 1e6 * response.noise, "um", known_from, frame, self.mass * noise.total),
-            Contribution(FILTER, _rms(lost.rows[self.free]), "m/s^2", how, frame_lost, self.mass * lost.total),
+            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise.total),
+            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost.total),
         ]
 
-    def scale(self) -> Contribution:
-        """Error of the scale, common to all runs of one camera."""
-        relative = self.run.displacement.relative_scale_error
-        if relative == 0.0:
-            return Contribution(
-                SCALE, None, "%", f"not given; {self._effect_of_permille(self.inertia)}", None, None, ALL_RUNS
-            )
-        known_from = "standard deviation of the calibrated length of the path"
-        return Contribution(SCALE, 100 * relative, "%", known_from, *self.effect(relative * self.inertia), ALL_RUNS)
+    def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:
+        """Errors that all runs share: of the scale, of the mass, and of the frame rate, squared in the acceleration."""
+        inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a + GRAVITY * np.sin(self.run.incline)
+        scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / self.mass
+        rate, rate_from = frame_rate_error(film)
+        length = "standard deviation of the calibrated length of the path"
+        return [
+            self._common(SCALE, scale, inertia, "%", length if scale else "not given"),
+            self._common(MASS, mass, self.mass * weighed, "g", "as given in the study" if mass else "not given"),
+            self._common(TIME, rate, 2 * inertia, "%", rate_from),
+        ]
 
-    def mass_error(self) -> Contribution:
-        """Error of the mass, common to all runs with this slider."""
-        sigma = self.run.sigma_mass
-        acceleration = self.run.motion.a + GRAVITY * np.sin(self.run.incline)
-        if sigma == 0.0:
-            known_from = f"not given; {self._effect_of_permille(self.mass * acceleration)}"
-            return Contribution(MASS, None, "g", known_from, None, None, ALL_RUNS)
-        return Contribution(
-            MASS, 1e3 * sigma, "g", "as given in the study", *self.effect(sigma * acceleration), ALL_RUNS
-        )
-
-    def time_base(self, film: RecordingInfo | None) -> Contribution:
-        """Error of the frame rate; acceleration goes with its square."""
-        error, known_from = frame_rate_error(film)
-        if error is None:
-            return Contribution(
-                TIME, None, "%", f"{known_from}; {self._effect_of_permille(2 * self.inertia)}", None, None, ALL_RUNS
-            )
-        return Contribution(TIME, 100 * error, "%", known_from, *self.effect(2 * error * self.inertia), ALL_RUNS)
-
-    def _effect_of_permille(self, rows: Array) -> str:
-        """Say what an error of 0.1 % would add to the mean."""
-        return f"each 0.1 % would add {format_number(1e-3 * self.effect(rows)[1], 2)} N"
+    def _common(self, source: str, error: float | None, force: Array, unit: str, known_from: str) -> Contribution:
+        """A relative error, and the force (n,) that it multiplies; of an unknown one, what 0.1 % would do."""
+        if not error:
+            known_from += f"; each 0.1 % would add {format_number(1e-3 * self.effect(force)[1], 2)} N"
+            return Contribution(source, None, unit, known_from, None, None, ALL_RUNS)
+        size = error * (1e3 * self.mass if unit == "g" else 100.0)
+        return Contribution(source, size, unit, known_from, *self.effect(error * force), ALL_RUNS)
 
     def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
         """Peak locking and camera shake: systematic errors of the picture."""
@@ -192,7 +170,7 @@ class _RunErrors:
         size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
         if size is None or error is None:
             return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
-        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.x / pitch, pitch)  # of one px
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.derived.x / pitch, pitch)  # of one px
         if size < MIN_SIGMAS_LOCKING * error:
             largest = size + 2 * error
             most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
@@ -226,8 +204,7 @@ class _RunErrors:
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
-        level = float(np.nan_to_num(noise_level(drive, np.isfinite(drive))[0]))
-        n, t = float(np.sum(self.free)), self.run.motion.t
+        level, n, t = white_noise(drive), float(np.sum(self.free)), self.run.motion.t
         known_from = "white noise of the record, from its fifth differences"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")
@@ -241,5 +218,28 @@ class _RunErrors:
         return rows
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+RATE_PREFIX = "frame rate, "
+PLAYBACK = "speed of showing"
+STAMPS = "stamps"
+MIN_RELATIVE_ERROR = 5e-7  # rounding of the rates in the audit
+RATE_TEXTS = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
+
+
+def frame_rate_error(film: RecordingInfo | None) -> tuple[float | None, str]:
+    """Return the relative error of the frame rate, None if not known, and how it is known, or why not.
+
+    The rates by the user, the header and the time stamps are compared with the one that is used; the largest difference
+    counts. Agreement of user and header without camera time stamps proves nothing: both state the setting.
+    """
+    if film is None:
+        return None, "not known: the table's times are used as given"
+    rates = {
+        name.removeprefix(RATE_PREFIX): float(value.split()[0])
+        for name, value, verdict in film.audit
+        if name.startswith(RATE_PREFIX) and verdict != PLAYBACK
+    }
+    error = max((abs(rate / film.fps - 1.0) for rate in rates.values()), default=0.0)
+    if error < MIN_RELATIVE_ERROR and not (film.clocked and STAMPS in rates and len(rates) > 1):
+        used = next((RATE_TEXTS.get(name, name) for name in rates), "the frame rate")
+        return None, f"not known: {used} is used as given; there are no camera time stamps to check it"
+    return max(error, MIN_RELATIVE_ERROR), f"difference of the frame rates ({' and '.join(rates)})"

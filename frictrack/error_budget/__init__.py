@@ -4,8 +4,7 @@ Noise averages out in the mean according to its covariance; errors of scale, mas
 size is not known stays in the table without a number.
 """
 
-from frictrack.budget.budget_summary import Budget
-from frictrack.budget.contributions import Contribution
-from frictrack.budget.error_budget import budget
+from frictrack.error_budget.sources import budget
+from frictrack.error_budget.summary import Budget, Contribution
 
 __all__ = ["Budget", "Contribution", "budget"]

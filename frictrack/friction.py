@@ -1,4 +1,4 @@
-"""Compute the friction force from motion, mass and drive, on the section where nothing else acts on the slider.
+"""Compute the friction force where nothing else acts on the slider, and find the events of a run.
 
     F = D - m a,   D = drive - m g sin(incline)
 
@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.motion import noise_level
-from frictrack.records import GRAVITY, Array, Friction, Mask, Run, stretches
+from frictrack.records import GRAVITY, Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
 MAX_PAUSE_SHARE = 0.1  # of the shorter neighbouring span: longest pause at the reversal of a swing
@@ -29,16 +29,10 @@ EVENT_REACH_FRAMES = 3  # beyond an event that differences still contain it
 MAX_EVENT_DISTANCE = 8  # frames between an event of the smoother and its cause
 MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
-
-
-@dataclass(frozen=True)
-class _Section:
-    """First and last frame of every free flight, the frame of release, and why they are these."""
-
-    flights: tuple[tuple[int, int], ...]
-    release: int
-    begins: str
-    ends: str
+MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
+MIN_IMPACT_RATIO = 5.0  # change of velocity in an impact over that by the typical acceleration
+MIN_REST_FRAMES = 12  # frames needed to estimate the noise
+EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
 
 def free_section(run: Run) -> tuple[Mask, str]:
@@ -87,9 +81,8 @@ def free_section(run: Run) -> tuple[Mask, str]:
         stuck = int(np.sum(valid & ~moving))
         reason = f"whole record ({measured} is measured), {stuck} of {len(valid)} frames left out as stuck"
     else:
-        section = _section(run)
-        mask = valid & moving & ~_events_at_ends(run) & _within(section.flights, len(valid))
-        reason = f"from {section.begins} to {section.ends}"
+        flights, _, reason = _section(run)
+        mask = valid & moving & ~_events_at_ends(run) & _within(flights, len(valid))
     if np.sum(mask) < MIN_FREE_FRAMES:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FREE_FRAMES} free frames but got {np.sum(mask)} ({reason}); '
@@ -99,30 +92,14 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
 
 def release_time(run: Run) -> float:
-    """Recording time of the release, s, before frames are left out for the filter.
-
-    It is the time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free
-    frame.
-    """
+    """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
     if run.free is None and not _has_measured_force(run):
-        return float(run.motion.t[_section(run).release])
+        return float(run.motion.t[_section(run)[1]])
     return float(run.motion.t[np.argmax(free_section(run)[0])])
 
 
 def moving_sections(run: Run) -> list[slice]:
-    """Split the free frames at reversals and stops.
-
-    Parameters
-    ----------
-    run
-        Run of n frames.
-
-    Returns
-    -------
-    list of slice
-        Spans in one direction of motion. They may contain invalid frames, but no stuck ones.
-
-    """
+    """Split the free frames at reversals and stops; a span may contain invalid frames, but no stuck ones."""
     mask, _ = free_section(run)
     free = np.flatnonzero(mask)
     direction = np.sign(run.motion.v[free])
@@ -131,22 +108,11 @@ def moving_sections(run: Run) -> list[slice]:
     return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(free, cuts)]
 
 
-def reverses_freely(run: Run, before: slice, after: slice) -> float | None:
-    """Acceleration with which a mass without a drive reverses smoothly between two spans of its motion.
+def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
+    """Acceleration, m/s^2, with which a mass without a drive reverses smoothly between two spans of its motion.
 
-    Parameters
-    ----------
-    run
-        Run of n frames.
-    before, after
-        Neighbouring spans of motion.
-
-    Returns
-    -------
-    float or None
-        Acceleration, m/s^2; None if the mass rests in between, an impact reverses it, or one of the spans is too
-        short to be told from the end of the smoothed motion at a stop.
-
+    None if the mass rests in between, an impact reverses it, or one of the spans is too short to be distinguished from
+    the end of the smoothed motion at a stop.
     """
     if _has_measured_force(run):
         return None
@@ -169,25 +135,12 @@ def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
 
     Dry friction changes its sign at a reversal. Where gravity or a spring pulls the mass back, it does not rest there,
     and one model must describe the loss from swing to swing. A blow also reverses a mass, but at once: there the spans
-    stay separate, as they do where the drive is measured.
-
-    Parameters
-    ----------
-    run
-        Run of n frames.
-    spans
-        Spans of motion, in order of time.
-
-    Returns
-    -------
-    list of (slice, float)
-        Every span, and the speed (m/s) within which its direction changes: what the mass gains in one frame at its
-        reversals, 0 for a span of one direction.
-
+    stay separate, as they do where the drive is measured. Every span comes with the speed (m/s) within which its
+    direction changes: what the mass gains in one frame at its reversals, 0 for a span of one direction.
     """
     out: list[tuple[slice, float]] = []
     for span in spans:
-        pull = reverses_freely(run, out[-1][0], span) if out else None
+        pull = _swing_acceleration(run, out[-1][0], span) if out else None
         if pull is None:
             out.append((span, 0.0))
         else:
@@ -230,7 +183,7 @@ def impact(run: Run) -> str:
     rows = [row for row in (hit, None if bounce is None else bounce.before) if row is not None]
     if not rows:
         return ""
-    consequence, flights = "takes at least half of its velocity", len(_section(run).flights)
+    consequence, flights = "takes at least half of its velocity", len(_section(run)[0])
     if bounce and bounce.before <= min(rows) + _filter_frames(run):
         consequence = f"turns its velocity from {bounce.v_before:.3g} to {bounce.v_after:.3g} m/s"
     judged = "before that"
@@ -280,12 +233,14 @@ def friction(run: Run) -> Friction:
     """
     mask, reason = free_section(run)
     if run.friction_N is not None:
-        F, sigma = _measured_friction(run.friction_N)
-        return Friction(run.motion.t, F, sigma, mask & np.isfinite(run.friction_N), reason, run.motion.repaired)
+        known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
+        force = np.interp(rows, rows[known], run.friction_N[known])
+        sigma = np.full(len(force), white_noise(run.friction_N))
+        return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
     assert run.mass is not None  # Run checks this
     acceleration = run.motion.a + GRAVITY * np.sin(run.incline)
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
-    sigma_drive = 0.0 if run.drive is None else _white_noise(drive)
+    sigma_drive = white_noise(drive)
     sigma_scale = run.displacement.relative_scale_error * run.mass * run.motion.a
     variance = (
         (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * acceleration) ** 2 + sigma_scale**2 + sigma_drive**2
@@ -293,15 +248,8 @@ def friction(run: Run) -> Friction:
     return Friction(run.motion.t, drive - run.mass * acceleration, np.sqrt(variance), mask, reason, run.motion.repaired)
 
 
-def _measured_friction(series: Array) -> tuple[Array, Array]:
-    """Measured friction with gaps interpolated, N, and its white noise, N, each (n,)."""
-    known = np.isfinite(series)
-    rows = np.arange(len(series))
-    return np.interp(rows, rows[known], series[known]), np.full(len(series), _white_noise(series))
-
-
-def _white_noise(series: Array) -> float:
-    """White noise of a measured force, N; 0 if it cannot be estimated."""
+def white_noise(series: Array) -> float:
+    """Estimate the white noise of a measured force (n,), N, from its differences; 0 if that is not possible."""
     return float(np.nan_to_num(noise_level(series, np.isfinite(series))[0]))
 
 
@@ -324,15 +272,15 @@ def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
     return out
 
 
-def _section(run: Run) -> _Section:
-    """The free section of a run that coasts or slides down an incline."""
+def _section(run: Run) -> tuple[tuple[tuple[int, int], ...], int, str]:
+    """First and last free frame of a run that coasts or slides down an incline, the frame of release, and why."""
     start, stop = _main_motion(run)
     first, release, begins = _find_begin(run, start, stop)
     last, ends = _find_end(run, first, stop)
     more = tuple(_flights_after_bounces(run))
     if more:
         ends += f", and {len(more)} flights after bounces, to {run.motion.t[more[-1][1]]:.4g} s"
-    return _Section(((first, last), *more), release, begins, ends)
+    return ((first, last), *more), release, f"from {begins} to {ends}"
 
 
 def _flights_after_bounces(run: Run) -> Iterator[tuple[int, int]]:
@@ -417,15 +365,11 @@ def _find_end(run: Run, first: int, stop: int) -> tuple[int, str]:
     bounces = [bounce.before for bounce in _bounces(run) if first < bounce.before <= stop]
     hit = _impact(run, first, stop)
     impact_row = min(bounces if hit is None else [hit, *bounces], default=None)
-    event = None if impact_row is None else _event(run, impact_row)
-    if (
-        impact_row is not None and event and event[0] - EVENT_REACH_FRAMES > first
-    ):  # an event is not smeared into the slide
-        return min(event[0] - EVENT_REACH_FRAMES, stop), f"an impact at {t[impact_row]:.4g} s"
     if impact_row is not None:
-        return max(
-            impact_row - filter_frames, first
-        ), f"an impact at {t[impact_row]:.4g} s less {filter_frames} frames for the filter"
+        why, event = f"an impact at {t[impact_row]:.4g} s", _event(run, impact_row)
+        if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
+            return min(event[0] - EVENT_REACH_FRAMES, stop), why
+        return max(impact_row - filter_frames, first), f"{why} less {filter_frames} frames for the filter"
     if stop == np.flatnonzero(run.displacement.valid)[-1]:
         return stop, f"the last valid frame at {t[stop]:.4g} s"
     return stop, f"the last moving frame at {t[stop]:.4g} s"
@@ -602,3 +546,152 @@ def _bounces(run: Run) -> list[Bounce]:
             ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
             out.append(Bounce(float(t[turn] + tau), v_before, v_after, int(last[-1]), int(first[0]), ends))
     return out
+
+
+def find_events(run: Run) -> RunEvents:
+    """Find the events and the rests of a run.
+
+    A reversal is where the velocity crosses zero between two motions of opposite direction. A stop and a start are
+    where the mass rests between motions. An impact changes the velocity by far more than friction does in that time.
+    The noise at rest is that of the unfiltered displacement about the mean of each rest, without rests that creep.
+
+    Parameters
+    ----------
+    run
+        A run with displacement and motion.
+
+    Returns
+    -------
+    RunEvents
+        Events in order as (kind, begin s, end s), rests as (begin s, end s), and the noise at rest, m.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> [kind for kind, _, _ in ft.find_events(ft.samples.runs()[2]).events]
+    ['release', 'stop']
+
+    """
+    t, v = run.motion.t, run.motion.v
+    least = MIN_DISTANCE_SIGMAS * float(np.nanmedian(run.displacement.sigma_x))  # more than the noise of the position
+    spans = split_by_direction(run, stretches(is_moving(run) | ~run.displacement.valid))
+    motions = [s for s in spans if is_motion(run, s) and np.ptp(run.motion.x[s]) > least]
+    release = _release(run)
+    found: list[tuple[str, int, int]] = []  # kind, first and last frame
+    if motions and motions[0].start > MIN_REST_FRAMES:
+        found.append(("start", motions[0].start - 1, motions[0].start))
+    for before, after in pairwise(motions):
+        ends = before.stop - 1
+        if np.sign(v[ends]) != np.sign(v[after.start]) and after.start - ends <= MIN_REST_FRAMES:
+            found.append(("reversal", ends, after.start))
+        else:
+            found += [("stop", ends, ends + 1), ("start", after.start - 1, after.start)]
+    if motions and motions[-1].stop < len(t) - 1:
+        found.append(("stop", motions[-1].stop - 1, motions[-1].stop))
+    found += _impacts(run, motions, -np.inf if release is None else release)
+    events = [("release", release, release)] if release is not None else []
+    events += [(kind, float(t[i]), float(t[j])) for kind, i, j in found]
+    rests = _rests(run, motions)
+    spans_of_rests = tuple((float(t[s.start]), float(t[s.stop - 1])) for s in rests)
+    return RunEvents(tuple(sorted(events, key=lambda e: e[1])), spans_of_rests, _noise(run, rests))
+
+
+def _release(run: Run) -> float | None:
+    """Time of the release of a run without a measured force, s, if it lies after the first frame."""
+    if run.free is not None or _has_measured_force(run):
+        return None
+    try:
+        at = release_time(run)
+    except FrictrackError:
+        return None
+    return at if at > run.motion.t[0] else None
+
+
+def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, int, int]]:
+    """The smoother's events after the release that reduce the speed abruptly and are no stop, start or push."""
+    t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
+    moving = np.zeros(len(t), dtype=bool)
+    for s in motions:
+        moving[s] = True
+    typical = float(np.median(a[moving])) if moving.any() else np.inf
+    out = []
+    for first, last in run.motion.events:
+        i, j = max(first - EDGE_FRAMES, 0), min(last + EDGE_FRAMES, len(t) - 1)
+        if not (moving[i] and moving[j]) or t[first] <= after:
+            continue
+        change = v[j] - v[i]
+        if change * v[i] < 0 and abs(change) > MIN_IMPACT_RATIO * typical * (t[j] - t[i]):
+            out.append(("impact", first, last))
+    return out
+
+
+def _rests(run: Run, motions: list[slice]) -> list[slice]:
+    """Stretches between the motions that are long enough to show the noise."""
+    edges = [0, *[k for s in motions for k in (s.start, s.stop)], len(run.motion)]
+    between = [
+        slice(i + EDGE_FRAMES, max(j - EDGE_FRAMES, i + EDGE_FRAMES))
+        for i, j in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return [s for s in between if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
+
+
+def _noise(run: Run, rests: list[slice]) -> float:
+    """Standard deviation of the displacement at rest, m; NaN without a rest."""
+    at_rest = [run.displacement.x[s][run.displacement.valid[s]] for s in rests]
+    count = sum(len(x) - 1 for x in at_rest)
+    return float(np.sqrt(sum(np.sum((x - np.mean(x)) ** 2) for x in at_rest) / count)) if count else float("nan")
+
+
+def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[float | None]) -> list[Run]:
+    """Return the runs, each with the runs that were made before it.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs on the same surfaces, in the order in which they were made.
+    pauses : sequence of float or None
+        Time between the end of the run before and the beginning of each, s; that of the first does not count. None
+        where it is not known: what happened before then is not known either, for this run and those after it.
+
+    Returns
+    -------
+    list of Run
+        The runs with `earlier`.
+
+    Raises
+    ------
+    FrictrackError
+        If there is not one pause per run.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.with_earlier_runs(ft.samples.runs()[:2], [None, 60.0])
+    >>> runs[0].earlier, [(rest, round(slid, 2)) for rest, slid in runs[1].earlier]
+    ((), [(60.0, 0.21)])
+
+    """
+    if len(pauses) != len(runs):
+        raise FrictrackError(f"expected one pause for each of the {len(runs)} runs but got {len(pauses)}")
+    if all(pause is None for pause in pauses[1:]):
+        return list(runs)
+    earlier: EarlierRuns | None = ()
+    out = [replace(runs[0], earlier=earlier)]
+    for run, pause in zip(runs[1:], pauses[1:], strict=True):
+        if earlier is not None and pause is not None:
+            t = out[-1].motion.t
+            # the distance is without the noise at rest
+            slid = float(np.sum(np.abs(np.diff(out[-1].motion.x)) * is_moving(out[-1])[1:]))
+            earlier = after_run(earlier, float(t[-1] - t[0]), slid, pause)
+        else:
+            earlier = None
+        out.append(replace(run, earlier=earlier))
+    return out
+
+
+def after_run(earlier: EarlierRuns, duration: float, distance: float, pause: float) -> EarlierRuns:
+    """Return what was slid before a run that begins a pause (s) after another one.
+
+    The other one has its own `earlier`, lasted for a duration (s) and slid a distance (m).
+    """
+    return *((rest + duration + pause, slid) for rest, slid in earlier), (pause, distance)
