@@ -15,7 +15,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from frictrack import samples
-from frictrack.arrays import displacement_of_table
 from frictrack.blind.study_files import write_study
 from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
@@ -39,6 +38,7 @@ from frictrack.plausibility import (
 )
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData
+from frictrack.tables import displacement_of_table
 from frictrack.workbench.summaries import check_fields, refuse_implausible
 
 NOISE = 1e-5  # m

@@ -8,7 +8,6 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.local_forces import force_traces
 from frictrack.diagnose.experiments.forecast import compress_response
 from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, simulate_run
 from frictrack.errors import FrictrackError

@@ -27,7 +27,6 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.virtual_runs import (
     LinearisedRun,
@@ -56,6 +55,7 @@ from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
+from frictrack.motion_axes import AXES
 from frictrack.records import Array
 
 SIZE_ROLES = ("amplitude", "depth")
