@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects
+from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
-from frictrack.flow.pipeline import RunPipeline
+from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.friction import free_section
 from frictrack.plausibility import (
     ERROR,
@@ -31,10 +31,13 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import Run, Track
+from frictrack.results import to_builtins
+from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study, read_toml
 from frictrack.units import lacks_unit
 
 LOG = logging.getLogger("frictrack")
+FINDINGS = "findings"  # group of study.h5
 CHECKED_KEYS = ("mass", "scale", "fps", "incline")
 ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 # Table of the study file that a run inherits a key from.
@@ -66,7 +69,7 @@ class Findings:
     @property
     def summary(self) -> list[dict[str, Any]]:
         """The findings as JSON."""
-        return [finding.to_dict() for finding in self._found.values()]
+        return [to_builtins(finding.to_dict()) for finding in self._found.values()]
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -77,6 +80,12 @@ class Findings:
     def contradictions(self) -> tuple[Finding, ...]:
         """The findings in which measured data contradict the study file."""
         return tuple(finding for finding in self._found.values() if finding.contradicts)
+
+    def save(self, pipelines: Sequence[RunPipeline]) -> None:
+        """Store the findings beside the results, from which report and page read them."""
+        path, key = self.study.output / "study.h5", findings_key(pipelines)
+        if stored_findings(path, pipelines) != self.summary:
+            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, Provenance(key))})
 
     def check_study_file(self) -> None:
         """Check the numbers in the study file; a number that several runs inherit is reported once.
@@ -154,6 +163,19 @@ class Findings:
         """Return whether the same was found before, for this run or for all, and from evidence at least as strong."""
         same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
         return any(one.contradicts or not finding.contradicts for one in same)
+
+
+def findings_key(pipelines: Sequence[RunPipeline]) -> str:
+    """Return the hash of what the findings depend on: measured runs, and which of them are marked as checked."""
+    return digest([[p.run.name, p.run.plausible, p.key("motion"), p.key("friction")] for p in pipelines])
+
+
+def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[str, Any]] | None:
+    """Return the stored findings as JSON; None if there are none of these runs as they were measured last."""
+    provenance = store.provenance(path, FINDINGS)
+    if provenance is None or provenance.key != findings_key(pipelines):
+        return None
+    return list(store.read(path, FINDINGS)["warnings"])
 
 
 def _error_messages(errors: Sequence[Finding]) -> list[str]:

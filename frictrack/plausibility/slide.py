@@ -135,7 +135,11 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
 
     """
     slide = estimate_slide(run)
-    return () if slide is None else tuple(replace(f, run=run.name) for f in _found(run, slide, film=film))
+    if slide is None:
+        return ()
+    # The motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares.
+    check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
+    return tuple(replace(f, run=run.name, check=check) for f in _found(run, slide, film=film))
 
 
 def _found(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
