@@ -33,13 +33,15 @@ class TargetOffset:
     sigma_y: float
 
 
-def align_track(track: Track, reference: Track) -> Track:
+def align_track(track: Track, reference: Track, name: str = "the reference") -> Track:
     """Move a track to the point of the body that a reference track follows.
 
     Parameters
     ----------
     track, reference : Track
         Tracks with the pictures of their targets.
+    name : str
+        What the notes call the reference.
 
     Returns
     -------
@@ -59,15 +61,15 @@ def align_track(track: Track, reference: Track) -> Track:
     found = target_offset(track.picture, reference.picture)
     if found is None:
         note = (
-            "its target does not look like the first run's: positions along the course agree only as well as the two "
-            "rectangles do"
+            f"its target does not look like that of {name}: it has an origin of its own along the course, which agrees "
+            "with the other only as well as the two rectangles do, about a pixel; x_offset corrects it"
         )
         return replace(track, notes=(*track.notes, note))
     if np.hypot(found.dx, found.dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(found.sigma_x, found.sigma_y)):
         return track
     note = (
         f"tracked point moved by ({found.dx:+.3f} +/- {found.sigma_x:.3f}, {found.dy:+.3f} +/- {found.sigma_y:.3f}) px "
-        "to that of the first run"
+        f"to that of {name}"
     )
     return replace(track, x_px=track.x_px + found.dx, y_px=track.y_px + found.dy, notes=(*track.notes, note))
 
