@@ -83,12 +83,13 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """
     from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
         Areas,
+        contact_sheet,
         is_polygon,
         learn_target,
         track_in_parallel,
         track_same_target,
     )
-    from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
+    from frictrack.tracking.detection import RESTS, resolve_target, rests_while_others_move  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
@@ -104,7 +105,11 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
             found, pipeline.lesson = shared
             return found
         pipeline.lesson = learn_target(opened, areas, **how)
-        return track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        found = track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        if run.target is None and rests_while_others_move(opened, found):
+            sheet = contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
+            raise FrictrackError(f"{RESTS}; {sheet} shows the place")
+        return found
 
 
 def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, tracks: dict[str, Track]) -> Track:

@@ -38,14 +38,9 @@ from frictrack.units import lacks_unit
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
-CHECKED_KEYS = ("mass", "scale", "fps", "incline")
+# Keys that are checked, and the table of the study file that a run inherits each from.
+CHECKED_KEYS = {"mass": "study", "scale": "camera", "fps": "camera", "incline": ""}
 ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
-# Table of the study file that a run inherits a key from.
-TABLE_OF_INHERITED_KEY = {
-    "mass": "study",
-    "scale": "camera",
-    "fps": "camera",
-}
 
 
 class Findings:
@@ -239,7 +234,8 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
     tables = {_run_name(table): table for table in raw.get("run", [])}
     for run in (run for run in study.runs if not run.plausible):
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
-        values = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
+        above = {key: raw.get(table, {}).get(key) for key, table in CHECKED_KEYS.items()}
+        values = {key: above[key] if own[key] is None else own[key] for key in CHECKED_KEYS}
         bare = frozenset(key for key, value in values.items() if lacks_unit(value))
         for found in implausible_entries(_entered_numbers(run, bare)):
             yield found if own[found.kind] is not None else replace(found, run="")
@@ -269,7 +265,3 @@ def _raw_tables(study: Study) -> dict[str, Any]:
 def _run_name(table: dict[str, Any]) -> str:
     """Return the name of a run; without one, the stem of its recording."""
     return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
-
-
-def _inherited(raw: dict[str, Any], key: str) -> Any:
-    return raw.get(TABLE_OF_INHERITED_KEY[key], {}).get(key) if key in TABLE_OF_INHERITED_KEY else None
