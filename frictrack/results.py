@@ -173,9 +173,14 @@ class Results:
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be computed
-    warnings: tuple[str, ...] = ()  # implausible numbers of the study
+    implausible: tuple[dict[str, Any], ...] = ()  # numbers of the study: JSON of `frictrack.plausibility.Finding`
     outdated: tuple[str, ...] = ()  # what was changed in the study file since the results were computed
     outdated_parts: tuple[OutdatedPart, ...] = ()  # the same result by result, each with its reason
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The implausible numbers of the study as sentences."""
+        return tuple(str(found["words"]) for found in self.implausible)
 
     @property
     def current(self) -> ModelResults | None:

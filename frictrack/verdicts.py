@@ -17,6 +17,8 @@ VERDICTS = {
 
 MAX_EQUIVALENTS_NAMED = 4
 
+CHECK_FIRST = "Check first:"  # heads every implausible number of a study, beside the number and above the verdict
+
 VERDICT_ONLY = (
     "Only the verdict is known so far, and it is final; `frictrack diagnose` computes where the model fails and the "
     "next experiments."

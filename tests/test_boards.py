@@ -14,7 +14,7 @@ from repeats import few_or_many
 
 from frictrack.calibration import parse_scale, plane_map
 from frictrack.calibration.board import Board, BoardView
-from frictrack.calibration.camera import plane_from_views
+from frictrack.calibration.lens import plane_from_views
 from frictrack.errors import FrictrackError
 
 TILTED = turned(0.1, 0.35, 0.05), np.array([-0.05, -0.03, 0.6])  # keystone of a fifth

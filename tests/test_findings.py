@@ -11,7 +11,15 @@ import pytest
 from frictrack.flow.target_rotation import rotation_note
 from frictrack.flow.track_quality import lost_frames_note
 from frictrack.records import Track
-from frictrack.tracking.checks import forward_backward, key_frame_notes, peak_locking, scores, self_test
+from frictrack.tracking.checks import (
+    forward_backward,
+    key_frame_notes,
+    peak_locking,
+    scores,
+    self_test,
+    slips,
+    timing_note,
+)
 
 N, SIGMA = 600, 0.002
 K = np.arange(N, dtype=float)
@@ -159,11 +167,11 @@ def test_where_peak_locking_cannot_be_told():
 
 
 def test_a_note_only_where_it_matters():
-    (note,) = self_test(a_track(slide(K), locking=0.004)).notes
+    (note,) = self_test(a_track(slide(K), locking=0.004))
     assert "peak locking of 0.004" in note
     assert "at the typical speed an oscillation of" in note
-    assert self_test(a_track(slide(K), locking=0.0)).notes == ()
-    assert self_test(a_track(slide(K), locking=0.0002)).notes == ()
+    assert self_test(a_track(slide(K), locking=0.0)) == ()
+    assert self_test(a_track(slide(K), locking=0.0002)) == ()
 
 
 # ---- scores, forward and backward
@@ -177,7 +185,7 @@ def test_stretches_of_low_score():
     assert found.lowest == 0.6
     assert found.lowest_frame == 100
     assert found.median == pytest.approx(0.99, abs=0.001)
-    assert self_test(a_track(slide(K), score=score)).notes == (
+    assert self_test(a_track(slide(K), score=score)) == (
         "match score low (usually 0.99, down to 0.60) in frames 100-102, 400",
     )
     assert scores(a_track(slide(K))).low == ()
@@ -198,4 +206,4 @@ def test_forward_and_backward():
 def test_a_doubled_frame_is_noted():
     x = slide(K)
     x[300:] = slide(K[:-300] + 299)
-    assert self_test(a_track(x)).notes == ("1 frame is doubled, found from the motion: frame 300",)
+    assert timing_note(slips(a_track(x))) == ("1 frame is doubled, found from the motion: frame 300",)

@@ -16,7 +16,7 @@ from frictrack.flow import Session, film_stages, open_study
 from frictrack.flow.track_quality import correct_times
 from frictrack.records import Track
 from frictrack.simulate.scene import film_scene, read_scene
-from frictrack.tracking.checks.timing import Slip
+from frictrack.tracking.checks import Slip
 
 SCENE = """
 name = "one slide"

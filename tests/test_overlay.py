@@ -13,8 +13,7 @@ from blocks import SHAPE, SLIDE, N, a_film
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import contact_sheet, overlay_video, target_line, track
-from frictrack.tracking.show.canvas import Canvas
-from frictrack.tracking.show.overlay import COLOURS, corners
+from frictrack.tracking.show import COLOURS, Canvas, corners
 
 
 def a_track(x, name="target", angle=0.0, lost=()):

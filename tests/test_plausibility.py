@@ -7,19 +7,22 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from io import StringIO
 from math import cos, radians, sin
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.integrate import solve_ivp
 
 from frictrack import samples
 from frictrack.blind.study_files import write_study
 from frictrack.blind.truth_sampling import draw_truth
 from frictrack.cli import main
+from frictrack.cli.diagnosis_output import verdict
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study
+from frictrack.flow import Session, open_study, read_results
 from frictrack.flow.new_study import propose_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.plausibility import (
@@ -39,7 +42,7 @@ from frictrack.plausibility import (
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData
 from frictrack.tables import displacement_of_table
-from frictrack.workbench.summaries import check_fields, refuse_implausible
+from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
 
 NOISE = 1e-5  # m
 FPS = 1000.0
@@ -683,3 +686,31 @@ def test_swings_of_one_mass_with_other_origins(tmp_path):
     said = {one["file"]: one["words"] for one in propose_study(tmp_path, {"mass": "0.1 kg"})["found"]}
     assert "mm from those of a.csv" in said["c.csv"]
     assert "from those" not in said["b.csv"]
+
+
+def test_an_implausible_number_stands_beside_its_box_and_above_the_verdict(study_file: Path) -> None:
+    edit(study_file, 'mass = "0.350 +/- 0.002 kg"', 'mass = "350 kg"')
+    session = Session(open_study(study_file))
+    session.bring_up_to("friction")
+    words = session.findings.messages
+    assert len(words) == 3
+    assert "more than a blow gives" in words[0]
+    state = state_of(SnapshotReader(study_file).read())  # the page reads files, not the session
+    assert state["check_first"] == [f"Check first: {one}." for one in words]
+    assert state["fields"]["mass"]["warning"] == f"Check first: {words[0]}."
+    assert state["runs"][1]["fields"]["mass"]["warning"] == f"Check first: {words[1]}."
+    assert state["fields"]["fps"]["warning"] is None  # a table has a clock of its own
+    assert read_results(session.study).warnings == words
+    shown = StringIO()
+    diagnosis = {"verdict": "complete", "missing": [], "candidates": [], "warnings": session.findings.summary}
+    verdict(Console(file=shown, width=500), diagnosis)
+    assert shown.getvalue().index(f"Check first: {words[0]}") < shown.getvalue().index("no further effect")
+    edit(study_file, 'mass = "350 kg"', 'mass = "0.35 kg"')
+    state = state_of(SnapshotReader(study_file).read())
+    assert (state["check_first"], state["fields"]["mass"]["warning"]) == ([], None)  # the new one is not measured yet
+
+
+def test_the_speed_of_a_film_questions_the_scale_first() -> None:
+    run = run_of(*struck(), mass=350.0)
+    assert [found.check for found in implausible_slide(run, film=True)] == [("scale", "fps", "mass")]
+    assert [found.to_dict()["check"] for found in implausible_slide(run, film=False)] == [("mass",)]

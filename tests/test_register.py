@@ -8,7 +8,7 @@ from film import moved, speckle
 
 from frictrack.records import Track
 from frictrack.tracking import align_track
-from frictrack.tracking.registration import target_offset
+from frictrack.tracking.shared_target import target_offset
 
 TEXTURE = 128 + speckle((100, 140), np.random.default_rng(0))
 H, W = 53, 83
@@ -63,4 +63,4 @@ def test_the_track_is_moved_and_says_so():
     assert "+/- 0.0" in note
     assert align_track(a_track(cut()), a_track(cut(seed=3))).notes == ()
     (note,) = align_track(a_track(cut()), a_track(None)).notes
-    assert note.startswith("its target does not look like the first run's")
+    assert note.startswith("its target does not look like that of the reference: it has an origin of its own")

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from frictrack.flow import open_study
+from frictrack.flow.stages import run_pipelines
 from frictrack.recording import open_recording
 from frictrack.records import Array
 from frictrack.tracking import Areas, TargetModel, learn_target, track_same_target
@@ -46,6 +48,15 @@ def test_films_of_one_body_are_tracked_at_one_point_to_the_noise(known: TargetMo
         assert np.std(error) < 1.1 * np.median(track.sigma_px[track.found])
         offsets.append(float(np.mean(error)))
     assert np.ptp(offsets) < 0.0005  # px; with a target learnt from each film, 0.004
+
+
+def test_the_order_of_the_runs_does_not_choose_the_film_that_all_follow(tmp_path: Path) -> None:
+    for names in (("slow", "fast", "to_a_stop"), ("to_a_stop", "slow", "fast")):
+        runs = "".join(f'[[run]]\nvideo = "{(SAMPLES / name).as_posix()}.avi"\n' for name in names)
+        (tmp_path / "study.toml").write_text(f'[camera]\nfps = 4000\nscale = "0.5 mm/px"\n[study]\nmass = 0.35\n{runs}')
+        pipelines = run_pipelines(open_study(tmp_path / "study.toml"))
+        followed = {p.run.name: p.anchor.run.name if p.anchor else None for p in pipelines}
+        assert followed == {"fast": None, "slow": "fast", "to_a_stop": "fast"}
 
 
 def larger(frame: Array) -> Array:

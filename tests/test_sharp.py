@@ -17,8 +17,12 @@ from frictrack.records import Array, Track
 from frictrack.tracking import track
 from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.subpixel_fit import SubpixelFit
-from frictrack.tracking.super_resolution import peak_locking_correction, smooth_path
-from frictrack.tracking.template_learning import learn_template, template_from_frame
+from frictrack.tracking.template_learning import (
+    learn_template,
+    peak_locking_correction,
+    smooth_path,
+    template_from_frame,
+)
 
 FINE = 16  # cells of the drawing per pixel
 SIZE = 40, 48  # px

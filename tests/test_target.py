@@ -9,8 +9,8 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking import find_reference
-from frictrack.tracking.detection import resolve_target
+from frictrack.tracking import driver, find_reference, track
+from frictrack.tracking.detection import resolve_target, rests_while_others_move
 
 
 def a_track(x, y=31.5, size=SIZE):
@@ -61,6 +61,32 @@ def test_a_click_on_what_rests():
     assert 30 <= y <= 37
     assert 227 <= x + w <= 236
     assert 58 <= y + h <= 64
+
+
+@pytest.mark.parametrize("click", [(120, 30), (112, 36), (125, 24)])
+def test_a_click_on_a_plain_disc_takes_its_outline(click):
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+    def draw(i):
+        picture = np.where((x - 120) ** 2 + (y - 30) ** 2 < 20**2, 205.0 + 0.3 * (x - 120), 70.0 + 0.05 * x)
+        return cv2.GaussianBlur(picture, (0, 0), 1.0) + rng.standard_normal(SHAPE)
+
+    left, top, w, h = resolve_target(shown(draw), click)[0]
+    assert (left, top) == pytest.approx((98, 8), abs=2)  # the disc begins at 100 and 10
+    assert (w, h) == pytest.approx((45, 45), abs=3)
+
+
+def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
+    film, empty = a_film(SLIDE), np.full(N, 215.0)
+    assert rests_while_others_move(film, a_track(empty))
+    assert not rests_while_others_move(film, a_track(SLIDE))
+    assert not rests_while_others_move(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
+    x, y, w, h = (round(v) for v in a_track(empty).target)
+    monkeypatch.setattr(driver, "resolve_target", lambda *_: ((x, y, w, h), 0))
+    with pytest.raises(FrictrackError, match="the place that was found rests while something else moves"):
+        track(film)
+    assert np.ptp(track(film, [x, y, w, h]).x_px) < 1  # what the user has drawn is tracked
 
 
 def test_a_picture_of_the_target(tmp_path):

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from runs import BASE, TOLD, Spec, study
+from runs import BASE, TOLD, Spec, measured, study
+from scipy.integrate import solve_ivp
 
 from frictrack import models
 from frictrack.diagnose import diagnose
@@ -16,6 +17,7 @@ from frictrack.effects import LIBRARY
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import gain_by_smaller_scatter, try_together
+from frictrack.records import Array
 
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
 SPEEDS = (  # m/s, mass over the reference, s: none stops
@@ -145,3 +147,24 @@ def test_a_law_is_fitted_beside_those_in_whose_place_it_may_stand(name):
     found = fit(model, runs)
     assert found.model.names == model
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("scale", [0.1, 10.0])
+def test_a_wrong_scale_is_absorbed_by_the_forces_and_by_the_stribeck_velocity(scale: float) -> None:
+    """Tustin's law by Runge-Kutta, its lengths multiplied by a constant: v_s of 4 m/s lies beyond no bound."""
+    law = {"F_c": 0.9, "F_s": 1.3, "v_s": 0.4, "F_v": 0.04}
+
+    def acceleration(t: float, y: Array) -> list[float]:
+        dry = law["F_c"] + (law["F_s"] - law["F_c"]) * np.exp(-y[1] / law["v_s"])
+        return [y[1], -(dry + law["F_v"] * y[1]) / 0.35]
+
+    runs = []
+    for k, (start, seconds) in enumerate(((6.0, 0.1), (1.5, 0.1), (0.4, 0.11))):
+        t = np.arange(round(2000 * seconds)) / 2000
+        x = solve_ivp(acceleration, (0, t[-1]), [0.0, start], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+        rng = np.random.default_rng(k)
+        runs.append(measured(t, scale * x, sigma=scale * 1e-6, mass=0.35, name=f"r{k}", pitch=scale * 5e-4, rng=rng))
+    values = {name: found.value for name, found in fit("tustin", runs).parameters.items()}
+    assert values["stribeck.v_s"] == pytest.approx(scale * law["v_s"], rel=0.05)
+    assert values["coulomb.F_c"] == pytest.approx(scale * law["F_c"], rel=0.02)
+    assert values["viscous.F_v"] == pytest.approx(law["F_v"], rel=0.1)

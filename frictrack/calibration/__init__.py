@@ -10,21 +10,17 @@ from typing import TYPE_CHECKING
 from frictrack.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
-    from frictrack.calibration.displacement import calibrate
-    from frictrack.calibration.plane import PlaneMap
-    from frictrack.calibration.rotating_target import MIN_ROTATION
-    from frictrack.calibration.scale import Scale, parse_scale
-    from frictrack.calibration.scale_to_map import plane_map
+    from frictrack.calibration.course_direction import MIN_ROTATION
+    from frictrack.calibration.displacement import calibrate, plane_map
+    from frictrack.calibration.scale import PlaneMap, Scale, parse_scale
     from frictrack.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake
 
 _MODULE_OF = module_of(
     {
-        "displacement": "calibrate",
+        "displacement": "calibrate plane_map",
         "shake": "estimate_shake Shake significant_motion subtract_shake",
-        "rotating_target": "MIN_ROTATION",
-        "scale": "parse_scale Scale",
-        "scale_to_map": "plane_map",
-        "plane": "PlaneMap",
+        "course_direction": "MIN_ROTATION",
+        "scale": "parse_scale PlaneMap Scale",
     }
 )
 

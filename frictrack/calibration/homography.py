@@ -3,18 +3,22 @@
 The errors are those of the picture points, and their squares are minimised in the picture, on normalised coordinates
 (Hartley & Zisserman 2004, Multiple View Geometry, 4.2 and 4.4). One radial coefficient k of the lens,
 p = c + (q - c)(1 + k |q - c|^2 / R^2), can be fitted as well.
+
+Compute the map of a plane from four or more points at known places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
 
-from frictrack.calibration.plane import PlaneMap, Straight, as_seen, project
+from frictrack.calibration.scale import PlaneMap, Straight, as_seen, check_points, click_std, project
+from frictrack.distributions import chi2_sf
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
@@ -203,3 +207,55 @@ def _check_spread(points: Array, what: str) -> None:
     strength = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not strength[1] > MIN_ASPECT * strength[0]:
         raise FrictrackError(f"expected {what} that span a plane but all of them lie on one line; add one beside it")
+
+
+ALPHA_MISFIT = 1e-3  # significance level at which the points fit worse than they were clicked
+
+
+def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
+    """Compute the map of ``{points = [[x, y], ...], plane = [[X, Y], ...]}``.
+
+    Parameters
+    ----------
+    scale : mapping
+        Points in the picture (px) and their places on the plane.
+    straight : callable
+        Removes the distortion of a known lens from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        With five or more points their misfit is tested; a significant one enlarges the covariance and gives a note.
+
+    Raises
+    ------
+    FrictrackError
+        For points that do not determine a plane.
+
+    """
+    points, places, std = check_points(scale)
+    click = click_std(scale)
+    sigma = np.full(len(points), click)
+    fitted = fit_view(points, places, sigma, straight)
+    if np.any(std > 0):  # uncertain places count as clicks that are as uncertain
+        pitch = np.sqrt(np.abs(np.linalg.det(fitted.map.jacobian(points))))
+        sigma = np.sqrt(click**2 + np.mean(std**2, axis=1) / pitch**2)
+        fitted = fit_view(points, places, sigma, straight)
+    return _with_misfit(fitted, click, points)
+
+
+def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
+    """Add the misfit of the points to the map: a description, or a note and a larger covariance."""
+    n, degrees = len(points), fitted.degrees
+    used = f"scale by {n} points of known place, clicked to {click:g} px"
+    if degrees == 0:
+        return replace(fitted.map, used=f"{used}; a fifth point would show whether they fit")
+    used += f"; they fit to {fitted.rms:.2g} px"
+    if chi2_sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
+        return replace(fitted.map, used=used)
+    variance_ratio = fitted.chi2 / degrees
+    note = (
+        f"the points of the scale lie {np.sqrt(variance_ratio):.1f} times as far off as clicks of {click:g} px would: "
+        "check places, order and lens; the uncertainty of the scale is enlarged by that"
+    )
+    return replace(fitted.map, used=used, covariance=fitted.map.covariance * variance_ratio, notes=(note,))

@@ -17,6 +17,7 @@ from frictrack.cli.tables import table as _table
 from frictrack.motion_axes import AXES
 from frictrack.number_format import format_plain, format_plus_minus
 from frictrack.verdicts import (
+    CHECK_FIRST,
     VERDICT_ONLY,
     describe_alternatives,
     describe_formula,
@@ -52,6 +53,8 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
         JSON of `frictrack diagnose`, also of one that is not complete.
 
     """
+    for found in result.get("warnings") or []:
+        out.print(f"[bold]{CHECK_FIRST}[/bold] {escape(found['words'])}")
     out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")

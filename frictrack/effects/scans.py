@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.records import Array, EarlierRuns
 
-MAX_SPEED_SLOW_MACHINE = 0.05  # m/s: a machine that is never faster gets a scan on its own scale of speeds
+USUAL_TOP_SPEED = 6.0  # m/s; where runs are faster, or a scale is wrong, the range of Stribeck velocities grows along
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,10 @@ def spatial_periods(span: Span) -> Array:
 
 def stribeck_velocities(span: Span, low: float = 0.02, per_decade: int = 8) -> Array:
     """Return Stribeck velocities worth trying, m/s: one far below the slowest speed seen leaves no trace."""
-    if span.v_max < MAX_SPEED_SLOW_MACHINE:
-        return log_grid(max(span.v_min / 6, span.v_max / 100), 2 * span.v_max, per_decade)
-    return log_grid(min(max(low, span.v_min / 6), 1.0), 2.0, per_decade)
+    growth = max(1.0, span.v_max / USUAL_TOP_SPEED)
+    highest = min(2.0 * growth, 2 * span.v_max)
+    lowest = max(min(low * growth, span.v_max / 100), span.v_min / 6)
+    return log_grid(min(lowest, highest / 2), highest, per_decade)
 
 
 def bend_velocities(span: Span, above: float = 2.0) -> Array:

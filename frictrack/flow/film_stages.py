@@ -83,12 +83,13 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """
     from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
         Areas,
+        contact_sheet,
         is_polygon,
         learn_target,
         track_in_parallel,
         track_same_target,
     )
-    from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
+    from frictrack.tracking.detection import RESTS, resolve_target, rests_while_others_move  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
@@ -98,13 +99,17 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         where = run.target if is_polygon(run.target) else rectangle
         areas = Areas(where, run.exclude, run.obstacles)
         how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
-        known = _target_of_first_film(pipeline)
+        known = _target_of_anchor(pipeline)
         shared = known and track_same_target(opened, areas, known, **how)
         if shared:
             found, pipeline.lesson = shared
             return found
         pipeline.lesson = learn_target(opened, areas, **how)
-        return track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        found = track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        if run.target is None and rests_while_others_move(opened, found):
+            sheet = contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
+            raise FrictrackError(f"{RESTS}; {sheet} shows the place")
+        return found
 
 
 def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, tracks: dict[str, Track]) -> Track:
@@ -136,8 +141,8 @@ def _pool(pipeline: RunPipeline) -> WorkerPool | None:
     return pipeline.pool if pipeline.recording.direct else None
 
 
-def _target_of_first_film(pipeline: RunPipeline) -> TargetModel | None:
-    """Return the target that the first film of the study shows, if it may be the same in this film."""
+def _target_of_anchor(pipeline: RunPipeline) -> TargetModel | None:
+    """Return the target that was learnt from another film of the study, if it may be the same in this film."""
     anchor = pipeline.anchor
     if anchor is None or _has_drawn_areas(pipeline.run) or _has_drawn_areas(anchor.run):
         return None
@@ -314,7 +319,7 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
     clean, notes, numbers = correct_track(track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake)
     clean = replace(clean, notes=(*track.notes, *notes))
     if anchor:  # after the checks: they compare tracks of one film, which follow one point
-        clean = align_track(clean, anchor.get("track"))
+        clean = align_track(clean, anchor.get("track"), f"run {anchor.run.name}")
     unseen = (NOTE_NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     displacement = calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*clean.notes, *unseen)))),

@@ -60,6 +60,7 @@ class MeasuredRuns:
         self._update(stage, self.pipelines)
         if stage == "friction":
             self.findings.check_all_runs(self.pipelines)
+            self.findings.save(self.pipelines)
         return self.pipelines
 
     def _check_inputs(self, stage: str) -> None:

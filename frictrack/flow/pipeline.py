@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 LATER_KEYS = ("repair",)  # left out where they are empty: results that were stored before the key existed stay valid
-STAGES_FROM_FIRST_FILM = ("track", "displacement")  # for which the target of the first film is used
+STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]
 """Callable ``progress(done, total, what)``, called while something is being done; 0 of 0 announces a new step."""
@@ -243,7 +243,7 @@ class RunPipeline:
         if name not in self._inputs:
             stage = self.stages[name]
             groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
-            if name in STAGES_FROM_FIRST_FILM and self.anchor:
+            if name in STAGES_FROM_ANCHOR and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
             paths = self.input_files(stage)
             stored = self._provenance(name) if self.run.video in paths else None  # only a film has a former hash
@@ -259,8 +259,11 @@ class RunPipeline:
 
     @cached_property
     def anchor(self) -> RunPipeline | None:
-        """The first film of the study, whose point of the target all films follow; None for itself and for tables."""
-        first = next((r for r in self.study.runs if r.video), None)
+        """The film whose point of the target all films follow; None for itself and for tables.
+
+        It is the first by name, so that the order of the runs in the study file changes nothing.
+        """
+        first = min((r for r in self.study.runs if r.video), key=lambda r: r.name, default=None)
         if first is None or not self.run.video or first.name == self.run.name:
             return None
         return RunPipeline(self.study, first, self.stages, self._progress, stored_only=self.stored_only)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects
+from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
-from frictrack.flow.pipeline import RunPipeline
+from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.friction import free_section
 from frictrack.plausibility import (
     ERROR,
@@ -31,18 +31,16 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import Run, Track
+from frictrack.results import to_builtins
+from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study, read_toml
 from frictrack.units import lacks_unit
 
 LOG = logging.getLogger("frictrack")
-CHECKED_KEYS = ("mass", "scale", "fps", "incline")
+FINDINGS = "findings"  # group of study.h5
+# Keys that are checked, and the table of the study file that a run inherits each from.
+CHECKED_KEYS = {"mass": "study", "scale": "camera", "fps": "camera", "incline": ""}
 ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
-# Table of the study file that a run inherits a key from.
-TABLE_OF_INHERITED_KEY = {
-    "mass": "study",
-    "scale": "camera",
-    "fps": "camera",
-}
 
 
 class Findings:
@@ -66,7 +64,7 @@ class Findings:
     @property
     def summary(self) -> list[dict[str, Any]]:
         """The findings as JSON."""
-        return [finding.to_dict() for finding in self._found.values()]
+        return [to_builtins(finding.to_dict()) for finding in self._found.values()]
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -77,6 +75,12 @@ class Findings:
     def contradictions(self) -> tuple[Finding, ...]:
         """The findings in which measured data contradict the study file."""
         return tuple(finding for finding in self._found.values() if finding.contradicts)
+
+    def save(self, pipelines: Sequence[RunPipeline]) -> None:
+        """Store the findings beside the results, from which report and page read them."""
+        path, key = self.study.output / "study.h5", findings_key(pipelines)
+        if stored_findings(path, pipelines) != self.summary:
+            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, Provenance(key))})
 
     def check_study_file(self) -> None:
         """Check the numbers in the study file; a number that several runs inherit is reported once.
@@ -156,6 +160,19 @@ class Findings:
         return any(one.contradicts or not finding.contradicts for one in same)
 
 
+def findings_key(pipelines: Sequence[RunPipeline]) -> str:
+    """Return the hash of what the findings depend on: measured runs, and which of them are marked as checked."""
+    return digest([[p.run.name, p.run.plausible, p.key("motion"), p.key("friction")] for p in pipelines])
+
+
+def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[str, Any]] | None:
+    """Return the stored findings as JSON; None if there are none of these runs as they were measured last."""
+    provenance = store.provenance(path, FINDINGS)
+    if provenance is None or provenance.key != findings_key(pipelines):
+        return None
+    return list(store.read(path, FINDINGS)["warnings"])
+
+
 def _error_messages(errors: Sequence[Finding]) -> list[str]:
     """Return the messages of errors, one for all errors with the same correction, and how to accept the number."""
     groups: dict[tuple[str, str], list[Finding]] = {}
@@ -217,7 +234,8 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
     tables = {_run_name(table): table for table in raw.get("run", [])}
     for run in (run for run in study.runs if not run.plausible):
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
-        values = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
+        above = {key: raw.get(table, {}).get(key) for key, table in CHECKED_KEYS.items()}
+        values = {key: above[key] if own[key] is None else own[key] for key in CHECKED_KEYS}
         bare = frozenset(key for key, value in values.items() if lacks_unit(value))
         for found in implausible_entries(_entered_numbers(run, bare)):
             yield found if own[found.kind] is not None else replace(found, run="")
@@ -247,7 +265,3 @@ def _raw_tables(study: Study) -> dict[str, Any]:
 def _run_name(table: dict[str, Any]) -> str:
     """Return the name of a run; without one, the stem of its recording."""
     return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
-
-
-def _inherited(raw: dict[str, Any], key: str) -> Any:
-    return raw.get(TABLE_OF_INHERITED_KEY[key], {}).get(key) if key in TABLE_OF_INHERITED_KEY else None

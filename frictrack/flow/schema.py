@@ -42,6 +42,7 @@ STUDY_GROUPS = {
     "models": "a group per model in the order tried, `<number>_<name>`; `study_model` is the study file's (JSON)",
     "comparison": "`summary`: JSON of `frictrack compare`",
     "diagnosis": "a link to the diagnosis of the current model",
+    "findings": "`warnings`: the implausible numbers, as in the JSON of `frictrack run`",
     "papers": "a group like a model's: the papers' route, force domain and SGA",
 }
 _COMMENT = re.compile(r"^    (\w+): .*?  # (.*)$", re.MULTILINE)

@@ -596,7 +596,7 @@ class Session:
             self.progress(0, 0, f"writing {path.name}")
             from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw
 
-            report.write(replace(read_results(self.study), notes=notes, warnings=warnings), path, key)
+            report.write(replace(read_results(self.study), notes=notes), path, key)
         return path
 
     def _report_inputs(self) -> list[Path]:
@@ -660,7 +660,7 @@ class Session:
         from frictrack.flow.stored_results import read_results  # noqa: PLC0415
 
         notes = self._update_all(seed)
-        return replace(read_results(self.study), notes=notes, warnings=self.findings.messages)
+        return replace(read_results(self.study), notes=notes)
 
     def _update_all(self, seed: int | None) -> tuple[str, ...]:
         """Compute all that is missing or outdated; return notes, also on what could not be computed."""

@@ -114,7 +114,7 @@ def run_pipeline(
 
 
 def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPool | None = None) -> list[RunPipeline]:
-    """Return the pipelines of all runs; those of films share that of the first film, and the target learnt from it.
+    """Return the pipelines of all runs; those of films share one, and the target learnt from its film.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPo
     found = [run_pipeline(study, run, progress) for run in study.runs]
     for pipeline in found:
         pipeline.pool = pool
-    films = [pipeline for pipeline in found if pipeline.run.video]
+    films = sorted((pipeline for pipeline in found if pipeline.run.video), key=lambda one: one.run.name)
     for pipeline in films[1:]:
         pipeline.anchor = films[0]
     return found

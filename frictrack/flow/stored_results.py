@@ -22,6 +22,7 @@ from frictrack.flow.duplicate_runs import duplicate_notes
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.outdated import find_outdated
 from frictrack.flow.pipeline import RunPipeline, no_progress
+from frictrack.flow.plausibility_checks import stored_findings
 from frictrack.flow.run_budget import run_budget
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import run_pipeline
@@ -29,7 +30,7 @@ from frictrack.flow.track_quality import track_quality
 from frictrack.flow.tried_models import TriedModels, model_results
 from frictrack.motion import derivatives, low_pass
 from frictrack.records import Array, RunEvents
-from frictrack.results import ModelResults, Results, RunResults, to_builtins
+from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
 from frictrack.study import Study
 from frictrack.version import __version__
 
@@ -92,6 +93,7 @@ class ResultsReader:
                 diagnosis=current.diagnosis if current else None,
                 figures=current.figures if current else {},
                 papers=self._model(models, "papers") if has_papers else None,
+                implausible=_implausible(models, pipelines, outdated),
                 outdated=tuple(_outdated_items(pipelines, models)),
                 outdated_parts=outdated,
             )
@@ -247,6 +249,15 @@ def _outdated_items(pipelines: list[RunPipeline], models: TriedModels) -> Iterat
         yield key if len(names) == len(pipelines) else f"{key} of {', '.join(names)}"
     if models.is_current_outdated():
         yield "what the model was fitted to"
+
+
+def _implausible(
+    models: TriedModels, pipelines: list[RunPipeline], outdated: Iterable[OutdatedPart]
+) -> tuple[dict[str, Any], ...]:
+    """Return the implausible numbers of the study; none once a number of a run was changed, until it is measured."""
+    if any(part.what in ("track", "motion") for part in outdated):
+        return ()
+    return tuple(stored_findings(models.path, pipelines) or ())
 
 
 def _summary(models: TriedModels, group: str) -> Any:

@@ -60,7 +60,7 @@ def correct_track(
 
     track = track.measured
     clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
-    notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean, ()).notes)
+    notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean))
     notes += (*rotation_note(clean), *lost_frames_note(clean))
     rows = np.arange(len(track)) if clocked else kept_rows(len(track), slips)
     return (

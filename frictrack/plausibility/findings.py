@@ -29,6 +29,8 @@ class Finding:
         "error" where the number cannot be right, else "warning".
     contradicts
         Whether the measured data contradict what was typed. No verdict holds before one of the two is put right.
+    check
+        Keys of the study file to check, the likeliest first; by default the kind.
 
     """
 
@@ -38,13 +40,14 @@ class Finding:
     run: str = ""
     grade: str = WARNING
     contradicts: bool = False
+    check: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f'run "{self.run}": {self.words}' if self.run else self.words
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of the finding."""
-        return {**asdict(self), "words": str(self)}
+        return {**asdict(self), "words": str(self), "check": self.check or (self.kind,)}
 
 
 @dataclass(frozen=True)

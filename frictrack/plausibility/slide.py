@@ -232,8 +232,10 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
     slide = estimate_slide(run)
     if slide is None:
         return ()
+    # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
+    check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
     found = [*_check_measured_friction(run), *_check_slide(run, slide, film=film)]
-    return tuple(replace(finding, run=run.name) for finding in found)
+    return tuple(replace(one, run=run.name, check=check) for one in found)
 
 
 def _check_slide(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:

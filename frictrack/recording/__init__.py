@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
-from frictrack.recording.base import Frame, Header, Recording
+from frictrack.recording.base import Frame, FrameRange, Header, Recording
 from frictrack.recording.byte_ranges import find_ranges
 from frictrack.recording.folder import Folder
-from frictrack.recording.frame_range import FrameRange
 from frictrack.recording.phantom import Phantom
 from frictrack.recording.photron import Photron
 from frictrack.recording.spool import random_access

@@ -28,6 +28,7 @@ from frictrack.report import (
 from frictrack.report.markup import mark_equation
 from frictrack.report.templates import SvgEmbedder, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
+from frictrack.verdicts import CHECK_FIRST
 
 MAX_FILMS = 4  # films of which the first frame is shown
 MAX_MODELS_FIRST_SCREEN = 4  # whose errors are named on the first screen; of more, a figure names them
@@ -96,6 +97,7 @@ def render(results: Results, key: str = "") -> str:
     return page.render(
         results=results,
         key=key,
+        check_first=CHECK_FIRST,
         written=now(),
         lines=section_lines.section_lines(results),
         tables=tables,

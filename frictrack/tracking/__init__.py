@@ -7,7 +7,7 @@ driver              the sequence of steps: `track`, `learn_target`
 detection           what to track: moving bodies, clicks, rectangles, a fixed reference
 batch_tracker       predict, read and refine batches of frames; search where that fails
 template_learning   the template and the noise of its pixels; learning_rounds repeats it with measurement
-measure, occlusion  positions in every frame, without pixels that do not fit
+measure             positions in every frame, without pixels that do not fit; followed_target does it for all frames
 shared_target       a target that several films of a study show
 pose_tracker        targets that rotate by any angle
 checks              self-checks of a track
@@ -16,11 +16,17 @@ show                contact sheet and overlay video
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
-from frictrack.tracking.driver import learn_target, relearn_target, track, track_in_parallel, track_same_target
-from frictrack.tracking.frame_tracking import track_frames
-from frictrack.tracking.registration import align_track
+from frictrack.tracking.driver import (
+    learn_target,
+    relearn_target,
+    track,
+    track_frames,
+    track_in_parallel,
+    track_same_target,
+)
+from frictrack.tracking.shared_target import align_track
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
-from frictrack.tracking.target_model import TargetModel
+from frictrack.tracking.template import TargetModel
 
 __all__ = [
     "Areas",

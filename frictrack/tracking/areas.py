@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.polygons import Polygon, check_within, inside, polygon, polygons
 from frictrack.records import Mask
 from frictrack.tracking.correlation import Rectangle
-from frictrack.tracking.fixed_pattern import FixedPattern
+from frictrack.tracking.template import FixedPattern
 
 MIN_TARGET_PIXELS = 64  # that outline and exclusions must leave
 

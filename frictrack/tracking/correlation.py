@@ -77,6 +77,27 @@ def correlate(frame: Patch, patch: Patch, included: Mask | None = None) -> Patch
     return np.asarray(scores)
 
 
+def best_match(frame: Patch, patch: Patch, included: Mask | None = None) -> tuple[Array, float]:
+    """Locate the best match of a patch in a frame, between the pixels by a parabola along each axis.
+
+    Parameters
+    ----------
+    frame, patch, included
+        As in `correlate`.
+
+    Returns
+    -------
+    corner : array (2,)
+        Upper left corner (x, y), px.
+    score : float
+        Its score at the nearest pixel.
+
+    """
+    scores = correlate(frame, patch, included)
+    _, score, _, (i, j) = cv2.minMaxLoc(scores)
+    return np.array([i + parabola_vertex(scores[j], i), j + parabola_vertex(scores[:, i], j)]), float(score)
+
+
 def parabola_vertex(scores: Array, i: int) -> float:
     """Locate the maximum of the parabola through a score and its two neighbours.
 

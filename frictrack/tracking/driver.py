@@ -9,21 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Recording, random_access
+from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import BatchTracker
+from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
 from frictrack.tracking.correlation import Rectangle
-from frictrack.tracking.detection import Target, resolve_target
+from frictrack.tracking.detection import RESTS, Target, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
 from frictrack.tracking.pose import RotatableTemplate
-from frictrack.tracking.pose_tracker import track_known_rotating, track_rotating
-from frictrack.tracking.raw_track import RawTrack
-from frictrack.tracking.rotation_test import min_frames_if_rotating
-from frictrack.tracking.segments import SEGMENT_FRAMES, Work, follow_film
-from frictrack.tracking.shared_target import adapt_known_target, place_known_target
-from frictrack.tracking.target_model import TargetModel
+from frictrack.tracking.pose_tracker import min_frames_if_rotating, track_known_rotating, track_rotating
+from frictrack.tracking.shared_target import adapt_known_target, match_near, place_known_target
+from frictrack.tracking.subpixel_fit import RawTrack
+from frictrack.tracking.template import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
 
 if TYPE_CHECKING:
@@ -90,7 +88,10 @@ def track(
         else:
             followed = _follow_known_target(film, drawn, template, known, Work(progress))
         followed = replace(followed, rereadable=not once)
-        return measure_track(recording, film, drawn, followed, name, Work(progress))
+        track = measure_track(recording, film, drawn, followed, name, Work(progress))
+        if drawn.target is None and rests_while_others_move(film, track):
+            raise FrictrackError(f"{recording.path.name}: {RESTS}")
+        return track
 
 
 def track_in_parallel(
@@ -312,3 +313,58 @@ def _single_pass(film: Recording, target: Target, template: int, known: TargetMo
     is_rectangle = isinstance(target, Sequence) and len(target) == 4 and template == 0
     is_short = film.n_frames < 2 * SEGMENT_FRAMES
     return is_short and is_rectangle and known is not None and known.pattern is None
+
+
+def track_frames(
+    film: Recording,
+    frames: range,
+    box: tuple[float, float, float, float],
+    frame: int,
+    known: TargetModel,
+    obstacles: Areas | None = None,
+) -> Track:
+    """Track a known target through some frames, both ways from the frame in which its place was drawn.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    frames : range
+        Numbers of neighbouring frames.
+    box : tuple of float
+        Rectangle (x, y, w, h) px that tells where the target is; its own size and place do not change the result.
+    frame : int
+        Number of the frame in which it was drawn.
+    known : TargetModel
+        Model of the target, as `learn_target` returns it.
+    obstacles : Areas, optional
+        Obstacles before the target.
+
+    Returns
+    -------
+    Track
+        One row for each of `frames`.
+
+    Raises
+    ------
+    FrictrackError
+        Where the target is not recognised near `box`, or found in fewer than two frames.
+
+    """
+    part = FrameRange(film, frames.start, frames.stop)
+    drawn = obstacles or Areas()
+    if known.rotates:  # its angle in this frame is unknown: the tracker searches it
+        start, score = np.array(box[:2]) + (np.array(box[2:]) + 1 - known.template.weight.shape[::-1]) / 2, 1.0
+    else:
+        start, score = match_near(part, box, frame - frames.start, known.template)
+    if score < MIN_SCORE:
+        raise FrictrackError(
+            f"expected the target near its drawn place in frame {frame} but it is not recognised "
+            "there; draw it in a frame that shows it well"
+        )
+    at = frame - frames.start
+    raw_track = follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
+    rows = np.flatnonzero(raw_track.found & (not known.rotates))
+    h, w = known.template.weight.shape
+    rectangle = (round(float(start[0])), round(float(start[1])), w, h)
+    return measure_track(part, part, Areas(), Followed(rectangle, at, raw_track, known, rows), "target", Work())

@@ -12,15 +12,18 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.areas import with_obstacles
 from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
-from frictrack.tracking.fixed_pattern import FixedPattern, PatternSums, fit_fixed_pattern
-from frictrack.tracking.measure import measure_frames, model_images
-from frictrack.tracking.position_errors import sigma_inflation, systematic_covariance
-from frictrack.tracking.raw_track import RawTrack
-from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
-from frictrack.tracking.super_resolution import SmoothPath, improves_positions, smooth_path
-from frictrack.tracking.target_model import TargetModel
-from frictrack.tracking.template import Template
-from frictrack.tracking.template_learning import WIDE_RIM_PX, learn_template, short_wave_evidence, without_border
+from frictrack.tracking.measure import measure_frames, model_images, sigma_inflation, systematic_covariance
+from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
+from frictrack.tracking.template import FixedPattern, PatternSums, TargetModel, Template, fit_fixed_pattern
+from frictrack.tracking.template_learning import (
+    WIDE_RIM_PX,
+    SmoothPath,
+    improves_positions,
+    learn_template,
+    short_wave_evidence,
+    smooth_path,
+    without_border,
+)
 
 MAX_LEARNING_FRAMES = 500  # the noise of the template then costs a thousandth
 MAX_CUTOUT_BYTES = 32_000_000  # held at once

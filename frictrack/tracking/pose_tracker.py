@@ -1,6 +1,6 @@
 """Track a target that rotates by any angle: predict and refine; where that fails, match a bank of rotated templates.
 
-Only films in which the target rotates too far for the small angles of `subpixel_fit` use it (`rotation_test`).
+Only films in which the target rotates too far for the small angles of `subpixel_fit` use it (`min_frames_if_rotating`).
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,14 +18,261 @@ from frictrack.records import Array
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
+from frictrack.tracking.followed_target import MAX_UNEXPLAINED_SHARE, OCCLUDED
 from frictrack.tracking.measure import MISFIT_RATIO, unexplained_share
-from frictrack.tracking.occlusion import MAX_UNEXPLAINED_SHARE, OCCLUDED
 from frictrack.tracking.pose import Pose, RotatableTemplate, derotate, refine_pose, to_target_frame
-from frictrack.tracking.pose_search import search_pose
-from frictrack.tracking.raw_track import FLAT, LEAVES, NOT_CONVERGED, UNREAD, RawTrack, empty_track
-from frictrack.tracking.subpixel_fit import SubpixelFit
+from frictrack.tracking.subpixel_fit import FLAT, LEAVES, NOT_CONVERGED, UNREAD, RawTrack, SubpixelFit, empty_track
 from frictrack.tracking.template import Template
 from frictrack.tracking.template_learning import learn_template, without_border
+
+MAX_ANGULAR_STEP = np.radians(25.0)  # rad per frame
+SEARCH_RADIUS_PX = 24  # round the prediction
+GOOD_SCORE_SHARE = 0.8  # of the typical score; such a match near the prediction ends the search
+# Pictures are reduced for searching to this shorter side of the target and this number of pixels in a frame, px.
+SEARCH_TARGET_PX, SEARCH_FRAME_PX = 20, 400_000
+
+
+def search_pose(
+    frame: Patch,
+    predicted: Pose,
+    rotatable: RotatableTemplate,
+    typical_score: float,
+    *,
+    everywhere: bool = True,
+    typical_misfit: float = np.nan,
+) -> Pose | None:
+    """Search a frame for the target: near a prediction, then anywhere, then at any angle.
+
+    Parameters
+    ----------
+    frame : array (H, W)
+        Grey values.
+    predicted : Pose
+        Prediction from the frames before.
+    rotatable : RotatableTemplate
+        Template of the target.
+    typical_score : float
+        Match score of the last finds.
+    everywhere : bool
+        Whether to search beyond the neighbourhood of the prediction.
+    typical_misfit : float
+        Misfit of a frame that shows only target and noise; NaN where it is not known.
+
+    Returns
+    -------
+    Pose or None
+        The best pose; None where nothing could be matched.
+
+    """
+    step = 2.0 / rotatable.radius
+    likely_angles = predicted.angle + np.arange(-MAX_ANGULAR_STEP, MAX_ANGULAR_STEP + step / 2, step)
+    rounds = [
+        (likely_angles, SEARCH_RADIUS_PX),
+        (likely_angles, 0),
+        (predicted.angle + np.arange(0, 2 * np.pi, step), 0),
+    ]
+    best: Pose | None = None
+    for angles, reach in rounds if everywhere else rounds[:1]:
+        start = _match_rotations(frame, predicted, rotatable, angles, reach)
+        found = None if start is None else _refine_match(frame, start, rotatable, typical_misfit)
+        if found is not None and (best is None or (found.converged, found.score) > (best.converged, best.score)):
+            best = found
+        if best is not None and best.converged and best.score >= GOOD_SCORE_SHARE * typical_score:
+            break
+    return best
+
+
+def _refine_match(frame: Patch, start: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> Pose:
+    """Refine a rough match, first by its own residual scale and then by the typical misfit."""
+    rough = refine_pose(frame, start, rotatable, trusted=True)
+    if np.isnan(typical_misfit) or not rough.converged:
+        return rough
+    return refine_pose(frame, rough, rotatable, typical_misfit, trusted=True)
+
+
+def _match_rotations(
+    frame: Patch, predicted: Pose, rotatable: RotatableTemplate, angles: Array, reach: int
+) -> Pose | None:
+    """The best match of the template at some angles, within `reach` px of a prediction, or anywhere for 0."""
+    scale = _scale(rotatable, frame)
+    low, part = _crop(frame, predicted.centre, rotatable.radius + reach if reach else np.inf)
+    small = cv2.resize(part.astype(np.float32), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    best, where, angle = -np.inf, np.zeros(2), 0.0
+    for one in angles:
+        patch, mask = _rotated_patch(rotatable, float(one), scale)
+        if patch.shape[0] > small.shape[0] or patch.shape[1] > small.shape[1]:
+            continue
+        scores = cv2.matchTemplate(small, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
+        scores[~np.isfinite(scores) | (np.abs(scores) > 1.001)] = -1
+        _, score, _, (x, y) = cv2.minMaxLoc(scores)
+        if score > best:
+            best, angle = score, float(one)
+            where = (np.array([x, y]) + (np.array(patch.shape[::-1]) - 1) / 2 + 0.5) / scale - 0.5 + low
+    return None if not np.isfinite(best) else replace(predicted, centre=where, angle=angle)
+
+
+def _scale(rotatable: RotatableTemplate, frame: Patch) -> float:
+    """Factor by which pictures are reduced for searching."""
+    side = min(rotatable.template.weight.shape)
+    return min(
+        1.0,
+        max(
+            SEARCH_TARGET_PX / side,
+            np.sqrt(SEARCH_FRAME_PX / frame.size) if side > 2 * SEARCH_TARGET_PX else SEARCH_TARGET_PX / side,
+        ),
+    )
+
+
+def _crop(frame: Patch, centre: Array, reach: float) -> tuple[Array, Patch]:
+    """Part of a frame within reach of a centre, and its upper left corner."""
+    if np.isinf(reach):
+        return np.zeros(2), frame
+    low = np.floor(centre - reach).astype(int).clip(0, np.array(frame.shape[::-1]) - 1)
+    high = np.ceil(centre + reach).astype(int) + 1
+    high = np.maximum(high, low + 1)
+    return low.astype(np.float64), frame[low[1] : high[1], low[0] : high[0]]
+
+
+def _rotated_patch(rotatable: RotatableTemplate, angle: float, scale: float) -> tuple[Patch, Patch]:
+    """Template rotated and reduced, and its mask of 1 and 0."""
+    corners = _corners(rotatable, Pose(np.zeros(2), angle))
+    w, h = (int(v) for v in 2 * np.ceil(np.abs(corners).max(axis=1) * scale) + 1)
+    x, y = (np.arange(n) - (n - 1) / 2 for n in (w, h))
+    places = np.stack(np.meshgrid(x, y)).reshape(2, -1) / scale
+    at = to_target_frame(places, np.zeros(2), angle) + rotatable.middle[:, None]
+    shown = rotatable.weight(at) > 0
+    image = cv2.GaussianBlur(rotatable.template.image.astype(np.float32), (0, 0), 0.4 / scale) if scale < 1 else None
+    if image is None:
+        values = np.where(shown, rotatable.read(at)[0], 0.0)
+    else:
+        i, j = (np.rint(q).astype(int).clip(0, n - 1) for q, n in zip(at[::-1], image.shape, strict=True))
+        values = np.where(shown, image[i, j], 0.0)
+    return values.reshape(h, w).astype(np.float32), shown.reshape(h, w).astype(np.float32)
+
+
+def _corners(rotatable: RotatableTemplate, pose: Pose) -> Array:
+    """Corners (2, 4) px of the rotated rectangle."""
+    x, y = rotatable.middle
+    return to_target_frame(np.array([[-x, x, x, -x], [-y, -y, y, y]]), np.zeros(2), -pose.angle) + pose.centre[:, None]
+
+
+SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
+MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
+MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
+N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
+CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
+MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
+
+
+def min_frames_if_rotating(
+    film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, start: Array, first: int
+) -> float | None:
+    """Compute in how many frames a rotating target must be found to be tracked as rotating.
+
+    Large angles show in the fit, or a rotated template matches where the target was lost first. In the second case
+    tracking
+    must recover as many frames as were found. A mass that slides and then falls off the course has also rotated, but
+    only
+    its slide matters.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    raw_track : RawTrack
+        Track for small angles.
+    rotatable : RotatableTemplate
+        Template of the target.
+    start : array (2,)
+        Corner of the target's rectangle in frame `first`, px.
+    first : int
+        Number of that frame.
+
+    Returns
+    -------
+    float or None
+        None where the target does not rotate.
+
+    """
+    angle = raw_track.fit.angle[raw_track.found]
+    found = float(np.sum(raw_track.found))
+    if np.mean(np.abs(angle - np.median(angle)) * rotatable.radius > MAX_CORNER_MOTION_PX) > MIN_LARGE_ROTATION_SHARE:
+        return SAME_COUNT_RATIO * found
+    rotates = _rotated_where_lost(film, raw_track, rotatable, start, first)
+    return (
+        CLEARLY_MORE_RATIO * found
+        if rotates and _may_recover(film, raw_track, rotatable, CLEARLY_MORE_RATIO * found)
+        else None
+    )
+
+
+def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, min_frames: float) -> bool:
+    """Whether enough of the lost frames may show a rotated target to reach `min_frames` finds.
+
+    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence, therefore
+    half
+    of the required share is enough.
+    """
+    lost_frames, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
+    share = (min_frames - len(found)) / max(len(lost_frames), 1)
+    if share > 1 or len(lost_frames) <= 2 * N_SAMPLED_FRAMES:
+        return share <= 1
+    typical_score = float(np.median(raw_track.fit.score[found]))
+    misses_left = (1 - 0.5 * share) * N_SAMPLED_FRAMES
+    for i in np.random.default_rng(0).permutation(
+        lost_frames[np.linspace(0, len(lost_frames) - 1, N_SAMPLED_FRAMES).astype(int)]
+    ):
+        misses_left -= not _is_found(
+            film, int(i), Pose(_nearest(raw_track, found, i) + rotatable.middle, 0.0), rotatable, typical_score
+        )
+        if misses_left < 0:
+            return False
+    return True
+
+
+def _nearest(raw_track: RawTrack, found: NDArray[np.int64], i: int) -> Array:
+    """Corner (2,) px of the target in the nearest frame in which it was found."""
+    return np.asarray(raw_track.position[found[np.argmin(np.abs(found - i))]])
+
+
+def _is_found(film: Recording, i: int, near: Pose, rotatable: RotatableTemplate, typical_score: float) -> bool:
+    """Whether a rotated template matches frame `i` anywhere, as well as the target typically does."""
+    try:
+        frame = film.frame(i)
+    except FrictrackError:
+        return False
+    pose = None if frame.min() == frame.max() else search_pose(frame, near, rotatable, typical_score)
+    return pose is not None and pose.converged and pose.score >= MIN_SCORE_SHARE * typical_score
+
+
+def _rotated_where_lost(
+    film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, start: Array, first: int
+) -> bool:
+    """Whether a rotated template matches clearly better where the target was lost first."""
+    lost_frames = [i for i in _first_lost_frames(raw_track, first) if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
+    return any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost_frames)
+
+
+def _first_lost_frames(raw_track: RawTrack, first: int) -> list[int]:
+    """Frames in which the target was lost first, forward and backward."""
+    found = raw_track.found
+    after, before = np.flatnonzero(~found[first:]) + first, np.flatnonzero(~found[:first])
+    return [*after[:1].tolist(), *before[-1:].tolist()]
+
+
+def _has_rotated(
+    film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, i: int, first: int, start: Array
+) -> bool:
+    """Whether a rotated template matches frame `i` clearly better than the upright one."""
+    near = i - 1 if i > first else i + 1
+    at = raw_track.position[near] if raw_track.found[near] else np.asarray(start, dtype=np.float64)
+    frame = film.frame(i)
+    found = search_pose(frame, Pose(at + rotatable.middle, 0.0), rotatable, 1.0)
+    upright = float(np.nan_to_num(raw_track.fit.score[i]))
+    if found is None or not found.converged or found.score < MIN_SCORE_SHARE:
+        return False
+    return found.score > upright + CLEARLY_BETTER_SCORE or 1 - found.score**2 < MAX_UNEXPLAINED_RATIO * (1 - upright**2)
+
 
 Progress = Callable[[int, int, str], None]
 

@@ -1,4 +1,4 @@
-"""Compute the rectangle of a moving body on the full picture, slightly inside its outline."""
+"""Compute the rectangle of a moving body on the full picture: inside its outline, or inside a rotating region."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.correlation import Rectangle, correlate, parabola_vertex
+from frictrack.tracking.correlation import Rectangle, best_match
 from frictrack.tracking.detection.sampled_scene import (
     MAX_REGISTERED_FRAMES,
+    MIN_SIDE_PX,
     Picture,
     SampledScene,
     background_without,
@@ -29,6 +30,37 @@ MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body
 
 
 @dataclass(frozen=True, eq=False)
+class Body:
+    """Moving body on the reduced pictures.
+
+    Attributes
+    ----------
+    box : tuple of int
+        Its bounding box x, y, w, h in sampled frame `row`, px.
+    row : int
+        Number of that sample.
+    corner : array (k, 2)
+        Corner of the box in every sampled frame, px; NaN where the body is not found.
+    score : array (k,)
+        Match scores.
+    merit : float
+        How suitable it is as a target; 0 for a body that does not move.
+
+    """
+
+    box: Rectangle
+    row: int
+    corner: Array  # (k, 2) px, NaN where not seen
+    score: Array  # (k,)
+    merit: float
+
+    @property
+    def seen(self) -> Mask:
+        """Sampled frames (k,) in which the body is found."""
+        return np.isfinite(self.corner[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
 class BodyAppearance:
     """Appearance of a body, from sampled frames registered on it: a window somewhat larger than the body."""
 
@@ -39,21 +71,15 @@ class BodyAppearance:
     misfit: Array  # (k,) share of each that the median does not explain
 
 
-def body_outline(
-    scene: SampledScene, box: Rectangle, row: int, corner: Array, frame: int | None = None
-) -> tuple[Rectangle, int]:
+def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
     """Compute the rectangle of a body and the frame to which it refers.
 
     Parameters
     ----------
     scene : SampledScene
         Sampled frames.
-    box : tuple of int
-        x, y, w, h of the body on the reduced picture, px.
-    row : int
-        Number of the sample with the box.
-    corner : array (k, 2)
-        Corner of the box in all samples, reduced px.
+    body : Body
+        Body on the reduced pictures.
     frame : int, optional
         Wanted frame. By default the first, unless that shows the body badly.
 
@@ -65,7 +91,7 @@ def body_outline(
         Number of the frame.
 
     """
-    appearance = _register_body(scene, box, row, corner)
+    appearance = _register_body(scene, body.box, body.row, body.corner)
     x, y, w, h = _rectangle(appearance)
     at = _choose_row(scene, appearance, frame)
     left, top = (int(c) for c in appearance.corner[at])
@@ -153,9 +179,7 @@ def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Ar
     patch = cut_window(scene.frames[row], rough[row], size)
     for k in np.flatnonzero(np.isfinite(corner[:, 0])):
         around = cut_window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
-        scores = correlate(around, patch)
-        _, _, _, (i, j) = cv2.minMaxLoc(scores)
-        fine[k] += np.array([i + parabola_vertex(scores[j], i), j + parabola_vertex(scores[:, i], j)]) - reach
+        fine[k] += best_match(around, patch)[0] - reach
     return fine
 
 
@@ -223,3 +247,77 @@ def inner_rectangle(member: Mask) -> Rectangle:
         x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
     inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
     return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
+
+
+MAX_AREA_DEVIATION = 0.25  # relative to the typical area: shadows, and objects that it passes
+MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show the region
+MIN_TRAVEL = 0.5  # of the region's centre, over the root of its area
+MAX_STEP_SHARE = 0.4  # of the whole travel; a longer step between two samples is a jump to another object
+MAX_KNOWN_AREA_SHARE = 0.25  # of the region; a smaller body with a constant appearance is background that it uncovers
+MIN_AREA_SHARE = 0.6  # of the largest inner rectangle, for that of the first frame to be used
+
+
+def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
+    """Find a rectangle inside the one travelling region of foreground.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    found_area : float
+        Area of a body that was already found, reduced px.
+
+    Returns
+    -------
+    tuple or None
+        Rectangle (x, y, w, h) px and the number of its frame. None where no region of constant size travels, or where
+        the
+        body already found is more than a small part of it.
+
+    """
+    areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
+    if not np.any(areas):
+        return None
+    typical_area = float(np.median(areas[areas > 0]))
+    rows = np.flatnonzero(np.abs(areas - typical_area) < MAX_AREA_DEVIATION * typical_area)
+    if found_area >= MAX_KNOWN_AREA_SHARE * typical_area or len(rows) < max(MIN_FRAMES, MIN_FRAME_SHARE * len(areas)):
+        return None
+    masks = {row: _largest(scene, row) for row in rows.tolist()}
+    return _rectangle_in_region(scene, masks) if _travels(masks, typical_area) else None
+
+
+def _largest(scene: SampledScene, row: int) -> Mask:
+    """The largest region of foreground in a sampled frame."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
+    blob = scene.blobs[row][0]
+    same = [k for k in range(1, len(stats)) if tuple(stats[k, :4]) == blob.box and stats[k, 4] == blob.area]
+    return np.asarray(labels == same[0])
+
+
+def _travels(masks: dict[int, Mask], area: float) -> bool:
+    """Whether the centre of a region moves by a good part of its size, without jumps."""
+    middle = np.array([_middle(mask) for mask in masks.values()])
+    distance = float(np.hypot(*np.ptp(middle, axis=0)))
+    step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
+    return distance > MIN_TRAVEL * np.sqrt(area) and step < MAX_STEP_SHARE * distance
+
+
+def _middle(mask: Mask) -> Array:
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def _rectangle_in_region(scene: SampledScene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
+    """Largest rectangle inside the region: in the first frame, unless it is much smaller than in another one."""
+    found = {row: inner_rectangle(mask) for row, mask in masks.items()}
+    first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
+    row = first if _area(found[first]) > MIN_AREA_SHARE * _area(found[best]) else best
+    x, y, w, h = found[row]
+    if min(w, h) * scene.factor < MIN_SIDE_PX:
+        return None
+    at = np.rint((np.array([x, y]) + scene.shake[row]) * scene.factor).astype(int)
+    return (int(at[0]), int(at[1]), w * scene.factor, h * scene.factor), scene.index[row]
+
+
+def _area(rectangle: Rectangle) -> int:
+    return rectangle[2] * rectangle[3]

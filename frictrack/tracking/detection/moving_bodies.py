@@ -5,8 +5,7 @@ All searches use reduced pictures; only the outline of the chosen body is found 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -14,14 +13,14 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
-from frictrack.records import Array, Mask
+from frictrack.records import Array, Mask, Track
 from frictrack.tracking.correlation import Rectangle, correlate, parabola_vertex
-from frictrack.tracking.detection.body_outline import body_outline
-from frictrack.tracking.detection.rotating_body import rotating_body
+from frictrack.tracking.detection.body_outline import Body, body_outline, rotating_body
 from frictrack.tracking.detection.sampled_scene import Blob, Picture, SampledScene, sample_scene, without_body
 from frictrack.tracking.detection.small_motion import most_moving_patch
 
 MIN_TRAVEL_PX = 1.5  # of a moving body
+MIN_BUSY_SHARE = 0.25  # of the samples, in which something must move outside a target that rests
 MIN_SCORE = 0.6  # of a find
 DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the picture must be better
 MAX_SHADING_SHARE = 0.15  # share of the contrast that a plane leaves; less is only a gradient of light
@@ -35,35 +34,10 @@ MIN_RIVAL_SIDE_PX, MIN_RIVAL_AREA, MIN_RIVAL_TRAVEL, MIN_RIVAL_SCORE, MIN_RIVAL_
 MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows, reflections and attached rods do not
 
 
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Moving body on the reduced pictures.
-
-    Attributes
-    ----------
-    box : tuple of int
-        Its bounding box x, y, w, h in sampled frame `row`, px.
-    row : int
-        Number of that sample.
-    corner : array (k, 2)
-        Corner of the box in every sampled frame, px; NaN where the body is not found.
-    score : array (k,)
-        Match scores.
-    merit : float
-        How suitable it is as a target; 0 for a body that does not move.
-
-    """
-
-    box: Rectangle
-    row: int
-    corner: Array  # (k, 2) px, NaN where not seen
-    score: Array  # (k,)
-    merit: float
-
-    @property
-    def seen(self) -> Mask:
-        """Sampled frames (k,) in which the body is found."""
-        return np.isfinite(self.corner[:, 0])
+RESTS = (
+    "expected a moving target but the place that was found rests while something else moves; draw the target, or give "
+    "target = [x, y, w, h]"
+)
 
 
 def find_target(recording: Recording) -> Rectangle:
@@ -125,7 +99,37 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
     rivals = [body for body in bodies[1:] if _is_rival(scene, bodies[0], body)]
     if rivals:
         raise FrictrackError(_ambiguity_message(recording, scene, (bodies[0], rivals[0])))
-    return body_rectangle(scene, bodies[0])
+    return body_outline(scene, bodies[0])
+
+
+def rests_while_others_move(recording: Recording, track: Track) -> bool:
+    """Return whether a target that was found automatically rests, while something outside it moves in the film.
+
+    Its match score says nothing then: an empty place before a plain wall matches itself perfectly.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    track : Track
+        Track of the target.
+
+    """
+    found = track.found
+    low, high = np.quantile(np.stack([track.x_px[found], track.y_px[found]]), (0.02, 0.98), axis=1)
+    if track.target is None or np.hypot(*(high - low)) > MIN_TRAVEL_PX:
+        return False
+    scene = sample_scene(recording)
+    x, y, w, h = np.array(track.target) / scene.factor
+    outside = [
+        [b for b in blobs if min(b.box[2:]) >= scene.min_side_reduced and not _overlaps(b.box, (x, y, w, h))]
+        for blobs in scene.blobs
+    ]
+    return bool(np.mean([len(blobs) > 0 for blobs in outside]) > MIN_BUSY_SHARE)
+
+
+def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:
+    return bool(a[0] < b[0] + b[2] and b[0] < a[0] + a[2] and a[1] < b[1] + b[3] and b[1] < a[1] + a[3])
 
 
 def _small_motion_patch(recording: Recording, scene: SampledScene) -> tuple[Rectangle, int]:
@@ -145,29 +149,6 @@ def _find_bodies(scene: SampledScene) -> tuple[SampledScene, list[Body]]:
     clean = without_body(scene, bodies[0].box, bodies[0].corner) if bodies else None
     found_again = moving_bodies(clean) if clean else []
     return (clean, found_again) if clean and found_again else (scene, bodies)
-
-
-def body_rectangle(scene: SampledScene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
-    """Compute the rectangle of a body on the full picture.
-
-    Parameters
-    ----------
-    scene : SampledScene
-        Sampled frames.
-    body : Body
-        Body on the reduced pictures.
-    frame : int, optional
-        Frame in which the rectangle is wanted, if it is sampled.
-
-    Returns
-    -------
-    rectangle : tuple of int
-        x, y, w, h in px.
-    frame : int
-        Number of the frame to which it refers.
-
-    """
-    return body_outline(scene, body.box, body.row, body.corner, frame)
 
 
 def moving_bodies(scene: SampledScene) -> list[Body]:
@@ -363,7 +344,7 @@ def _ambiguity_message(recording: Recording, scene: SampledScene, bodies: tuple[
     """Ask which of two bodies is the target."""
     lines = []
     for body in sorted(bodies, key=lambda body: float(np.nanmin(body.corner[:, 0]))):
-        (x, y, w, h), frame = body_rectangle(scene, body)
+        (x, y, w, h), frame = body_outline(scene, body)
         line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
         lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
     return f"{recording.path.name}: expected one moving target but two move; give " + " or ".join(lines)

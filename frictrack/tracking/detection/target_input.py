@@ -15,8 +15,9 @@ from frictrack.polygons import polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
 from frictrack.tracking.areas import bounding_rectangle, is_polygon
-from frictrack.tracking.correlation import Rectangle, correlate
-from frictrack.tracking.detection.moving_bodies import Body, body_rectangle, locate_target, match_body, moving_bodies
+from frictrack.tracking.correlation import Rectangle, best_match
+from frictrack.tracking.detection.body_outline import Body, body_outline
+from frictrack.tracking.detection.moving_bodies import locate_target, match_body, moving_bodies
 from frictrack.tracking.detection.sampled_scene import SampledScene, sample_scene
 
 Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path | None
@@ -24,6 +25,10 @@ Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path
 MIN_SIDE_PX = 8  # of a target
 CLICK_MARGIN = 0.2  # of a body's size, by which a click may miss its rectangle
 MIN_REGION_PX, MAX_REGION_PX = 17, 65  # side of the region that is grown round a click on a static object
+OUTLINE_PX = 4  # round a plain body, so that its whole blurred edge is included
+N_TOLERANCES, MIN_STABLE_TOLERANCES = 16, 3  # of grey values, tried from 1 to 50 % of the contrast
+MIN_PLAIN_SHARE = 0.8  # of the region round the click, that must be as grey as the click
+MAX_STABLE_GROWTH = 0.05  # of a body's area from one tolerance to the next
 MIN_STRIP_TEXTURE = 0.3  # of the region's gradient energy, for a strip to be added
 FIRST_SEARCH_FRAMES, FULL_SEARCH_FRAMES = 16, 500  # frames in which a template picture is searched
 GOOD_SCORE, MIN_SCORE = 0.85, 0.6  # score that ends the search, and score below which it fails
@@ -99,7 +104,7 @@ def _resolve_click(recording: Recording, click: Array, template: int) -> Rectang
     frame = recording.frame(template)
     scene = sample_scene(recording, also=[template])
     body = _body_under_click(scene, click, template) if template in scene.index else None
-    return _grow_region(frame, click) if body is None else body
+    return body or _plain_region(frame, click) or _grow_region(frame, click)
 
 
 def _body_under_click(scene: SampledScene, click: Array, template: int) -> Rectangle | None:
@@ -111,7 +116,7 @@ def _body_under_click(scene: SampledScene, click: Array, template: int) -> Recta
     bodies += [b for b in moving_bodies(scene) if b.seen[row] and _contains(at, (*b.corner[row], *b.box[2:]))]
     for body in bodies:
         if body.merit > 0:
-            rectangle, _ = body_rectangle(scene, body, template)
+            rectangle, _ = body_outline(scene, body, template)
             if _contains(click, rectangle, CLICK_MARGIN):
                 return rectangle
     return None
@@ -120,6 +125,34 @@ def _body_under_click(scene: SampledScene, click: Array, template: int) -> Recta
 def _contains(point: Array, box: Sequence[float], grace: float = 0.0) -> bool:
     x, y, w, h = box
     return bool(-grace * w <= point[0] - x < (1 + grace) * w and -grace * h <= point[1] - y < (1 + grace) * h)
+
+
+def _plain_region(frame: Frame, click: Array) -> Rectangle | None:
+    """Rectangle round the evenly grey body under a click, with its outline; None where the picture is textured there.
+
+    Of the regions that a rising tolerance of grey values floods, the one that changes least is the body: the outline
+    stops it (maximally stable extremal region: Matas et al. 2002, Proc. BMVC, p. 384).
+    """
+    picture = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)
+    x, y = (int(c) for c in click)
+    around = tuple(slice(max(c - MIN_REGION_PX // 2, 0), c + MIN_REGION_PX // 2 + 1) for c in (y, x))
+    areas, boxes = [], []
+    for tolerance in np.geomspace(0.01, 0.5, N_TOLERANCES) * float(np.ptp(picture)):
+        flooded = np.zeros((picture.shape[0] + 2, picture.shape[1] + 2), np.uint8)
+        flags = 4 | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY | (1 << 8)
+        area, _, _, box = cv2.floodFill(picture, flooded, (x, y), 0, float(tolerance), float(tolerance), flags)
+        if flooded[1:-1, 1:-1][around].mean() < MIN_PLAIN_SHARE:
+            continue
+        left, top, w, h = box
+        if min(left, top, picture.shape[1] - left - w, picture.shape[0] - top - h) < OUTLINE_PX:
+            break  # it has run out of the body, or of the picture
+        areas.append(area)
+        boxes.append((left - OUTLINE_PX, top - OUTLINE_PX, w + 2 * OUTLINE_PX, h + 2 * OUTLINE_PX))
+    if len(areas) < MIN_STABLE_TOLERANCES:
+        return None
+    growth = np.diff(np.log(areas))
+    best = int(np.argmin(growth))
+    return boxes[best] if growth[best] < MAX_STABLE_GROWTH else None
 
 
 def _grow_region(frame: Frame, click: Array) -> Rectangle:
@@ -180,9 +213,9 @@ def _best_fit(recording: Recording, picture: Frame, most: int) -> tuple[float, t
     wanted = picture.astype(np.float32)
     best, at, frame = -1.0, (0, 0), 0
     for k, shown in enumerate(recording.frames(step=stride)):
-        _, score, _, corner = cv2.minMaxLoc(correlate(shown.astype(np.float32), wanted))
+        corner, score = best_match(shown.astype(np.float32), wanted)
         if score > best:
-            best, at, frame = float(score), (int(corner[0]), int(corner[1])), k * stride
+            best, at, frame = score, (round(float(corner[0])), round(float(corner[1]))), k * stride
         if best >= GOOD_SCORE:
             break
     return best, at, frame

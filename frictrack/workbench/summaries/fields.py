@@ -15,6 +15,7 @@ from frictrack.number_format import format_number, format_plus_minus
 from frictrack.plausibility import EnteredValues, implausible_entries
 from frictrack.study import RunTable, Study, needs_film, read_frame_rate, to_si
 from frictrack.units import lacks_unit
+from frictrack.verdicts import CHECK_FIRST
 from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
 
 KEYS = ("mass", "fps", "scale")
@@ -72,7 +73,7 @@ def study_fields(snapshot: Snapshot) -> dict[str, Field]:
         The study as its files are.
 
     """
-    return {key: _study_field(snapshot, key) for key in KEYS}
+    return {key: _questioned(snapshot, _study_field(snapshot, key)) for key in KEYS}
 
 
 def run_fields(snapshot: Snapshot, run: RunTable) -> dict[str, Field]:
@@ -86,7 +87,7 @@ def run_fields(snapshot: Snapshot, run: RunTable) -> dict[str, Field]:
         One of its runs.
 
     """
-    return {key: _run_field(snapshot, run, key) for key in KEYS}
+    return {key: _questioned(snapshot, _run_field(snapshot, run, key), run.name) for key in KEYS}
 
 
 def check_fields(
@@ -171,6 +172,17 @@ def missing_fields(snapshot: Snapshot) -> list[str]:
 
 
 # --- one field
+
+
+def _questioned(snapshot: Snapshot, field: Field, run: str | None = None) -> Field:
+    """Return a field with what the measured motion says against its value: in full where that is the likeliest."""
+    every = snapshot.results.implausible if snapshot.results and not (field["warning"] or field["error"]) else ()
+    found = [one for one in every if field["key"] in one["check"] and run in (None, one["run"])]
+    if not found:
+        return field
+    likeliest = next((str(one["words"]) for one in found if one["check"][0] == field["key"]), "")
+    where = ", ".join(dict.fromkeys(NAMES[one["check"][0]].lower() for one in found if one["check"][0] in NAMES))
+    return {**field, "warning": f"{CHECK_FIRST} {likeliest or f'see {where}'}."}
 
 
 def _study_field(snapshot: Snapshot, key: str) -> Field:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, TypedDict
 
 from frictrack.results import to_builtins
+from frictrack.verdicts import CHECK_FIRST
 from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis
 from frictrack.workbench.summaries.fields import Field, study_fields
 from frictrack.workbench.summaries.history import HistorySummary, summarise_history
@@ -27,6 +28,8 @@ class StudyState(TypedDict):
         The study file, its folder, whether it exists, and the name of the study.
     error
         Why the study file or the results cannot be read; None if they can.
+    check_first
+        Implausible numbers, as sentences: no verdict is better than they are.
 
     Notes
     -----
@@ -47,6 +50,7 @@ class StudyState(TypedDict):
     models: list[ModelEntry]
     model: dict[str, Any] | None
     diagnosis: DiagnosisSummary | None
+    check_first: list[str]
     falling: list[dict[str, Any]]
     outdated: list[OutdatedEntry]
     report: dict[str, Any]
@@ -63,6 +67,7 @@ def state_of(snapshot: Snapshot) -> StudyState:
 
     """
     runs = summarise_runs(snapshot)
+    implausible = snapshot.results.warnings if snapshot.results else ()
     state: StudyState = to_builtins(
         StudyState(
             revision=len(snapshot.changes),
@@ -78,6 +83,7 @@ def state_of(snapshot: Snapshot) -> StudyState:
             models=list_models(snapshot),
             model=current_model(snapshot),
             diagnosis=summarise_diagnosis(snapshot),
+            check_first=[f"{CHECK_FIRST} {words}." for words in implausible],
             falling=falling_error(snapshot),
             outdated=list_outdated(snapshot),
             report=report_state(snapshot),

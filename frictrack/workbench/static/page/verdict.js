@@ -15,8 +15,9 @@ export const kindOf = (diagnosis) => KIND[diagnosis?.verdict] || "warn";
 
 /** The verdict in a few words, with the error of the current model. */
 function Brief() {
-  const [diagnosis, model, models, job, stale] = [
+  const [diagnosis, checks, model, models, job, stale] = [
     useStore((s) => s.study?.diagnosis),
+    useStore((s) => s.study?.check_first || []),
     useStore((s) => s.study?.model),
     useStore((s) => s.study?.models || []),
     useStore(foreground),
@@ -25,7 +26,8 @@ function Brief() {
   if (!model) return null;
   const errors = models.find((one) => one.group === model.group)?.errors || {};
   return html`
-    <div class=${`ui-brief ${diagnosis && !stale ? kindOf(diagnosis) : ""} ${stale ? "stale" : ""}`}>
+    <div class=${`ui-brief ${checks.length ? "warn" : diagnosis && !stale ? kindOf(diagnosis) : ""} ${stale ? "stale" : ""}`}>
+      ${checks.slice(0, 1).map((words) => html`<p class="ui-check-first" title=${checks.join("\n")}>${spaced(words)}</p>`)}
       <p class="ui-brief-title">${stale ? "Outdated: " : ""}${diagnosis?.title || (job ? "Not diagnosed yet" : "Not diagnosed")}</p>
       <p class="ui-brief-more"><span>${model.label}</span>
         ${errors.reduced_chi2 !== undefined && html`<span>reduced χ² <b>${digits(errors.reduced_chi2)}</b></span>`}</p>
@@ -36,10 +38,12 @@ function Brief() {
 function Full() {
   const [open, setOpen] = useState(false);
   const [diagnosis, model, job] = [useStore((s) => s.study?.diagnosis), useStore((s) => s.study?.model), useStore(foreground)];
+  const checks = useStore((s) => s.study?.check_first || []).map((words) => html`<${Note} kind="warn">${spaced(words)}<//>`);
   if (!diagnosis) {
     const words = job ? `${job.words}: ${job.what}` : model ? "The current model is not diagnosed yet." : "No model is fitted yet. Press Run.";
     return html`
       <div class="ui-verdict" aria-live="polite">
+        ${checks}
         <p class="ui-verdict-title">${job ? "Working ..." : "No verdict yet"}</p>
         <p class="ui-note">${words}</p>
         ${model && !job && html`<${Button} icon="search" kind="primary" label="Find what is missing" onClick=${() => start("diagnose", {}, "Find what is missing")} />`}
@@ -47,7 +51,8 @@ function Full() {
   }
   const [first, ...others] = diagnosis.sentences || [], [chi2, ...repeats] = diagnosis.numbers || [];
   return html`
-    <div class=${`ui-verdict ${kindOf(diagnosis)}`} aria-live="polite">
+    <div class=${`ui-verdict ${checks.length ? "warn" : kindOf(diagnosis)}`} aria-live="polite">
+      ${checks}
       <p class="ui-verdict-title">${diagnosis.title}</p>
       ${chi2 && html`<p class="ui-numbers">${spaced(chi2)}</p>`}
       ${(repeats.length ? repeats : [first]).filter(Boolean).map((words) => html`<p class="ui-note">${spaced(words)}</p>`)}
