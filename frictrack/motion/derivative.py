@@ -94,7 +94,37 @@ def differentiate(filtered: Filtered) -> Motion:
         lines=filtered.lines,
         shake_a=shake_a,
         repaired=filtered.repaired,
+        smoother=filtered.smoother if filtered.sigma_sensor is None else "",
     )
+
+
+def filtered_acceleration(motion: Motion, measured: Displacement, moved: Array) -> Array | None:
+    """Compute how the acceleration of a motion would change if other displacements had been filtered.
+
+    A filter is linear once its settings are chosen. So a model is seen through the same filter as the measurement: the
+    measured acceleration less that of `moved`, measured minus modelled displacement.
+
+    Parameters
+    ----------
+    motion
+        What `differentiate` computed, n frames.
+    measured
+        The displacement of the same frames.
+    moved
+        Change of the displacement, m, (n,).
+
+    Returns
+    -------
+    Array or None
+        Change of the acceleration, m/s^2, (n,). None if the filter of the motion is not known.
+
+    """
+    if not motion.smoother:
+        return None
+    sigma = np.where(measured.known, measured.sigma_x, MISSING_SIGMA)
+    none = np.full(len(motion), np.nan)
+    filtered = Filtered(motion.t, motion.x, none, sigma, none, cutoff=motion.cutoff, smoother=motion.smoother)
+    return np.asarray(Derivatives.of_x(filtered).apparent_motion(moved[:, None])[2, :, 0])
 
 
 def derivatives(filtered: Filtered) -> Array:

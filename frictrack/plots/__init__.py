@@ -13,6 +13,7 @@ from frictrack.plots.figure_list import study_figures
 from frictrack.plots.inputs import AnyModel as AnyModel
 from frictrack.plots.inputs import AnyRun as AnyRun
 from frictrack.plots.inputs import as_model, as_runs
+from frictrack.plots.law import has_law, law, law_title
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -44,6 +45,7 @@ __all__ = [
     "fit",
     "friction",
     "friction_title",
+    "has_law",
     "has_limits",
     "has_missing_force",
     "has_scan",
@@ -51,6 +53,8 @@ __all__ = [
     "history",
     "html",
     "is_rejected",
+    "law",
+    "law_title",
     "limits",
     "loops",
     "missing_force",

@@ -303,7 +303,7 @@ def _repaired_handles(model: ModelResults) -> list[Line2D]:
 
 
 def modelled_force(model: ModelResults, curve: Curve) -> Array:
-    """Friction force of the model on one fitted segment.
+    """Friction force of the model on one fitted segment, through the filter that the measured force went through.
 
     Parameters
     ----------
@@ -315,15 +315,16 @@ def modelled_force(model: ModelResults, curve: Curve) -> Array:
     Returns
     -------
     Array
-        (n,) force, N. It is NaN at gaps in time, and during a blow that is too short to be resolved: only its
-        impulse is known.
+        (n,) force, N; NaN after a gap in time. Where no filter is known, it is also NaN during a blow that is too short
+        to be resolved: only its impulse is known.
 
     """
+    steps = np.diff(curve.t, prepend=curve.t[0])
+    known = steps <= MAX_GAP_STEPS * np.median(steps)
     own = next((motion for motion in model.motion if motion.run == curve.run), None)
-    if own is None:
-        steps = np.diff(curve.t, prepend=curve.t[0])
-        return style.masked(curve.F_model, steps <= MAX_GAP_STEPS * np.median(steps))
-    return style.masked(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
+    if curve.F_filtered is None and own is not None:
+        known &= ~np.isin(curve.t, own.t[own.blow])
+    return style.masked(curve.F_as_measured, known)
 
 
 def _draw_measured_force(ax: Axes, run: RunResults) -> None:

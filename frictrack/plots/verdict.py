@@ -34,12 +34,13 @@ from frictrack.plots.verdict_data import (
     data_of_study,
 )
 from frictrack.records import Array, Mask
-from frictrack.results import ModelResults, Results
+from frictrack.results import Results
 from frictrack.verdicts import VERDICTS, certain_effects, indistinguishable_effects
 
 HEIGHT_IN = 3.3
 MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
 MAX_NAMED_MODELS = 4  # below the panel of errors; more models are numbered
+MAX_LABEL_CHARACTERS = 36  # of their names side by side
 MAX_LIMITS = 8
 LOG_AXIS_RATIO = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
 MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
@@ -202,8 +203,6 @@ def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
     """Draw the missing force or, where nothing is missing, what would be seen; return the handles of the legend."""
     if "residual_force" in data.figures:
         return _draw_missing_force(ax, data)
-    if data.law is not None:
-        return _draw_law(ax, data.law)
     if data.diagnosis.get("detection_limits") and not data.fails:
         return _draw_limits(ax, data.diagnosis["detection_limits"])
     return _say(ax, "The missing force is not computed yet")
@@ -263,17 +262,6 @@ def _force_title(data: VerdictData) -> str:
     if repeats and repeats[0]["holds"]:
         return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
     return "The missing force"
-
-
-def _draw_law(ax: Axes, model: ModelResults) -> list[Any]:
-    """Draw the modelled friction force over speed."""
-    for c in model.curves:
-        force = np.where(c.v_model < 0, -c.F_model, c.F_model)
-        ax.plot(np.abs(c.v_model), force, color=BEFORE, lw=0.9, alpha=0.85)
-    ax.set_xlabel(_x_label("v"))
-    ax.set_ylabel(axis_label("friction force of the model", "N"))
-    ax.set_title("Friction over speed, all runs")
-    return []
 
 
 def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]:
@@ -344,7 +332,8 @@ def _draw_noise(ax: Axes, data: VerdictData, values: Array) -> None:
 
 
 def _label_models(ax: Axes, errors: Sequence[HeldOutError]) -> None:
-    if len(errors) <= MAX_NAMED_MODELS:
+    widest = [max(map(len, one.label.split("\n"))) for one in errors]
+    if len(errors) <= MAX_NAMED_MODELS and sum(widest) <= MAX_LABEL_CHARACTERS:
         labels = [one.label.replace(" + ", "\n+ ") + ("\n(tried)" if one.tried else "") for one in errors]
     else:
         labels = [str(k) for k in range(1, len(errors) + 1)]

@@ -97,8 +97,6 @@ class VerdictData:
         Noise of a frame, um or N.
     unit : str
         Unit of residuals and errors, "µm" or "N".
-    law : ModelResults or None
-        A model that is not diagnosed yet.
 
     """
 
@@ -110,7 +108,6 @@ class VerdictData:
     errors: list[HeldOutError]
     noise: float | None
     unit: str
-    law: ModelResults | None = None
 
     @property
     def axis(self) -> str:
@@ -181,7 +178,7 @@ def data_of_study(results: Results) -> VerdictData:
         errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
     return VerdictData(
         plain_name(shown.name), diagnosis, figures, before, after or _tried(figures, diagnosis, unit), errors,
-        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit, None if diagnosis else current,
+        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit,
     )  # fmt: skip
 
 

@@ -204,6 +204,7 @@ class Motion(FrameTable):
     repaired: NDArray[np.int8] | None = column(
         "", kind=np.int8, default=None
     )  # 0 as measured, 1 tracked again, 2 interpolated, 3 left out; None: no frame was repaired
+    smoother: str = ""  # JSON: the smoother of x; "" where a sensor's acceleration entered, which no filter lost
 
 
 @dataclass(frozen=True, eq=False, repr=False)

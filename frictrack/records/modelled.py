@@ -29,11 +29,17 @@ class Curve(FrameTable):
     repaired: NDArray[np.int8] | None = column(
         "", kind=np.int8, default=None
     )  # 0 as measured, 1 tracked again; None: no frame was repaired
+    F_filtered: Array | None = column("N", default=None)  # F_model through the filter of the run; None if it has none
 
     @property
     def residual(self) -> Array:
         """Measured minus modelled displacement (n,), m."""
         return self.x - self.x_model
+
+    @property
+    def F_as_measured(self) -> Array:
+        """Force of the model (n,), N, to compare with the measured one: through the same filter, where that is known."""
+        return self.F_model if self.F_filtered is None else self.F_filtered
 
 
 @dataclass(frozen=True, eq=False, repr=False)

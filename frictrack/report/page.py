@@ -121,11 +121,19 @@ def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
     return {
         "verdict": verdict_text.study_verdict(results),
         "verdict_figure": figure,
+        **_law(model, results, draw),
         "model": model,
         "next_steps": next_step_text.next_steps(results),
         "scale_error": fit_text.scale_error(results),
         "scale_line": fit_text.scale_line(results),
     }
+
+
+def _law(model: ModelResults | None, results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """The law of the current model over the speed, where it has one."""
+    if model is None or not plots.has_law(model):
+        return {"law": None}
+    return {"law": draw(plots.law(model, results.runs, title=False)), "law_title": plots.law_title(model)}
 
 
 def _diagnosis_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from frictrack.fit.observations.observation import Observation
 from frictrack.fit.parameters import without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates
+from frictrack.motion import filtered_acceleration
 from frictrack.records import Array, Curve, ModelledMotion, Run
 
 
@@ -80,6 +82,13 @@ class DisplacementObservation(Observation):
             repaired=None if run.motion.repaired is None else run.motion.repaired[piece.frames],
         )
 
+    def curves(self, solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
+        """Return measurement and model of every piece, with the force of the model through the filter of its run."""
+        found = super().curves(solution, runs, role)
+        changes = {run.name: _filtered_residual(run, [c for c in found if c.run == run.name]) for run in runs}
+        pairs = zip(found, solution.responses, strict=True)
+        return tuple(_with_filtered_force(c, runs[r.piece.run], r.piece.mass, changes[c.run]) for c, r in pairs)
+
     def motion(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> tuple[ModelledMotion, ...]:
         """Return x, v, a and F of the model with their bands, one table per run, validation runs last."""
         predicted = list(zip(fitted.predictions, fitted.validation, strict=True))
@@ -133,16 +142,41 @@ class DisplacementObservation(Observation):
         return fitted.runs[0].mass is not None
 
 
+def _filtered_residual(run: Run, curves: Sequence[Curve]) -> Array | None:
+    """Acceleration that the filter of a run makes of the residual of all its segments (n,), m/s^2; None if unknown."""
+    left = np.zeros(len(run.motion))
+    for c in curves:
+        left[_rows(run, c)] = c.residual
+    return filtered_acceleration(run.motion, run.displacement, left)
+
+
+def _with_filtered_force(curve: Curve, run: Run, mass: float, change: Array | None) -> Curve:
+    """Curve whose model went through the same filter as the measured force."""
+    if change is None:
+        return curve
+    rows = _rows(run, curve)
+    a_filtered = run.motion.a[rows] - change[rows]  # K y - K (y - y_model): the filter K is linear
+    return replace(curve, F_filtered=curve.F_model + mass * (curve.a_model - a_filtered))
+
+
+def _rows(run: Run, curve: Curve) -> Any:
+    """Rows of a run at which a curve was fitted."""
+    return np.searchsorted(run.motion.t, curve.t - 1e-9)
+
+
 def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
-    """Return the errors of some curves against the runs that they came from, as JSON."""
+    """Return the errors of some curves against the runs that they came from, as JSON.
+
+    Accelerations and forces of the model are compared after the filter that the measured ones went through.
+    """
     by_name = {r.name: r for r in runs}
     a_error, f_error, f_measured = [], [], []
     for c in curves:
         run = by_name[c.run]
-        rows = np.searchsorted(run.motion.t, c.t - 1e-9)
-        a_error.append(run.motion.a[rows] - c.a_model)
-        f_error.append((run.mass or 1.0) * a_error[-1])
-        f_measured.append(c.F_model - f_error[-1] if run.drive is None else run.drive[rows])
+        mass, rows = run.mass or 1.0, _rows(run, c)
+        a_error.append(run.motion.a[rows] - c.a_model + (c.F_as_measured - c.F_model) / mass)
+        f_error.append(mass * a_error[-1])
+        f_measured.append(c.F_as_measured - f_error[-1] if run.drive is None else run.drive[rows])
     accelerations = np.concatenate(a_error)
     scale = max(float(np.linalg.norm(np.concatenate(f_measured))), 1e-30)
     return {
