@@ -104,6 +104,18 @@ def format_change(value: float) -> str:
     return f"{value:+,.0f}".replace("-", MINUS).replace(",", THIN_SPACE)
 
 
+def join_words(words: Sequence[str], last: str = "and") -> str:
+    """Join words as in a sentence.
+
+    Examples
+    --------
+    >>> join_words(["a", "b", "c"]), join_words(["a", "b"], "or"), join_words([])
+    ('a, b and c', 'a or b', '')
+
+    """
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
+
+
 def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     """Format a value with its standard deviation and unit.
 

@@ -370,13 +370,13 @@ def test_colours_of_candidates_say_what_they_mean_and_a_common_p_is_said_once():
     ]
     figure = plots.candidates(diagnosis("missing", [found[1], found[0], found[2]], ["texture"]))
     shown = {name: bar.get_facecolor() for name, bar in bars(figure).items()}
-    assert list(shown) == ["texture", "patch", "lens"]  # by held-out error
+    assert list(shown) == ["texture", "patch", "lens"]  # found, its rival, the others
     assert len(set(shown.values())) == 3
     words = drawn(figure)
-    assert sum("p = 0.001" in text for text in words) == 1
+    assert sum("p at most 1/1000" in text for text in words) == 1
     assert " +812, held-out error 10.2 µm" in words
     found[0]["p"] = 0.002
-    assert sum("p = " in text for text in drawn(plots.candidates(diagnosis("missing", found, ["texture"])))) == 3
+    assert sum(" p " in text for text in drawn(plots.candidates(diagnosis("missing", found, ["texture"])))) == 3
 
 
 def test_candidates_far_apart_get_a_logarithmic_axis():

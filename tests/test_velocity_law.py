@@ -58,7 +58,7 @@ def test_band_of_the_law_follows_from_the_covariance_of_its_parameters():
 
 
 def test_effects_of_place_and_time_are_no_part_of_the_law():
-    fit = ft.fit(["coulomb", "viscous", "patch"], ft.samples.runs()[:2])
+    fit = ft.fit(["coulomb", "viscous", "patch", "drift"], ft.samples.runs()[:2])
     assert fit.law[0]["effects"] == ["coulomb", "viscous"]
     figure = fit.plot("law")
     points, law = figure.axes[0].lines[:2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -10,12 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from frictrack.axes import AXES
+from frictrack.candidates import CandidateRow, candidate_rows, not_passing
 from frictrack.cli.findings_output import findings
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
 from frictrack.cli.tables import table as _table
-from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.number_format import format_plain
 from frictrack.verdicts import (
     VERDICT_ONLY,
     describe_alternatives,
@@ -62,11 +63,11 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
-    if result["candidates"]:
-        out.print(candidates([c for c in result["candidates"] if not c.get("implausible")]))
-    for c in result["candidates"]:
-        if c.get("implausible"):
-            out.print(escape(f"{c['effect']} imitates the misfit and is not plausible: {c['implausible']}"))
+    rows = candidate_rows(result)
+    if any(row.passes for row in rows):
+        out.print(candidates([row for row in rows if row.passes]))
+    if others := not_passing(rows):
+        out.print(others)
 
 
 def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
@@ -96,27 +97,20 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(VERDICT_ONLY)
 
 
-def candidates(found: list[dict[str, Any]]) -> Table:
-    """Return a table with one row per candidate, best first.
+def candidates(rows: Sequence[CandidateRow]) -> Table:
+    """Return a table with one row per candidate.
 
     Parameters
     ----------
-    found
-        "candidates" of the JSON of `frictrack diagnose`; their values per run are not shown.
+    rows
+        From `candidate_rows`.
 
     """
-    rows = []
-    for c in found:
-        shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
-        values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
-        unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
-        before, after = (format_plain(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
-        rivals = ", ".join(c["indistinguishable_from"])
-        known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
-        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
-        p, bic = format_plain(c["p"], 2), format_plain(c["delta_bic"], 3)
-        rows.append((c["effect"], "\n".join(values), p, bic, held_out, rivals))
-    return filled_columns(("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from"), rows)
+    heads = ("candidate", "", "parameters", "p", "delta BIC", "held-out error")
+    cells = [
+        (r.effect, r.standing, "\n".join(r.parameters), r.p, format_plain(r.delta_bic, 3), r.held_out) for r in rows
+    ]
+    return filled_columns(heads, cells)
 
 
 def importance(rows: list[dict[str, Any]]) -> Table:
@@ -140,11 +134,6 @@ def importance(rows: list[dict[str, Any]]) -> Table:
 
 def _percent(share: float | None) -> str:
     return "" if share is None else f"{100 * share:.1f} %"
-
-
-def _with_unit(parameter: dict[str, Any]) -> str:
-    unit = "" if parameter["value"] is None or parameter["unit"] == "1" else parameter["unit"]
-    return f"{format_plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:

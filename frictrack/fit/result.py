@@ -233,7 +233,9 @@ class Fit(FittedRuns, StorableFit):
     @cached_property
     def law(self) -> list[dict[str, Any]]:
         """The law over the speed with its standard deviation, one entry per direction; see `law_branches`."""
-        return law_branches(self)
+        missing = 0.0 if self.misfit is None else self.misfit.covariance
+        load = self.reference.load if self.observation.knows_load(self) else None
+        return law_branches(self.solution, self.curves, self.covariance + missing, load)
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:

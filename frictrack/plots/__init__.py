@@ -3,9 +3,10 @@
 plots.motion(run).savefig("v3.pdf")
 """
 
+from frictrack.candidates import passes
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
-from frictrack.plots.candidates import candidates, held_out_order, passes
+from frictrack.plots.candidates import candidates
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
@@ -49,7 +50,6 @@ __all__ = [
     "has_limits",
     "has_missing_force",
     "has_scan",
-    "held_out_order",
     "history",
     "html",
     "is_rejected",

@@ -118,7 +118,9 @@ def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[
 
 def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     """Show the axis from zero to the law and the bulk of the points; a few wild points set no limit."""
-    points = [line.get_ydata() for line in ax.lines if line.get_linestyle() == "None" and len(line.get_ydata())]
-    bulk = np.percentile(np.concatenate(points), [1, 99]) if points else np.zeros(0)
+    points = np.concatenate(
+        [np.asarray(line.get_ydata(), float) for line in ax.lines if line.get_linestyle() == "None"]
+    )
+    bulk = np.percentile(points, [1, 99]) if len(points) else points
     values = np.concatenate([np.ravel([branch["F"] for branch in branches]), bulk, [0.0]])
     style.set_y_limits(ax, [values])

@@ -38,7 +38,7 @@ class Curve(FrameTable):
 
     @property
     def F_as_measured(self) -> Array:
-        """Force of the model (n,), N, to compare with the measured one: through the same filter, where that is known."""
+        """Force of the model (n,), N, comparable with the measured one: through the same filter where that is known."""
         return self.F_model if self.F_filtered is None else self.F_filtered
 
 

@@ -9,8 +9,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from frictrack.fit.parameters import SCATTER_BOUNDS
-from frictrack.number_format import MINUS, format_number, format_quantity, format_range
-from frictrack.report.candidate_text import join_words
+from frictrack.number_format import MINUS, format_number, format_quantity, format_range, join_words
 from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
 

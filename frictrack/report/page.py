@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack import plots
+from frictrack.candidates import MAIN_KINDS, candidate_rows
 from frictrack.files import replace_text
 from frictrack.records import Array
 from frictrack.report import (
@@ -40,7 +41,7 @@ class RejectedModel:
     """A model that failed, and the evidence for what it lacks; figures may be empty."""
 
     headline: str
-    candidates: tables.CandidateTable
+    candidates: tuple[tables.TextTable, tables.TextTable]
     cards: list[tables.CandidateCard]
     scan: Markup
     unexplained: dict[str, Any] | None
@@ -240,14 +241,13 @@ def _headline(model: ModelResults) -> str:
 
 def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
     diagnosis = model.diagnosis or {}
-    found = tables.candidate_table(diagnosis)
-    best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
+    rows = candidate_rows(diagnosis)
+    best = rows[0].effect if rows else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
-    main = {best, *diagnosis["missing"], *(diagnosis["candidates"][0]["indistinguishable_from"] if best else ())}
     return RejectedModel(
         headline=_headline(model),
-        candidates=found,
-        cards=[card for card in tables.candidate_cards(diagnosis) if card.passes and card.name in main],
+        candidates=tables.candidate_table(rows, diagnosis),
+        cards=tables.candidate_cards([row for row in rows if row.kind in MAIN_KINDS]),
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
         unexplained=unexplained.unexplained_force(diagnosis, draw),
         correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),

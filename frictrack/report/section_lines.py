@@ -8,10 +8,10 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.axes import AXES
-from frictrack.number_format import format_number, format_range, format_share
-from frictrack.plots import passes
+from frictrack.candidates import candidate_rows
+from frictrack.number_format import format_number, format_range, format_share, join_words
 from frictrack.report import provenance, tables
-from frictrack.report.candidate_text import held_out_change, held_out_error, join_words
+from frictrack.report.candidate_text import held_out_error
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
 from frictrack.results import ModelResults, Results
@@ -55,19 +55,17 @@ def _where(results: Results) -> str:
 def _missing(results: Results) -> str:
     model = plots.failed_model(results)
     diagnosis = (model.diagnosis if model else None) or results.diagnosis or {}
-    found = diagnosis.get("candidates") or []
-    tried = f"{len(found)} effects tried"
+    rows = candidate_rows(diagnosis) if diagnosis else []
+    tried = f"{len(diagnosis.get('candidates') or [])} effects tried"
     if not diagnosis.get("missing"):
         left = diagnosis.get("unexplained")
         if leads := diagnosis.get("leads"):
             return f"nothing explains it; leads: {join_words(leads)}; {tried}"
         more = f"a force over {AXES[left['axis']].name} that no effect explains; " if left else ""
-        significant = sum(map(passes, found))
+        significant = sum(row.passes for row in rows)
         return f"{more}{significant} effects are significant" if significant else f"{more}no effect is significant"
-    best = next((c for c in found if c["effect"] == diagnosis["missing"][0]), None)
-    change = held_out_change(best) if best else ""
-    words = join_words(diagnosis["missing"])
-    return f"{words}; {tried}; held-out error {change}" if change else f"{words}; {tried}"
+    words = f"{join_words(diagnosis['missing'])}; {tried}"
+    return f"{words}; held-out error {rows[0].held_out}" if rows and rows[0].held_out else words
 
 
 def _next(results: Results) -> str:

@@ -2,7 +2,6 @@
 
 from frictrack.report.tables.candidates import (
     CandidateCard,
-    CandidateTable,
     candidate_cards,
     candidate_table,
     detection_limit_table,
@@ -30,7 +29,6 @@ from frictrack.report.tables.text_table import Cell, TextTable, code_cell, make_
 __all__ = [
     "MAX_FIRST_PARAMETERS",
     "CandidateCard",
-    "CandidateTable",
     "Cell",
     "TextTable",
     "candidate_cards",
