@@ -111,3 +111,15 @@ def test_a_motion_of_an_unknown_filter_leaves_the_force_as_it_is():
     run = slide(2.0, narrow_patch)
     bare = Run(run.displacement, type(run.motion)(**{**vars(run.motion), "smoother": ""}), mass=MASS)
     assert all(c.F_filtered is None for c in ft.fit(["coulomb", "patch"], [bare]).curves)
+
+
+def test_positions_of_unknown_deviation_are_filtered_with_equal_weights():
+    run = slide(2.0, two_ways)
+    bare = Run(without_sigma(run.displacement), run.motion, mass=MASS)
+    (known,), (unknown,) = (ft.fit(["coulomb", "viscous"], [one]).curves for one in (run, bare))
+    assert np.allclose(unknown.F_filtered, known.F_filtered, atol=1e-3)
+
+
+def without_sigma(d):
+    """The same displacement, its deviations unknown."""
+    return type(d)(d.t, d.x, d.y, d.angle, np.full(len(d), np.nan), d.sigma_y, d.valid)

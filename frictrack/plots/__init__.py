@@ -9,8 +9,9 @@ from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.drawn_data import plotted_data
-from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.figure_list import study_figures
+from frictrack.plots.held_out import history
 from frictrack.plots.inputs import AnyModel as AnyModel
 from frictrack.plots.inputs import AnyRun as AnyRun
 from frictrack.plots.inputs import as_model, as_runs

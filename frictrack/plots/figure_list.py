@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from frictrack.plots.budget import budgets
 from frictrack.plots.candidates import candidates
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.evidence import has_limits, has_scan, limits, scan
+from frictrack.plots.held_out import history
 from frictrack.plots.law import has_law, law
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion, motions

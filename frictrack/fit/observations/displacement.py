@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -85,9 +86,15 @@ class DisplacementObservation(Observation):
     def curves(self, solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
         """Return measurement and model of every piece, with the force of the model through the filter of its run."""
         found = super().curves(solution, runs, role)
-        changes = {run.name: _filtered_residual(run, [c for c in found if c.run == run.name]) for run in runs}
-        pairs = zip(found, solution.responses, strict=True)
-        return tuple(_with_filtered_force(c, runs[r.piece.run], r.piece.mass, changes[c.run]) for c, r in pairs)
+        filtered = {
+            run.name: filtered_acceleration(run.motion, run.displacement, _joined_path(run, found)) for run in runs
+        }
+        out = []
+        for c, r in zip(found, solution.responses, strict=True):
+            a, run = filtered[c.run], runs[r.piece.run]
+            left = None if a is None else r.piece.mass * (c.a_model - a[_rows(run, c)])
+            out.append(c if left is None else replace(c, F_filtered=c.F_model + left))
+        return tuple(out)
 
     def motion(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> tuple[ModelledMotion, ...]:
         """Return x, v, a and F of the model with their bands, one table per run, validation runs last."""
@@ -142,21 +149,25 @@ class DisplacementObservation(Observation):
         return fitted.runs[0].mass is not None
 
 
-def _filtered_residual(run: Run, curves: Sequence[Curve]) -> Array | None:
-    """Acceleration that the filter of a run makes of the residual of all its segments (n,), m/s^2; None if unknown."""
-    left = np.zeros(len(run.motion))
-    for c in curves:
-        left[_rows(run, c)] = c.residual
-    return filtered_acceleration(run.motion, run.displacement, left)
+def _joined_path(run: Run, curves: Sequence[Curve]) -> Array:
+    """Displacement of the model where a run was fitted, else the measured one (n,), m, without jumps between them.
 
-
-def _with_filtered_force(curve: Curve, run: Run, mass: float, change: Array | None) -> Curve:
-    """Curve whose model went through the same filter as the measured force."""
-    if change is None:
-        return curve
-    rows = _rows(run, curve)
-    a_filtered = run.motion.a[rows] - change[rows]  # K y - K (y - y_model): the filter K is linear
-    return replace(curve, F_filtered=curve.F_model + mass * (curve.a_model - a_filtered))
+    Every segment has its own start; a shift and a speed are added to each so that position and speed are continuous.
+    """
+    m = run.motion
+    t, x, v, a = m.t, m.x.copy(), m.v.copy(), m.a.copy()
+    segment = np.full(len(m), -1)
+    for k, c in enumerate(c for c in curves if c.run == run.name):
+        rows = _rows(run, c)
+        x[rows], v[rows], a[rows], segment[rows] = c.x_model, c.v_model, c.a_model, k
+    begins = np.flatnonzero(np.diff(segment)) + 1
+    for i, end in pairwise([*begins, len(m)]):
+        dt = t[i] - t[i - 1]
+        speed = v[i - 1] + dt * (a[i - 1] + a[i]) / 2 - v[i]
+        shift = x[i - 1] + dt * v[i - 1] + dt**2 * (2 * a[i - 1] + a[i]) / 6 - x[i]
+        x[i:end] += shift + speed * (t[i:end] - t[i])
+        v[i:end] += speed
+    return x
 
 
 def _rows(run: Run, curve: Curve) -> Any:

@@ -23,6 +23,7 @@ from frictrack.plots.style.drawing import (
     axis_label,
     axis_scale,
     draw_band,
+    log_axis,
     mark_repaired,
     masked,
     panel_columns,
@@ -30,7 +31,7 @@ from frictrack.plots.style.drawing import (
     set_y_limits,
     unsmeared_frames,
 )
-from frictrack.plots.style.figures import PAGE_WIDTH_IN, new_figure, pdf, png, styled, svg, svg_file
+from frictrack.plots.style.figures import PAGE_WIDTH_IN, new_figure, panel_grid, pdf, png, styled, svg, svg_file
 from frictrack.plots.style.model_names import joined_name, numbered_name, plain_name
 
 __all__ = [
@@ -55,11 +56,13 @@ __all__ = [
     "axis_scale",
     "draw_band",
     "joined_name",
+    "log_axis",
     "mark_repaired",
     "masked",
     "new_figure",
     "numbered_name",
     "panel_columns",
+    "panel_grid",
     "pdf",
     "plain_name",
     "png",

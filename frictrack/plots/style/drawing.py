@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.number_format import format_unit
 from frictrack.plots.style.colours import REPAIRED_COLOUR
@@ -98,6 +99,15 @@ def panel_columns(n: int) -> int:
     """
     rows = -(-n // MAX_COLUMNS)
     return -(-n // rows) if n else 1
+
+
+def log_axis(ax: Axes, which: str, subs: Sequence[float] = (1, 2, 5)) -> None:
+    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks."""
+    getattr(ax, f"set_{which}scale")("log")
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def axis_scale(values: Array, unit: str) -> tuple[float, str]:

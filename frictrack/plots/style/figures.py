@@ -20,6 +20,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
 from frictrack.plots.style.colours import RC_PARAMS
+from frictrack.plots.style.drawing import panel_columns
 from frictrack.plots.style.tick_rows import collection_paused, ticks_in_rows
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
@@ -40,6 +41,13 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
+class _NotebookFigure(Figure):
+    """Figure that a notebook shows as a picture, whether or not pyplot is loaded."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figure:
     """Create an empty figure with its title at the left.
 
@@ -51,9 +59,53 @@ def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figur
         The finding that the figure shows, in a few words.
 
     """
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = _NotebookFigure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, x=0.01, ha="left")
     return figure
+
+
+def panel_grid(
+    n: int, size: tuple[float, float], title: str, labels: tuple[str, ...], **subplots: Any
+) -> tuple[Figure, list[Any]]:
+    """Create a figure of n cells in rows as even as possible, each with its panels one above the other.
+
+    Parameters
+    ----------
+    n : int
+        Number of cells.
+    size : tuple of float
+        Height of a row of cells, and of the rest of the figure, inches.
+    title : str
+        As for `new_figure`.
+    labels : tuple of str
+        Label of the x axis, then of the y axis of each panel of a cell.
+    **subplots
+        For `Figure.subplots`; `height_ratios` of one cell.
+
+    Returns
+    -------
+    figure, cells
+        The figure, and the panels of each cell.
+
+    """
+    x_label, *y_labels = labels
+    columns, each = panel_columns(n), len(y_labels)
+    rows = -(-n // columns)
+    if "height_ratios" in subplots:
+        subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
+    figure = new_figure(size[0] * rows + size[1], title)
+    panels: Any = figure.subplots(each * rows, columns, squeeze=False, **subplots)
+    cells = [panels[each * (k // columns) : each * (k // columns + 1), k % columns] for k in range(rows * columns)]
+    for k, cell in enumerate(cells):
+        for ax, label in zip(cell, y_labels, strict=True):
+            ax.set_ylabel(label if k % columns == 0 else "")
+            if k >= n:
+                ax.set_axis_off()
+        if k + columns >= n:
+            cell[-1].set_xlabel(x_label)
+            cell[-1].tick_params(labelbottom=True)
+    figure.align_ylabels(panels[:, 0])
+    return figure, cells[:n]
 
 
 def svg(figure: Figure) -> str:
@@ -72,6 +124,7 @@ def svg(figure: Figure) -> str:
         with _laid_out(figure):
             text = canvas.to_svg()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
 
 
