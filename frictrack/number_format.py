@@ -1,4 +1,4 @@
-"""Format numbers, uncertainties and units as text for reports, figures and the terminal.
+"""Format numbers, uncertainties, units and lists of words as text for reports, figures and the terminal.
 
 Each function takes a number in the unit that is given and returns text; nothing here parses text (see `units`).
 
@@ -102,18 +102,6 @@ def format_change(value: float) -> str:
 
     """
     return f"{value:+,.0f}".replace("-", MINUS).replace(",", THIN_SPACE)
-
-
-def join_words(words: Sequence[str], last: str = "and") -> str:
-    """Join words as in a sentence.
-
-    Examples
-    --------
-    >>> join_words(["a", "b", "c"]), join_words(["a", "b"], "or"), join_words([])
-    ('a, b and c', 'a or b', '')
-
-    """
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
 
 
 def format_quantity(value: float | None, std: float | None, unit: str) -> str:
@@ -301,3 +289,27 @@ def _decimal_places(std: float) -> int:
 
 def _power_of_ten(exponent: int) -> str:
     return f"{THIN_SPACE}{TIMES}{THIN_SPACE}10{str(exponent).translate(_SUPERSCRIPT)}"
+
+
+def join_words(words: Sequence[str], last: str = "and") -> str:
+    """Join words as in a sentence.
+
+    Examples
+    --------
+    >>> join_words(["a", "b", "c"]), join_words(["a", "b"], "or"), join_words([])
+    ('a, b and c', 'a or b', '')
+
+    """
+    return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else "".join(words)
+
+
+def lower_first(sentence: str) -> str:
+    """Turn a sentence into a clause: lower-case first letter, no full stop.
+
+    Examples
+    --------
+    >>> lower_first("Film a fixed mark.")
+    'film a fixed mark'
+
+    """
+    return sentence[:1].lower() + sentence[1:].rstrip(".")

@@ -14,7 +14,7 @@ import pytest
 
 from frictrack import plots
 from frictrack.plots import style
-from frictrack.plots.style.colours import RC_PARAMS
+from frictrack.plots.style import RC_PARAMS
 from frictrack.records import Curve, Displacement, Filtered, Friction, Motion, Track
 from frictrack.results import ModelResults, RecordingInfo, Results, RunResults
 

@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.candidates import candidate_rows
-from frictrack.report.candidate_text import lower_first
+from frictrack.number_format import lower_first
 from frictrack.report.fit_text import NO_SCALE_ERROR, has_measured_friction, scale_error
 from frictrack.report.markup import mark_code
 from frictrack.results import Results

@@ -11,9 +11,9 @@ from frictrack.axes import AXES
 from frictrack.candidates import candidate_rows
 from frictrack.number_format import format_number, format_range, format_share, join_words
 from frictrack.report import provenance, tables
-from frictrack.report.candidate_text import held_out_error
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
+from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 
 MAX_LIMITS_NAMED = 3

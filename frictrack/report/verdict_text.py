@@ -11,10 +11,10 @@ from markupsafe import Markup, escape
 
 from frictrack.axes import AXES
 from frictrack.candidates import CandidateRow, candidate_rows
-from frictrack.number_format import format_number, join_words
+from frictrack.number_format import format_number, join_words, lower_first
 from frictrack.plots import noise_um, plain_name
-from frictrack.report.candidate_text import held_out_error, lower_first
 from frictrack.report.markup import mark_code
+from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 from frictrack.verdicts import certain_effects, describe_alternatives, indistinguishable_effects
 
