@@ -41,6 +41,8 @@ class CandidateRow:
         Effects found before, in addition to which it was tested.
     parameters : tuple of str
         Values that all runs share, with units.
+    share : str
+        Share of the misfit that it explains alone; "" if it is not known.
     source : mapping
         The candidate in the JSON of the diagnosis.
 
@@ -56,6 +58,7 @@ class CandidateRow:
     unit: str
     parameters: tuple[str, ...]
     added_to: tuple[str, ...]
+    share: str
     source: Mapping[str, Any]
 
     @property
@@ -74,11 +77,6 @@ class CandidateRow:
         if self.before is None or self.after is None:
             return ""
         return f"{format_number(self.before)} to {format_number(self.after)} {self.unit}"
-
-    @property
-    def held_out_falls(self) -> bool:
-        """Whether the held-out error falls with it."""
-        return self.before is not None and self.after is not None and self.after < self.before
 
 
 def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
@@ -101,7 +99,8 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
     """
     if diagnosis is None:
         return []
-    by_name = {c["effect"]: c for c in diagnosis["candidates"]}
+    shares = {row["effect"]: row["explained_alone"] for row in diagnosis.get("importance") or []}
+    by_name = {c["effect"]: c | {"share": shares.get(c["effect"])} for c in diagnosis["candidates"]}
     leads = diagnosis.get("leads") or []
     found = [name for name in (diagnosis.get("missing") or leads) if name in by_name]
     rows: dict[str, CandidateRow] = {}
@@ -177,7 +176,8 @@ def _row(
     own = sorted({name.partition("[")[0] for name in c.get("parameters", {}) if "[" in name})
     values = [f"{name} {format_quantity(q['value'], q['std'], q['unit'])}" for name, q in shared.items()]
     values += [f"one {' and one '.join(own)} per run"] if own else []
+    share = "" if c.get("share") is None else f"{100 * c['share']:.1f} %"
     return CandidateRow(
         c["effect"], kind, standing + added, c["delta_bic"], p, bare if before is None else before, after,
-        unit.replace("u", "µ"), tuple(values), tuple(added_to), c,
+        unit.replace("u", "µ"), tuple(values), tuple(added_to), share, c,
     )  # fmt: skip

@@ -63,7 +63,7 @@ def test_every_surface_shows_the_same_order_and_words(found):
     rows = candidate_rows(found)
     names = [row.effect for row in rows]
     assert list(bars(plots.candidates(found))) == names
-    report = [row for table in tables.candidate_table(rows, found) for row in table.rows]
+    report = [row for table in tables.candidate_table(rows) for row in table.rows]
     assert [str(row[0]).rpartition("<code>")[2].removesuffix("</code>") for row in report] == names
     assert [row[1] for row in report] == [row.standing for row in rows]
     assert [card.row for card in tables.candidate_cards(rows)] == rows  # the cards of the page

@@ -162,7 +162,7 @@ def test_candidates_are_listed_in_the_order_of_the_verdict():
     worse = candidate("drag", 0.001, 900.0) | {"heldout_rms_after_um": 15.0}
     found = diagnosis("missing", [candidate("texture", 0.001, 812.0, ["patch"]), far, worse,
                                   candidate("patch", 0.001, 811.0)], ["texture"])  # fmt: skip
-    shown, others = tables.candidate_table(candidate_rows(found), found)
+    shown, others = tables.candidate_table(candidate_rows(found))
     names = [[str(row[0]).rpartition("<code>")[2].removesuffix("</code>") for row in t.rows] for t in (shown, others)]
     assert names == [["texture", "patch"], ["drag", "lens"]]
     assert 'class="mark named"' in shown.rows[0][0]

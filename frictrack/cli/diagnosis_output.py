@@ -10,12 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from frictrack.axes import AXES
-from frictrack.candidates import CandidateRow, candidate_rows, not_passing
-from frictrack.cli.findings_output import findings
+from frictrack.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
-from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain
 from frictrack.verdicts import (
     VERDICT_ONLY,
@@ -25,6 +23,8 @@ from frictrack.verdicts import (
     describe_verdict,
     force_without_effect,
 )
+
+MAX_FINDINGS = 8  # that the terminal shows
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
@@ -65,7 +65,10 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
     rows = candidate_rows(result)
     if any(row.passes for row in rows):
-        out.print(candidates([row for row in rows if row.passes]))
+        out.print(candidates([row for row in rows if row.passes or row.kind == "rival"]))
+    for row in (one for one in rows if one.kind in MAIN_KINDS and one.parameters):
+        alone = f"; alone it explains {row.share} of the misfit" if row.share else ""
+        out.print(escape(f"{row.effect}: {', '.join(row.parameters)}{alone}"))
     if others := not_passing(rows):
         out.print(others)
 
@@ -85,8 +88,6 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
         out.print(escape(result["repeats_words"]))
-    if result.get("importance"):
-        out.print(importance(result["importance"]))
     for words in describe_alternatives(result):
         out.print(escape(words))
     unexplained(out, force_without_effect(result))
@@ -106,34 +107,26 @@ def candidates(rows: Sequence[CandidateRow]) -> Table:
         From `candidate_rows`.
 
     """
-    heads = ("candidate", "", "parameters", "p", "delta BIC", "held-out error")
-    cells = [
-        (r.effect, r.standing, "\n".join(r.parameters), r.p, format_plain(r.delta_bic, 3), r.held_out) for r in rows
-    ]
+    heads = ("candidate", "", "p", "delta BIC", "held-out error")
+    cells = [(r.effect, r.standing, r.p, format_plain(r.delta_bic, 3), r.held_out) for r in rows]
     return filled_columns(heads, cells)
 
 
-def importance(rows: list[dict[str, Any]]) -> Table:
-    """Return a table with the share of the misfit that each effect explains, alone and in sequence.
+def findings(out: Console, found: list[dict[str, Any]]) -> None:
+    """Print the notes on the recordings; the rest of a long list is left to the report.
 
     Parameters
     ----------
-    rows
-        "importance" of the JSON of `frictrack diagnose`.
+    out
+        The terminal.
+    found
+        "findings" of the JSON of `frictrack fit` or `diagnose`.
 
     """
-    table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
-    for row in rows:
-        shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
-        unit = "um" if "heldout_rms_after_um" in row else "N"
-        rms = row[f"heldout_rms_after_{unit}"]
-        after = "" if rms is None else f"{format_plain(rms)} {unit.replace('u', 'µ')}"
-        table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
-    return table
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f} %"
+    for one in found[:MAX_FINDINGS]:
+        out.print(escape(f"{one['run']}: {one['words']}"))
+    if (more := len(found) - MAX_FINDINGS) > 0:
+        out.print(f"and {more} more findings in the records; the report lists them")
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frictrack.number_format import format_number
+from frictrack.number_format import describe_change, format_number
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel, as_model
 from frictrack.plots.model import noise_um
@@ -77,8 +77,7 @@ def _title(errors: Sequence[HeldOutError], noise: float | None, unit: str) -> st
     before, after = errors[0].value, errors[-1].value
     if len(errors) == 1:
         return f"Held-out error of {errors[0].label}: {format_number(before)} {unit}{against}"
-    falls = "falls" if after < before else "does not fall:"
-    return f"Held-out error {falls} from {format_number(before)} to {format_number(after)} {unit}{against}"
+    return f"Held-out error {describe_change(before, after, unit)}{against}"
 
 
 def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None, unit: str, width: float) -> None:

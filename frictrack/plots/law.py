@@ -23,7 +23,7 @@ DIRECTIONS = {1: "toward +x (v > 0)", -1: "toward \N{MINUS SIGN}x (v < 0)"}
 
 
 @styled
-def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True) -> Figure:
+def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: float = WIDTH_IN) -> Figure:
     """Draw the friction force against the motion over the speed, one panel per direction, with its band.
 
     The right axis gives the coefficient of friction, where the load is known. The points are the measured force at the
@@ -37,6 +37,8 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True) -> Figur
         All runs of the study.
     title : bool
         Whether the figure has a headline.
+    width : float
+        Width of the figure, inches.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True) -> Figur
         raise ValueError(f'expected a model with a law over the speed but "{model.name}" has none; add coulomb')
     branches: list[Mapping[str, Any]] = model.summary["law"]
     directions = sorted({branch["direction"] for branch in branches}, reverse=True)
-    figure = new_figure(HEIGHT_IN + 0.3 * title, law_title(model) if title else "", WIDTH_IN)
+    figure = new_figure(HEIGHT_IN + 0.3 * title, law_title(model) if title else "", width)
     panels = figure.subplots(1, len(directions), squeeze=False, sharey=True)[0]
     scale = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
     for ax, direction in zip(panels, directions, strict=True):

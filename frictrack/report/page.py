@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,20 +33,6 @@ MAX_FILMS = 4  # films of which the first frame is shown
 MAX_MODELS_FIRST_SCREEN = 4  # whose errors are named on the first screen; of more, a figure names them
 MAX_RUNS_FIRST_SCREEN = 4  # whose motion is drawn where there is neither a model nor a force
 MIN_CORRELATION = 0.95  # of two parameters; less is not reported
-
-
-@dataclass(frozen=True)
-class RejectedModel:
-    """A model that failed, and the evidence for what it lacks; figures may be empty."""
-
-    headline: str
-    candidates: tuple[tables.TextTable, tables.TextTable]
-    cards: list[tables.CandidateCard]
-    scan: Markup
-    unexplained: dict[str, Any] | None
-    correlated_signals: list[dict[str, Any]]
-    importance: tables.TextTable
-    undetermined: tables.TextTable
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
@@ -239,14 +224,15 @@ def _headline(model: ModelResults) -> str:
     return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
 
 
-def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
+def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> dict[str, Any]:
+    """A model that failed, and the evidence for what it lacks; figures may be empty."""
     diagnosis = model.diagnosis or {}
     rows = candidate_rows(diagnosis)
     best = rows[0].effect if rows else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
-    return RejectedModel(
+    return dict(
         headline=_headline(model),
-        candidates=tables.candidate_table(rows, diagnosis),
+        candidates=tables.candidate_table(rows),
         cards=tables.candidate_cards([row for row in rows if row.kind in MAIN_KINDS]),
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
         unexplained=unexplained.unexplained_force(diagnosis, draw),

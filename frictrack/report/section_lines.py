@@ -9,7 +9,7 @@ import numpy as np
 from frictrack import plots
 from frictrack.axes import AXES
 from frictrack.candidates import candidate_rows
-from frictrack.number_format import format_number, format_range, format_share, join_words
+from frictrack.number_format import describe_change, format_number, format_range, format_share, join_words
 from frictrack.report import provenance, tables
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
@@ -80,9 +80,7 @@ def _history(results: Results) -> str:
     (old, unit), (new, _) = (held_out_error(models[k].summary["errors"]) for k in (0, -1))
     if old is None or new is None:
         return f"{len(models)} models tried"
-    falls = "falls" if new < old else "rises"
-    change = f"from {format_number(old)} to {format_number(new)} {unit}"
-    return f"{len(models)} models tried; the held-out error {falls} {change}"
+    return f"{len(models)} models tried; the held-out error {describe_change(old, new, unit)}"
 
 
 def _parameters(results: Results) -> str:

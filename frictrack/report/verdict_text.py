@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 
 from frictrack.axes import AXES
 from frictrack.candidates import CandidateRow, candidate_rows
-from frictrack.number_format import format_number, join_words, lower_first
+from frictrack.number_format import describe_change, format_number, join_words, lower_first
 from frictrack.plots import noise_um, plain_name
 from frictrack.report.markup import mark_code
 from frictrack.report.tables import held_out_error
@@ -157,14 +157,13 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
     found = [row for row in candidate_rows(first.diagnosis) if len(added) == 1 and row.effect == added[0][2]]
     why = Markup(" ({})").format(_evidence(found[0])) if found else Markup("")
-    yield Markup("{} lacked {}{}: with {} the held-out error {} from {} to <b>{} {}</b>.").format(
-        plain_name(first.name), Markup(effects), why, "it" if len(added) == 1 else "them", _falls_or_rises(old, new),
-        format_number(old), format_number(new), unit,
-    )  # fmt: skip
-
-
-def _falls_or_rises(old: float | None, new: float | None) -> str:
-    return "rises" if old is not None and new is not None and new > old else "falls"
+    yield Markup("{} lacked {}{}: with {} the held-out error {}.").format(
+        plain_name(first.name),
+        Markup(effects),
+        why,
+        "it" if len(added) == 1 else "them",
+        describe_change(old, new, unit),
+    )
 
 
 def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -204,8 +203,7 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
             continue
         row = rows[effect]
         added = f" in addition to {join_words(row.added_to)}" if row.added_to else ""
-        verb = "falls" if row.held_out_falls else "does not fall:"
-        change = f"; the held-out error {verb} from {row.held_out}" if row.held_out else ""
+        change = f"; the held-out error {describe_change(row.before, row.after, row.unit)}" if row.held_out else ""
         yield Markup("Missing{}: <b>{}</b> ({}{}).").format(added, effect, _evidence(row), change)
 
 

@@ -195,7 +195,7 @@ def _draw(name: str, results: Results) -> Figure | None:
     diagnosis = results.diagnosis or {}
     run = next((one for one in results.runs if one.name == which), None)
     if kind == "law" and results.current is not None and plots.has_law(results.current):
-        return plots.law(results.current, results.runs, title=False)
+        return plots.law(results.current, results.runs, title=False, width=4.8)
     if kind == "cutoff" and run is not None and run.cutoff is not None:
         return plots.cutoff(run.name, run.cutoff, run.mass)
     if kind == "scan" and plots.has_scan(results.figures.get(which, {})):

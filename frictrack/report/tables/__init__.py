@@ -518,18 +518,15 @@ def _held_out_words(row: CandidateRow) -> list[str]:
     return [f"held-out error {row.held_out} ({how})"] if row.held_out else []
 
 
-def candidate_table(rows: Sequence[CandidateRow], diagnosis: Mapping[str, Any]) -> tuple[TextTable, TextTable]:
+def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]:
     """Tables of the candidates that were found or cannot be told from those, and of the others.
 
     Parameters
     ----------
     rows : sequence of CandidateRow
         From `frictrack.candidates.candidate_rows`.
-    diagnosis : mapping
-        The JSON of the diagnosis, with the share of the misfit that each explains.
 
     """
-    shares = {row["effect"]: row["explained_alone"] for row in diagnosis.get("importance") or []}
     heads = ("effect", "", "held-out error", "explains alone", "p", "delta BIC")
     shown = [row for row in rows if row.kind in MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
 
@@ -539,7 +536,7 @@ def candidate_table(rows: Sequence[CandidateRow], diagnosis: Mapping[str, Any]) 
                 Markup('<span class="mark {}"></span><code>{}</code>').format(row.kind, row.effect),
                 row.standing,
                 row.held_out,
-                _share_of_misfit(shares.get(row.effect)),
+                row.share,
                 row.p,
                 format_number(row.delta_bic),
             )
