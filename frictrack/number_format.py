@@ -313,3 +313,19 @@ def lower_first(sentence: str) -> str:
 
     """
     return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def describe_change(before: float | None, after: float | None, unit: str = "") -> str:
+    """Describe how a number changes.
+
+    Examples
+    --------
+    >>> describe_change(2.0, 1.0, "N"), describe_change(2.0, 2.001)
+    ('falls from 2.00 to 1.00 N', 'stays at 2.00')
+
+    """
+    first, second = format_number(before), f"{format_number(after)} {unit}".rstrip()
+    if f"{first} {unit}".rstrip() == second:
+        return f"stays at {second}"
+    verb = "changes" if before is None or after is None else "rises" if after > before else "falls"
+    return f"{verb} from {first} to {second}"

@@ -442,4 +442,4 @@ def test_figures_are_the_same_bytes_again_and_have_their_data(results: Results, 
     assert set(shown["x_axis"]) == {"time t / ms"}
     history = pd.read_csv(results.output / "figures/history.csv")
     _, summary, _ = stored_model(results)
-    assert history["y"].tolist() == [summary["errors"]["heldout_rms_um"]]
+    assert history[history["kind"] == "line"]["y"].tolist() == [summary["errors"]["heldout_rms_um"]]

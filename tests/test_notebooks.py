@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib
 import json
+import re
 import shutil
 from inspect import signature
 from pathlib import Path
@@ -134,7 +136,7 @@ def outputs_of(notebook: Any) -> list[Any]:
 def assert_tells(notebook: Any, name: str, figures: int, claim: str) -> None:
     """The notebook shows at least so many figures and prints the claim; those of the papers say what does not hold."""
     outputs = outputs_of(notebook)
-    assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= figures
+    assert sum(bool({"image/svg+xml", "image/png"} & {*o.get("data", {})}) for o in outputs) >= figures
     printed = "".join(o["text"] for o in outputs if o.output_type == "stream" and o.name == "stdout")
     assert claim in printed
     if name in PAPERS:
@@ -146,6 +148,25 @@ def assert_tells(notebook: Any, name: str, figures: int, claim: str) -> None:
 @pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
 def test_a_notebook_is_kept_with_its_outputs(name: str, figures: int, claim: str):
     assert_tells(kept(NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOK.parent.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_the_outputs_are_those_of_the_code(path: Path):
+    notebook = kept(path)
+    code = "\0".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    made_of = notebook.metadata.get("code_hash")
+    hint = f"run `python pipelines/run_notebooks.py {path.stem}` and commit the notebook"
+    assert made_of == hashlib.sha256(code.encode()).hexdigest(), f"{path.name} has outputs of other code; {hint}"
+    counts = [cell.execution_count for cell in notebook.cells if cell.cell_type == "code"]
+    assert counts == list(range(1, len(counts) + 1)), hint  # run once from the first cell to the last
+
+
+def numbers_and_words(notebook: Any) -> list[tuple[list[str], list[float]]]:
+    """What each cell printed: its words, and its numbers."""
+    printed = ["".join(o["text"] for o in cell.get("outputs", []) if o.output_type == "stream" and o.name == "stdout")
+               for cell in notebook.cells]  # fmt: skip
+    number = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+    return [(number.sub("#", text).split(), [float(one) for one in number.findall(text)]) for text in printed]
 
 
 @pytest.mark.slow
@@ -167,8 +188,14 @@ def test_the_second_paper_runs_with_little_effort(
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
 def test_a_notebook_runs(name: str, figures: int, claim: str, tmp_path: Path):
-    assert_tells(execute(tmp_path, NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)
+    path = NOTEBOOK.with_name(f"{name}.ipynb")
+    now, stored = execute(tmp_path, path), kept(path)
+    assert_tells(now, name, figures, claim)
     assert list(tmp_path.iterdir()) == []
+    for (words, numbers), (old_words, old_numbers) in zip(*map(numbers_and_words, (now, stored)), strict=True):
+        hint = f"{name} prints something else than it did; run `python pipelines/run_notebooks.py {name}`"
+        assert words == old_words, hint
+        assert numbers == pytest.approx(old_numbers, rel=0.05, abs=0.05), hint
 
 
 def test_the_demo_is_kept_with_its_outputs():

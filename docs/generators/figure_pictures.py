@@ -33,6 +33,7 @@ CALLS: dict[str, tuple[str, str]] = {
     ),
     "budget": (FILTERED, 'plots.budget("to_a_stop", ft.budget(runs[2], filtered).summary())'),
     "fit": ("", "plots.fit(fit, runs)"),
+    "law": ("", "plots.law(fit, runs)"),
     "modelled": ("", "plots.modelled(fit, runs)"),
     "failing": (BETTER, "plots.failing(fit, runs, ft.compare(fit).fails_at, better)"),
     "routes": (PAPERS, "plots.routes(fit, papers, runs[2])"),

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.cli.findings_output import findings
+from frictrack.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.plan_output import next_experiment
 from frictrack.cli.tables import filled_columns
-from frictrack.cli.tables import table as _table
 from frictrack.motion_axes import AXES
-from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.number_format import format_plain
 from frictrack.verdicts import (
     CHECK_FIRST,
     VERDICT_ONLY,
@@ -25,6 +24,8 @@ from frictrack.verdicts import (
     describe_verdict,
     force_without_effect,
 )
+
+MAX_FINDINGS = 8  # that the terminal shows
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
@@ -65,11 +66,14 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
-    if result["candidates"]:
-        out.print(candidates([c for c in result["candidates"] if not c.get("implausible")]))
-    for c in result["candidates"]:
-        if c.get("implausible"):
-            out.print(escape(f"{c['effect']} imitates the misfit and is not plausible: {c['implausible']}"))
+    rows = candidate_rows(result)
+    if any(row.passes for row in rows):
+        out.print(candidates([row for row in rows if row.passes or row.kind == "rival"]))
+    for row in (one for one in rows if one.kind in MAIN_KINDS and one.parameters):
+        alone = f"; alone it explains {row.share} of the misfit" if row.share else ""
+        out.print(escape(f"{row.effect}: {', '.join(row.parameters)}{alone}"))
+    if others := not_passing(rows):
+        out.print(others)
 
 
 def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
@@ -87,8 +91,6 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
         out.print(escape(result["repeats_words"]))
-    if result.get("importance"):
-        out.print(importance(result["importance"]))
     for words in describe_alternatives(result):
         out.print(escape(words))
     unexplained(out, force_without_effect(result))
@@ -99,55 +101,35 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(VERDICT_ONLY)
 
 
-def candidates(found: list[dict[str, Any]]) -> Table:
-    """Return a table with one row per candidate, best first.
-
-    Parameters
-    ----------
-    found
-        "candidates" of the JSON of `frictrack diagnose`; their values per run are not shown.
-
-    """
-    rows = []
-    for c in found:
-        shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
-        values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
-        unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
-        before, after = (format_plain(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
-        rivals = ", ".join(c["indistinguishable_from"])
-        known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
-        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
-        p, bic = format_plain(c["p"], 2), format_plain(c["delta_bic"], 3)
-        rows.append((c["effect"], "\n".join(values), p, bic, held_out, rivals))
-    return filled_columns(("candidate", "parameters", "p", "delta BIC", "held out", "indistinguishable from"), rows)
-
-
-def importance(rows: list[dict[str, Any]]) -> Table:
-    """Return a table with the share of the misfit that each effect explains, alone and in sequence.
+def candidates(rows: Sequence[CandidateRow]) -> Table:
+    """Return a table with one row per candidate.
 
     Parameters
     ----------
     rows
-        "importance" of the JSON of `frictrack diagnose`.
+        From `candidate_rows`.
 
     """
-    table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
-    for row in rows:
-        shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
-        unit = "um" if "heldout_rms_after_um" in row else "N"
-        rms = row[f"heldout_rms_after_{unit}"]
-        after = "" if rms is None else f"{format_plain(rms)} {unit.replace('u', 'µ')}"
-        table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
-    return table
+    heads = ("candidate", "", "p", "delta BIC", "held-out error")
+    cells = [(r.effect, r.standing, r.p, format_plain(r.delta_bic, 3), r.held_out) for r in rows]
+    return filled_columns(heads, cells)
 
 
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f} %"
+def findings(out: Console, found: list[dict[str, Any]]) -> None:
+    """Print the notes on the recordings; the rest of a long list is left to the report.
 
+    Parameters
+    ----------
+    out
+        The terminal.
+    found
+        "findings" of the JSON of `frictrack fit` or `diagnose`.
 
-def _with_unit(parameter: dict[str, Any]) -> str:
-    unit = "" if parameter["value"] is None or parameter["unit"] == "1" else parameter["unit"]
-    return f"{format_plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
+    """
+    for one in found[:MAX_FINDINGS]:
+        out.print(escape(f"{one['run']}: {one['words']}"))
+    if (more := len(found) - MAX_FINDINGS) > 0:
+        out.print(f"and {more} more findings in the records; the report lists them")
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:

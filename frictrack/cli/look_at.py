@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from frictrack.number_format import describe_change
+
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {
     "track": "{output}/<run>_track.png: the frame must lie on the slider in every picture. Then: frictrack run {study}",
@@ -13,8 +15,6 @@ _TEXTS = {
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
-    "edit": "held out, before and after: if it falls, the effect belongs to the law. "
-    "frictrack diagnose {study} looks for a further one",
     "plan": "the first rows of the table; plan.html shows which pairs of effects each run separates",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
@@ -58,6 +58,23 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
     if chi2 > MIN_CHI2_MISFIT:
         return f"the model misses the data by {chi2**0.5:.3g} times their noise (square root of chi-squared). {more}"
     return f"what the model leaves is as large as the noise of the data. {more}"
+
+
+def after_edit(result: Mapping[str, Any], study: Any) -> str:
+    """Return what an added or removed effect makes of the held-out error.
+
+    Parameters
+    ----------
+    result
+        JSON of `frictrack add` or `remove`.
+    study
+        Path of the study file.
+
+    """
+    unit = "N" if result["error_after"].get("heldout_rms_um") is None else "um"
+    before, after = (result[key].get(f"heldout_rms_{unit}") for key in ("error_before", "error_after"))
+    change = describe_change(before, after, unit.replace("u", "µ"))
+    return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:

@@ -23,7 +23,7 @@ from frictrack.cli.common import (
     print_result,
     print_verdict,
 )
-from frictrack.cli.look_at import after_diagnosis, after_fit, after_run, look_at
+from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
 from frictrack.errors import FrictrackError
 from frictrack.export import FORMATS, export_results
 
@@ -248,7 +248,7 @@ def _streamed(
 def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: bool) -> None:
     with open_session(study) as session:
         result = how(session)
-    print_result(result, as_json, "edit", session.path, look_at("edit", study=study))
+    print_result(result, as_json, "edit", session.path, after_edit(result, study))
 
 
 @command()

@@ -30,6 +30,7 @@ from frictrack.fit.uncertainty import (
     reported_by_address,
     with_misfit,
 )
+from frictrack.fit.velocity_law import law_branches
 from frictrack.lazy import imported
 from frictrack.models import Model
 from frictrack.number_format import format_number, format_plus_minus
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+FIGURES = {"force": "fit", "law": "law"}  # kind of figure -> function of `plots`
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
@@ -94,6 +96,23 @@ class StorableFit(NotebookView):
         named, model = name or f"1_{'+'.join(fitted.model.names)}", str(fitted.model)
         return ModelResults(named, model, fitted.summary(), fitted.curves, current=True, motion=fitted.motion)
 
+    def plot(self, kind: str = "force") -> Figure:
+        """Draw the fit.
+
+        Parameters
+        ----------
+        kind
+            "force": modelled and measured friction force of every run over time, with the residual. "law": friction
+            force and coefficient of friction over the speed, direction by direction.
+
+        """
+        if kind not in FIGURES:
+            raise FrictrackError(f'plot: expected {" or ".join(FIGURES)} but got "{kind}"', usage=True)
+        fitted: Any = self
+        runs = (*fitted.weighed, *getattr(fitted, "validation", ()))
+        figure: Figure = imported(f"frictrack.plots:{FIGURES[kind]}")(self, runs)
+        return figure
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(FittedRuns, StorableFit):
@@ -138,11 +157,6 @@ class Fit(FittedRuns, StorableFit):
         }
         frame = pd.DataFrame.from_dict(rows, orient="index").astype({"value": float, "std": float})
         return frame.rename_axis("parameter")
-
-    def plot(self) -> Figure:
-        """Draw per run the modelled and the measured friction force over time, and the residual below."""
-        figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
-        return figure
 
     @property
     def domain(self) -> str:
@@ -305,6 +319,13 @@ class Fit(FittedRuns, StorableFit):
         return self.observation.motion(self, lambda: self.estimates.covariance)
 
     @cached_property
+    def law(self) -> list[dict[str, Any]]:
+        """The law over the speed with its standard deviation, one entry per direction; see `law_branches`."""
+        missing = 0.0 if self.misfit is None else self.misfit.covariance
+        load = self.reference.load if self.observation.knows_load(self) else None
+        return law_branches(self.solution, self.curves, self.covariance + missing, load)
+
+    @cached_property
     def collisions(self) -> list[dict[str, Any]]:
         """Summary of every collision as JSON."""
         return collisions(self.solution, self.estimates)
@@ -350,6 +371,7 @@ class Fit(FittedRuns, StorableFit):
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
                     *(() if agreement is None else agreement.remarks()),
                 ],
+                "law": self.law,
                 "errors": self.errors,
                 "per_run": self.observation.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,
@@ -412,11 +434,6 @@ class GroupFits(StorableFit):
 
         return pd.concat({name: f.to_dataframe() for name, f in self.fits.items()}, names=["group"])
 
-    def plot(self) -> Figure:
-        """Draw the modelled and the measured friction force of all groups; see `Fit.plot`."""
-        figure: Figure = imported("frictrack.plots:fit")(self, self.weighed)
-        return figure
-
     @property
     def model(self) -> Model:
         """The model of all groups."""
@@ -472,6 +489,7 @@ class GroupFits(StorableFit):
                     [f"{a}[{g}]", f"{b}[{g}]", r] for g, s in group_fits.items() for a, b, r in s["correlations"]
                 ],
                 "remarks": [f"{g}: {line}" for g, s in group_fits.items() for line in s["remarks"]],
+                "law": [branch | {"group": g} for g, s in group_fits.items() for branch in s["law"]],
                 "errors": self.errors,
                 "per_run": [row | {"group": g} for g, s in group_fits.items() for row in s["per_run"]],
                 "collisions": [

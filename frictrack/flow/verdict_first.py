@@ -5,9 +5,10 @@ Everything is stored as soon as it is known, so that the process may be ended at
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from frictrack.candidates import candidate_rows
 from frictrack.errors import FrictrackError
 from frictrack.flow.session import Session
 
@@ -119,42 +120,11 @@ def fit_candidates(session: Session, diagnosis: Mapping[str, Any], most: int = M
 
     """
     fitted = []
-    for effect in best_candidates(diagnosis)[:most]:
+    rows = candidate_rows(diagnosis)
+    for effect in [row.effect for row in rows if row.kind != "implausible"][:most]:
         try:
             session.attempt(effect)
         except FrictrackError:
             continue  # it is said when the user tries that effect
         fitted.append(effect)
     return fitted
-
-
-def best_candidates(diagnosis: Mapping[str, Any]) -> list[str]:
-    """List the candidates in the order in which a person would try them.
-
-    Parameters
-    ----------
-    diagnosis
-        The JSON of a diagnosis.
-
-    Returns
-    -------
-    list of str
-        The missing effects, those that cannot be distinguished from them, the others that pass, and those that fail.
-
-    """
-    return list(dict.fromkeys(_in_order(diagnosis)))
-
-
-def _in_order(diagnosis: Mapping[str, Any]) -> Iterator[str]:
-    from frictrack.plots import passes  # noqa: PLC0415 - loads matplotlib
-
-    found = diagnosis["candidates"]
-    known = {candidate["effect"]: candidate for candidate in found}
-    named = [name for name in diagnosis["missing"] if name in known]
-    yield from named
-    for name in named:
-        yield from known[name]["indistinguishable_from"]
-    plausible = [candidate for candidate in found if not candidate.get("implausible")]
-    for wanted in (True, False):
-        alike = [candidate for candidate in plausible if passes(candidate) is wanted]
-        yield from (c["effect"] for c in sorted(alike, key=lambda candidate: -candidate["delta_bic"]))

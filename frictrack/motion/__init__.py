@@ -4,7 +4,7 @@
 """
 
 from frictrack.motion.cutoff_trade import cutoff_tradeoff
-from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate
+from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate, filtered_acceleration
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.motion.filter_methods import FilterMethod
 from frictrack.motion.filter_settings import METHOD_NAMES, Smoother
@@ -29,6 +29,7 @@ __all__ = [
     "cutoff_tradeoff",
     "derivatives",
     "differentiate",
+    "filtered_acceleration",
     "frame_grid",
     "frame_weights",
     "low_pass",

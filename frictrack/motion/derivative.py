@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
@@ -94,7 +95,40 @@ def differentiate(filtered: Filtered) -> Motion:
         lines=filtered.lines,
         shake_a=shake_a,
         repaired=filtered.repaired,
+        smoother=filtered.smoother if filtered.sigma_sensor is None else "",
     )
+
+
+def filtered_acceleration(motion: Motion, measured: Displacement, x: Array) -> Array | None:
+    """Compute the acceleration of another displacement through the filter of a motion.
+
+    A filter is linear once its settings are chosen, so a model can be seen as the measurement was.
+
+    Parameters
+    ----------
+    motion
+        What `differentiate` computed, n frames.
+    measured
+        The displacement of the same frames; its deviations weight the frames.
+    x
+        The other displacement, m, (n,).
+
+    Returns
+    -------
+    Array or None
+        Acceleration, m/s^2, (n,). None if the filter of the motion is not known.
+
+    """
+    if not motion.smoother:
+        return None
+    known = measured.known
+    sigma = np.full(len(motion), MISSING_SIGMA)
+    sigma[known] = frame_weights(measured.sigma_x, known)[known] ** -0.5
+    none = np.full(len(motion), np.nan)
+    filtered = Filtered(motion.t, motion.x, none, sigma, none, cutoff=motion.cutoff, smoother=motion.smoother)
+    cubic = Polynomial.fit(motion.t, x, 3)  # the filters smooth what is left after it, and add it again
+    change = Derivatives.of_x(filtered).apparent_motion((x - cubic(motion.t))[:, None])[2, :, 0]
+    return np.asarray(cubic.deriv(2)(motion.t) + change)
 
 
 def derivatives(filtered: Filtered) -> Array:

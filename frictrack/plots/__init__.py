@@ -3,16 +3,19 @@
 plots.motion(run).savefig("v3.pdf")
 """
 
+from frictrack.candidates import passes
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
-from frictrack.plots.candidates import candidates, held_out_order, passes
+from frictrack.plots.candidates import candidates
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.drawn_data import plotted_data
-from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.figure_list import study_figures
+from frictrack.plots.held_out import history
 from frictrack.plots.inputs import AnyModel as AnyModel
 from frictrack.plots.inputs import AnyRun as AnyRun
 from frictrack.plots.inputs import as_model, as_runs
+from frictrack.plots.law import has_law, law, law_title
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -44,13 +47,15 @@ __all__ = [
     "fit",
     "friction",
     "friction_title",
+    "has_law",
     "has_limits",
     "has_missing_force",
     "has_scan",
-    "held_out_order",
     "history",
     "html",
     "is_rejected",
+    "law",
+    "law_title",
     "limits",
     "loops",
     "missing_force",

@@ -8,7 +8,6 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.number_format import format_number, format_range
 from frictrack.plots import style
@@ -62,10 +61,7 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
         for k, one in enumerate(found.values()):
             _marks(ax, one["rows"], key, sources, k)
-        ax.set_xscale("log")
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        style.log_axis(ax, "x")
         _say_what_is_absent(ax, found, key, sources)
         ax.grid(axis="y", color="#E4E7EA", lw=0.8)
         ax.set_xlabel(axis_label(label, "N"))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
-from frictrack.plots.style import axis_label, new_figure, styled
+from frictrack.plots.style import axis_label, new_figure, panel_grid, styled
 from frictrack.records import CutoffTradeOff
 
 MAX_PANELS = 8  # runs drawn as small multiples
@@ -67,24 +67,15 @@ def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
 
     """
     shown = list(found.items())[:MAX_PANELS]
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
     drawn = f"; the first {MAX_PANELS} runs of {len(found)}" if len(found) > MAX_PANELS else ""
-    figure = new_figure(2.3 * rows + 1.0, f"Error over the cut-off frequency{drawn}")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     in_newtons = all(mass is not None for _, (_, mass) in shown)
-    for ax, (name, (one, mass)) in zip(panels.flat, shown, strict=False):
+    error = axis_label("error of m a", "N") if in_newtons else axis_label("error of a", "m/s^2")
+    title, labels = f"Error over the cut-off frequency{drawn}", (axis_label("cut-off frequency", "Hz"), error)
+    figure, cells = panel_grid(len(shown), (2.3, 1.0), title, labels, sharex=True, sharey=True)
+    for (ax,), (name, (one, mass)) in zip(cells, shown, strict=True):
         _draw_errors(ax, one, mass if in_newtons and mass is not None else 1.0)
         ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
-    for ax in panels.flat[len(shown) :]:
-        ax.set_axis_off()
-    for ax in panels[:, 0]:
-        ax.set_ylabel(axis_label("error of m a", "N") if in_newtons else axis_label("error of a", "m/s^2"))
-    for k, ax in enumerate(panels.flat[: len(shown)]):
-        if k + columns >= len(shown):
-            ax.set_xlabel(axis_label("cut-off frequency", "Hz"))
-            ax.tick_params(labelbottom=True)
-    handles, names = panels.flat[0].get_legend_handles_labels()
+    handles, names = cells[0][0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower left", ncols=len(names))
     return figure
 

@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 from frictrack.plots.budget import budgets
 from frictrack.plots.candidates import candidates
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
+from frictrack.plots.evidence import has_limits, has_scan, limits, scan
+from frictrack.plots.held_out import history
+from frictrack.plots.law import has_law, law
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion, motions
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -53,6 +55,8 @@ def _of_run(run: RunResults) -> Iterator[NamedFigure]:
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
     yield f"model {model.name}", partial(fit, model, results.runs)
+    if has_law(model):
+        yield f"law {model.name}", partial(law, model, results.runs)
     found = model.diagnosis
     if not found:
         return

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch, Polygon
 from frictrack.number_format import format_number, format_range
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyRun, as_run, as_runs
-from frictrack.plots.style import axis_label, draw_band, new_figure, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.polygons import polygon
 from frictrack.records import Array, Mask, Motion, stretches
 from frictrack.results import RunResults
@@ -118,24 +118,11 @@ def motions(runs: Sequence[AnyRun]) -> Figure:
     """
     able = as_runs(runs)
     shown = able[:MAX_MOTIONS]
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(4.4 * rows + 0.8, motions_title(able))
-    panels: Any = figure.subplots(3 * rows, columns, squeeze=False, sharex=True)
-    for k in range(rows * columns):
-        cell = panels[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
-        if k < len(shown):
-            _draw_motion(cell, shown[k])
-            cell[0].set_title(shown[k].name, fontweight="normal")
-        else:
-            for ax in cell:
-                ax.set_axis_off()
-        if k + columns >= len(shown) and k < len(shown):
-            cell[-1].set_xlabel(axis_label("time t", "ms"))
-            cell[-1].tick_params(labelbottom=True)
-    for i, ax in enumerate(panels[:, 0]):
-        ax.set_ylabel(SHORT_LABELS[i % 3])
-    figure.align_ylabels(panels[:, 0])
+    labels = (axis_label("time t", "ms"), *SHORT_LABELS)
+    figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex=True)
+    for cell, run in zip(cells, shown, strict=True):
+        _draw_motion(cell, run)
+        cell[0].set_title(run.name, fontweight="normal")
     handles = {handle.get_label(): handle for run in shown for handle in _section_handles(run)}
     figure.legend(handles=list(handles.values()), loc="outside lower left", ncols=4)
     return figure

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from frictrack.number_format import format_number, format_share
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
-from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
@@ -68,21 +68,17 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """
     model, runs = as_model(model), as_runs(runs)
     shown = worst_runs(model, runs)
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(3.3 * rows + 0.7, fit_title(model) + _how_many(model, shown))
-    panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
+    labels = (axis_label("time t", "ms"), "friction force F / N", axis_label("residual", residual_unit(model)))
+    title = fit_title(model) + _how_many(model, shown)
+    figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1))
     by_name = {run.name: run for run in runs}
-    for k, name in enumerate(shown):
-        above, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
+    for (above, left), name in zip(cells, shown, strict=True):
         _draw_force(above, model, by_name[name])
         _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
         above.sharex(left)
         above.tick_params(labelbottom=False)
-    _share_y(panels[1::2])
-    _label_grid(panels, ("friction force F / N", axis_label("residual", residual_unit(model))), len(shown))
-    figure.align_ylabels(panels[:, 0])
+    _share_y([left for _, left in cells])
     handles: list[Any] = [
         Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
         Line2D([], [], color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)), label="model"),
@@ -118,18 +114,15 @@ def failing(
     by_name = {run.name: run for run in runs}
     colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
     shown = worst_runs(model, runs)
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(2.0 * rows + 0.9, _failing_title(model, runs, spans) + _how_many(model, shown))
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for k, name in enumerate(shown):
-        ax = panels[k // columns, k % columns]
+    labels = (axis_label("time t", "ms"), axis_label("residual", residual_unit(model)))
+    title = _failing_title(model, runs, spans) + _how_many(model, shown)
+    figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
+    for (ax,), name in zip(cells, shown, strict=True):
         if better is not None:
             _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
         _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
         ax.set_title(_panel_title(model, name), fontweight="normal")
         _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name])
-    _label_grid(panels, (axis_label("residual", residual_unit(model)),), len(shown))
     handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
     if better is not None:
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
@@ -303,7 +296,7 @@ def _repaired_handles(model: ModelResults) -> list[Line2D]:
 
 
 def modelled_force(model: ModelResults, curve: Curve) -> Array:
-    """Friction force of the model on one fitted segment.
+    """Friction force of the model on one fitted segment, through the filter that the measured force went through.
 
     Parameters
     ----------
@@ -315,15 +308,16 @@ def modelled_force(model: ModelResults, curve: Curve) -> Array:
     Returns
     -------
     Array
-        (n,) force, N. It is NaN at gaps in time, and during a blow that is too short to be resolved: only its
-        impulse is known.
+        (n,) force, N; NaN after a gap in time. Where no filter is known, it is also NaN during a blow that is too short
+        to be resolved: only its impulse is known.
 
     """
+    steps = np.diff(curve.t, prepend=curve.t[0])
+    known = steps <= MAX_GAP_STEPS * np.median(steps)
     own = next((motion for motion in model.motion if motion.run == curve.run), None)
-    if own is None:
-        steps = np.diff(curve.t, prepend=curve.t[0])
-        return style.masked(curve.F_model, steps <= MAX_GAP_STEPS * np.median(steps))
-    return style.masked(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
+    if curve.F_filtered is None and own is not None:
+        known &= ~np.isin(curve.t, own.t[own.blow])
+    return style.masked(curve.F_as_measured, known)
 
 
 def _draw_measured_force(ax: Axes, run: RunResults) -> None:
@@ -360,24 +354,8 @@ def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
         label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
 
 
-def _share_y(panels: Any) -> None:
+def _share_y(panels: Sequence[Axes]) -> None:
     """Give all panels the same y axis."""
-    reach = [ax.get_ylim() for ax in np.ravel(panels) if ax.has_data()]
-    for ax in np.ravel(panels):
+    reach = [ax.get_ylim() for ax in panels]
+    for ax in panels:
         ax.set_ylim(min(low for low, _ in reach), max(high for _, high in reach))
-
-
-def _label_grid(panels: Any, labels: Sequence[str], used: int) -> None:
-    """Label the left and the lowest panels; remove panels without a run."""
-    each = len(labels)
-    rows, columns = panels.shape[0] // each, panels.shape[1]
-    for k in range(rows * columns):
-        cell = panels[each * (k // columns) : each * (k // columns + 1), k % columns]
-        if k >= used:
-            for ax in cell:
-                ax.set_axis_off()
-        elif k + columns >= used:
-            cell[-1].set_xlabel(axis_label("time t", "ms"))
-        if k % columns == 0 and k < used:
-            for ax, label in zip(cell, labels, strict=True):
-                ax.set_ylabel(label)

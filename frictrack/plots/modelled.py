@@ -15,7 +15,7 @@ from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.plots.model import worst_runs
-from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
+from frictrack.plots.style import axis_label, draw_band, panel_grid, plain_name, styled
 from frictrack.records import Array, Mask, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 
@@ -55,20 +55,11 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     if not shown:
         raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
     by_name = {run.name: run for run in runs}
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(5.4 * rows + 0.8, modelled_title(model))
-    panels: Any = figure.subplots(3 * rows, columns, squeeze=False, sharex="col" if rows == 1 else False)
-    for k in range(rows * columns):
-        cell = panels[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
-        if k >= len(shown):
-            for ax in cell:
-                ax.set_axis_off()
-            continue
-        _draw_run(cell, own[shown[k]], by_name[shown[k]], _impulses(model, shown[k]))
-        if k % columns == 0:
-            _label_axes(cell)
-    figure.align_ylabels(panels[:, 0])
+    labels = (axis_label("time t", "ms"), axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"),
+              axis_label("friction F", "N"))  # fmt: skip
+    figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
+    for cell, name in zip(cells, shown, strict=True):
+        _draw_run(cell, own[name], by_name[name], _impulses(model, name))
     figure.legend(
         handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
     )
@@ -122,7 +113,6 @@ def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, imp
         a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
             {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
         )
-    cell[-1].set_xlabel(axis_label("time t", "ms"))
 
 
 def _set_limits(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
@@ -160,12 +150,6 @@ def _impulses(model: ModelResults, run: str) -> str:
     return ", ".join(
         f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
     )
-
-
-def _label_axes(cell: Sequence[Axes]) -> None:
-    labels = (axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"), axis_label("friction F", "N"))
-    for ax, label in zip(cell, labels, strict=True):
-        ax.set_ylabel(label)
 
 
 def _handles(blow: bool) -> list[Any]:

@@ -29,4 +29,5 @@ def html(result: Drawable) -> str:
 
     """
     picture = b64encode(png(result.plot())).decode()
-    return f'<p><code>{escape(repr(result))}</code></p><img alt="" src="data:image/png;base64,{picture}">'
+    image = f'<img alt="" style="max-width: 100%" src="data:image/png;base64,{picture}">'
+    return f"<p><code>{escape(repr(result))}</code></p>{image}"

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.motion_axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
+from frictrack.plots.held_out import draw_held_out
 from frictrack.plots.inputs import AnyModel
 from frictrack.plots.missing_force import (
     at_reference_load,
@@ -27,22 +27,19 @@ from frictrack.plots.missing_force import (
 from frictrack.plots.style import axis_label, new_figure, styled
 from frictrack.plots.verdict_data import (
     DiagnosisLike,
-    HeldOutError,
     Residuals,
     VerdictData,
     data_of_diagnosis,
     data_of_study,
 )
 from frictrack.records import Array, Mask
-from frictrack.results import ModelResults, Results
+from frictrack.results import Results
 from frictrack.verdicts import VERDICTS, certain_effects, indistinguishable_effects
 
 HEIGHT_IN = 3.3
 MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
-MAX_NAMED_MODELS = 4  # below the panel of errors; more models are numbered
 MAX_LIMITS = 8
-LOG_AXIS_RATIO = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
-MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
+ERRORS_WIDTH_IN = 3.3  # of the panel of errors
 MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
 BEFORE, AFTER = style.VERMILION, style.BLUE
 FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
@@ -202,8 +199,6 @@ def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
     """Draw the missing force or, where nothing is missing, what would be seen; return the handles of the legend."""
     if "residual_force" in data.figures:
         return _draw_missing_force(ax, data)
-    if data.law is not None:
-        return _draw_law(ax, data.law)
     if data.diagnosis.get("detection_limits") and not data.fails:
         return _draw_limits(ax, data.diagnosis["detection_limits"])
     return _say(ax, "The missing force is not computed yet")
@@ -265,17 +260,6 @@ def _force_title(data: VerdictData) -> str:
     return "The missing force"
 
 
-def _draw_law(ax: Axes, model: ModelResults) -> list[Any]:
-    """Draw the modelled friction force over speed."""
-    for c in model.curves:
-        force = np.where(c.v_model < 0, -c.F_model, c.F_model)
-        ax.plot(np.abs(c.v_model), force, color=BEFORE, lw=0.9, alpha=0.85)
-    ax.set_xlabel(_x_label("v"))
-    ax.set_ylabel(axis_label("friction force of the model", "N"))
-    ax.set_title("Friction over speed, all runs")
-    return []
-
-
 def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]:
     """Draw the smallest force of each effect that these runs would show, the best seen on top."""
     known = sorted((one["value"], name) for name, one in limits.items() if one["unit"] == "N" and one["value"])
@@ -290,10 +274,8 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]
                     va="center", fontsize=9)  # fmt: skip
     ax.set_yticks(range(len(shown)), [name.replace("_", " ") for _, name in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
-    ax.set_xscale("log")
+    style.log_axis(ax, "x")
     ax.set_xlim(0.6 * factor * min(sizes), 4.0 * factor * max(sizes))
-    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.grid(axis="y", color="#E4E7EA", lw=0.8)
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(axis_label("smallest force that would be detected", unit))
@@ -305,51 +287,11 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]
 
 
 def _draw_errors(ax: Axes, data: VerdictData) -> None:
-    errors = data.errors
-    if not errors:
+    if not data.errors:
         _say(ax, "No held-out error was computed")
         return
-    values = np.array([one.value for one in errors])
-    places = np.arange(len(errors))
-    ax.plot(places, values, color="#777777", lw=1.4, zorder=1)
-    for k, one in enumerate(errors):
-        colour = BEFORE if k == 0 and len(errors) > 1 else AFTER
-        ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
-        if len(errors) <= MAX_NAMED_MODELS or k in (0, len(errors) - 1):
-            ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
-                        fontweight="bold")  # fmt: skip
-    _draw_noise(ax, data, values)
-    ax.set_xlim(-0.5, len(errors) - 0.5)
-    _label_models(ax, errors)
-    ax.set_ylabel(axis_label("held-out error, rms", data.unit))
-    ax.set_title(_errors_title(data, values))
-
-
-def _draw_noise(ax: Axes, data: VerdictData, values: Array) -> None:
-    """Draw the noise, and set the axis of the errors so that it is seen."""
-    known = values
-    if data.noise is not None and data.noise > MIN_NOISE_SHOWN * values.min():
-        known = np.append(values, data.noise)
-        ax.axhline(data.noise, color="black", ls=(0, (4, 2)), lw=1.2, zorder=0.5)
-        ax.annotate("noise", (0, data.noise), (4, 3), xycoords=("axes fraction", "data"),
-                    textcoords="offset points", fontsize=9)  # fmt: skip
-    if known.max() > LOG_AXIS_RATIO * known.min() > 0:
-        ax.set_yscale("log")
-        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        ax.yaxis.set_minor_formatter(NullFormatter())
-        ax.set_ylim(0.6 * known.min(), 2.2 * known.max())
-    else:
-        ax.set_ylim(0, 1.25 * known.max())
-
-
-def _label_models(ax: Axes, errors: Sequence[HeldOutError]) -> None:
-    if len(errors) <= MAX_NAMED_MODELS:
-        labels = [one.label.replace(" + ", "\n+ ") + ("\n(tried)" if one.tried else "") for one in errors]
-    else:
-        labels = [str(k) for k in range(1, len(errors) + 1)]
-        ax.set_xlabel("models in the order tried")
-    ax.set_xticks(range(len(errors)), labels)
+    draw_held_out(ax, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
+    ax.set_title(_errors_title(data, np.array([one.value for one in data.errors])))
 
 
 def _errors_title(data: VerdictData, values: Array) -> str:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from frictrack.plots.held_out import MAX_STEPS_NAMED, HeldOutError, errors_of_models
 from frictrack.plots.inputs import AnyModel, as_model
 from frictrack.plots.model import noise_um, residual_unit, residuals
 from frictrack.plots.style import joined_name, plain_name
@@ -15,7 +16,6 @@ from frictrack.records import Array
 from frictrack.results import ModelResults, Results
 
 DRAWN_AXES = ("x", "v", "t")
-MAX_STEPS_NAMED = 2  # effects that one model adds to the one before; of more, the whole model is named
 REJECTED = ("missing", "ambiguous", "unexplained")
 Figures = Mapping[str, Mapping[str, Array]]
 
@@ -69,15 +69,6 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class HeldOutError:
-    """Held-out error of one model, um or N; `tried` for an effect that the diagnosis tried but nobody added."""
-
-    label: str
-    value: float
-    tried: bool = False
-
-
-@dataclass(frozen=True)
 class VerdictData:
     """What the figure of a verdict shows.
 
@@ -97,8 +88,6 @@ class VerdictData:
         Noise of a frame, um or N.
     unit : str
         Unit of residuals and errors, "µm" or "N".
-    law : ModelResults or None
-        A model that is not diagnosed yet.
 
     """
 
@@ -110,7 +99,6 @@ class VerdictData:
     errors: list[HeldOutError]
     noise: float | None
     unit: str
-    law: ModelResults | None = None
 
     @property
     def axis(self) -> str:
@@ -175,13 +163,13 @@ def data_of_study(results: Results) -> VerdictData:
     before = _stored(figures, plain_name(shown.name), unit)
     before = _of_model(shown, results, figures) if before is None else replace(before, quoted=_rms(shown, unit))
     after = None if shown is current else _of_model(current, results, figures, shown)
-    errors = _errors_of_models(results.models, unit)
+    errors = errors_of_models(results.models, unit)
     tried = _errors_tried(diagnosis, unit) if shown is current else []
     if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
         errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
     return VerdictData(
         plain_name(shown.name), diagnosis, figures, before, after or _tried(figures, diagnosis, unit), errors,
-        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit, None if diagnosis else current,
+        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit,
     )  # fmt: skip
 
 
@@ -199,7 +187,7 @@ def data_of_diagnosis(found: DiagnosisLike, better: AnyModel | None = None) -> V
     after = _tried(figures, diagnosis, unit)
     if better is not None:
         later = as_model(better)
-        errors = [*errors[:1], *_errors_of_models([later], unit)]
+        errors = [*errors[:1], *errors_of_models([later], unit)]
         after = _residuals_of(later, {}, figures, _added(diagnosis["model"], later))
     noise = diagnosis["noise_um"] if unit == "µm" else diagnosis["noise_N"]
     return VerdictData(name, diagnosis, figures, _stored(figures, name, unit), after, errors, noise, unit)
@@ -275,27 +263,6 @@ class _Named:
 
     name: str
     friction: None = None
-
-
-def _errors_of_models(models: Sequence[ModelResults], unit: str) -> list[HeldOutError]:
-    key = "heldout_rms_um" if unit == "µm" else "heldout_rms_N"
-    out, previous = [], None
-    for model in models:
-        value = model.summary["errors"].get(key)
-        if value is not None:
-            out.append(HeldOutError(_step(previous, model), float(value)))
-        previous = model
-    return out
-
-
-def _step(previous: ModelResults | None, model: ModelResults) -> str:
-    """The model, or what was added to or removed from the one before."""
-    if previous is None:
-        return plain_name(model.name)
-    new, old = model.summary["model"], previous.summary["model"]
-    gained, lost = [e for e in new if e not in old], [e for e in old if e not in new]
-    steps = [*(f"+ {e}" for e in gained), *(f"without {e}" for e in lost)]
-    return "\n".join(steps) if 0 < len(steps) <= MAX_STEPS_NAMED else plain_name(model.name)
 
 
 def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]:

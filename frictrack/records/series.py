@@ -198,6 +198,7 @@ class Motion(FrameTable):
     lines: tuple[float, ...] = ()  # Hz, vibrations
     shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake
     repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
+    smoother: str = ""  # JSON: the smoother of x; "" where a sensor's acceleration entered, which no filter lost
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -281,11 +282,17 @@ class Curve(FrameTable):
     role: str = "fit"
     parts: dict[str, Array] = field(default_factory=dict)  # force of each effect, N
     repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked again
+    F_filtered: Array | None = column("N", default=None)  # F_model through the filter of the run; None if it has none
 
     @property
     def residual(self) -> Array:
         """Measured minus modelled displacement (n,), m."""
         return self.x - self.x_model
+
+    @property
+    def F_as_measured(self) -> Array:
+        """Force of the model (n,), N, comparable with the measured one: through the same filter where that is known."""
+        return self.F_model if self.F_filtered is None else self.F_filtered
 
 
 @dataclass(frozen=True, eq=False, repr=False)

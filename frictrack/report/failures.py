@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
@@ -19,37 +18,8 @@ from frictrack.results import ModelResults, Results
 MAX_SPANS_SHOWN = 12  # the others are folded
 
 
-@dataclass(frozen=True)
-class Failure:
-    """Where one model fails.
-
-    Attributes
-    ----------
-    headline : str
-        The model and its verdict.
-    lack_of_fit : str
-        The misfit compared with the noise, in one sentence.
-    residual, force : Markup
-        Figures of the residual and of the missing force; the second may be empty.
-    repeatability : str
-        With what the misfit repeats, in one sentence.
-    repeats, spans, more_spans : TextTable
-        The repeatability tests, and the spans where the model fails, the first ones apart.
-
-    """
-
-    headline: str
-    lack_of_fit: str
-    residual: Markup
-    force: Markup
-    repeatability: str
-    repeats: TextTable
-    spans: TextTable
-    more_spans: TextTable
-
-
-def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> Failure:
-    """Collect where one model fails.
+def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> dict[str, Any]:
+    """Collect where one model fails, for the template: what the misfit is, figures, repeatability and spans.
 
     Parameters
     ----------
@@ -71,7 +41,7 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
     force_figure = (
         plots.missing_force(model.figures, found, styles, repeated) if plots.has_missing_force(model.figures) else None
     )
-    return Failure(
+    return dict(
         headline=headline,
         lack_of_fit=_lack_of_fit(diagnosis),
         residual=draw(plots.failing(model, results.runs, found, better)),

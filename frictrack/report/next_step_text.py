@@ -7,8 +7,8 @@ from typing import Any
 
 from markupsafe import Markup
 
+from frictrack.candidates import candidate_rows
 from frictrack.number_format import lower_first
-from frictrack.report.candidate_text import find_candidate
 from frictrack.report.fit_text import NO_SCALE_ERROR, has_measured_friction, scale_error
 from frictrack.report.markup import mark_code
 from frictrack.results import Results
@@ -108,7 +108,8 @@ def _experiment(diagnosis: Mapping[str, Any]) -> list[Markup]:
 
 def _confirm(diagnosis: Mapping[str, Any], names: list[str]) -> list[Markup]:
     """How to confirm effects by another run."""
-    found = [(name, (find_candidate(diagnosis, name) or {}).get("words", {}).get("confirm")) for name in names]
+    words = {row.effect: row.source["words"] for row in candidate_rows(diagnosis)}
+    found = [(name, words.get(name, {}).get("confirm")) for name in names]
     return [Markup("To confirm <b>{}</b>: {}.").format(name, mark_code(lower_first(how))) for name, how in found if how]
 
 

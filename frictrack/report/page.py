@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from frictrack import plots
+from frictrack.candidates import MAIN_KINDS, candidate_rows
 from frictrack.files import replace_text
 from frictrack.records import Array
 from frictrack.report import (
@@ -34,20 +34,6 @@ MAX_FILMS = 4  # films of which the first frame is shown
 MAX_MODELS_FIRST_SCREEN = 4  # whose errors are named on the first screen; of more, a figure names them
 MAX_RUNS_FIRST_SCREEN = 4  # whose motion is drawn where there is neither a model nor a force
 MIN_CORRELATION = 0.95  # of two parameters; less is not reported
-
-
-@dataclass(frozen=True)
-class RejectedModel:
-    """A model that failed, and the evidence for what it lacks; figures may be empty."""
-
-    headline: str
-    candidates: tables.CandidateTable
-    cards: list[tables.CandidateCard]
-    scan: Markup
-    unexplained: dict[str, Any] | None
-    correlated_signals: list[dict[str, Any]]
-    importance: tables.TextTable
-    undetermined: tables.TextTable
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
@@ -123,11 +109,19 @@ def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
     return {
         "verdict": verdict_text.study_verdict(results),
         "verdict_figure": figure,
+        **_law(model, results, draw),
         "model": model,
         "next_steps": next_step_text.next_steps(results),
         "scale_error": fit_text.scale_error(results),
         "scale_line": fit_text.scale_line(results),
     }
+
+
+def _law(model: ModelResults | None, results: Results, draw: SvgEmbedder) -> dict[str, Any]:
+    """The law of the current model over the speed, where it has one."""
+    if model is None or not plots.has_law(model):
+        return {"law": None}
+    return {"law": draw(plots.law(model, results.runs, title=False)), "law_title": plots.law_title(model)}
 
 
 def _diagnosis_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
@@ -232,16 +226,16 @@ def _headline(model: ModelResults) -> str:
     return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
 
 
-def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
+def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> dict[str, Any]:
+    """A model that failed, and the evidence for what it lacks; figures may be empty."""
     diagnosis = model.diagnosis or {}
-    found = tables.candidate_table(diagnosis)
-    best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
+    rows = candidate_rows(diagnosis)
+    best = rows[0].effect if rows else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
-    main = {best, *diagnosis["missing"], *(diagnosis["candidates"][0]["indistinguishable_from"] if best else ())}
-    return RejectedModel(
+    return dict(
         headline=_headline(model),
-        candidates=found,
-        cards=[card for card in tables.candidate_cards(diagnosis) if card.passes and card.name in main],
+        candidates=tables.candidate_table(rows),
+        cards=tables.candidate_cards([row for row in rows if row.kind in MAIN_KINDS]),
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
         unexplained=unexplained.unexplained_force(diagnosis, draw),
         correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from frictrack import plots
+from frictrack.candidates import candidate_rows
 from frictrack.motion_axes import AXES
-from frictrack.number_format import format_number, format_range, format_share, join_words
-from frictrack.plots import passes
+from frictrack.number_format import describe_change, format_number, format_range, format_share, join_words
 from frictrack.report import provenance, tables
-from frictrack.report.candidate_text import held_out_change, held_out_error
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
+from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 
 MAX_LIMITS_NAMED = 3
@@ -55,19 +55,17 @@ def _where(results: Results) -> str:
 def _missing(results: Results) -> str:
     model = plots.failed_model(results)
     diagnosis = (model.diagnosis if model else None) or results.diagnosis or {}
-    found = diagnosis.get("candidates") or []
-    tried = f"{len(found)} effects tried"
+    rows = candidate_rows(diagnosis) if diagnosis else []
+    tried = f"{len(diagnosis.get('candidates') or [])} effects tried"
     if not diagnosis.get("missing"):
         left = diagnosis.get("unexplained")
         if leads := diagnosis.get("leads"):
             return f"nothing explains it; leads: {join_words(leads)}; {tried}"
         more = f"a force over {AXES[left['axis']].name} that no effect explains; " if left else ""
-        significant = sum(map(passes, found))
+        significant = sum(row.passes for row in rows)
         return f"{more}{significant} effects are significant" if significant else f"{more}no effect is significant"
-    best = next((c for c in found if c["effect"] == diagnosis["missing"][0]), None)
-    change = held_out_change(best) if best else ""
-    words = join_words(diagnosis["missing"])
-    return f"{words}; {tried}; held-out error {change}" if change else f"{words}; {tried}"
+    words = f"{join_words(diagnosis['missing'])}; {tried}"
+    return f"{words}; held-out error {rows[0].held_out}" if rows and rows[0].held_out else words
 
 
 def _next(results: Results) -> str:
@@ -82,9 +80,7 @@ def _history(results: Results) -> str:
     (old, unit), (new, _) = (held_out_error(models[k].summary["errors"]) for k in (0, -1))
     if old is None or new is None:
         return f"{len(models)} models tried"
-    falls = "falls" if new < old else "rises"
-    change = f"from {format_number(old)} to {format_number(new)} {unit}"
-    return f"{len(models)} models tried; the held-out error {falls} {change}"
+    return f"{len(models)} models tried; the held-out error {describe_change(old, new, unit)}"
 
 
 def _parameters(results: Results) -> str:

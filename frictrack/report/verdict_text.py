@@ -9,11 +9,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from frictrack.candidates import CandidateRow, candidate_rows
 from frictrack.motion_axes import AXES
-from frictrack.number_format import format_number, join_words, lower_first
-from frictrack.plots import noise_um, passes, plain_name
-from frictrack.report.candidate_text import evidence_text, find_candidate, held_out_clause, held_out_error
+from frictrack.number_format import describe_change, format_number, join_words, lower_first
+from frictrack.plots import noise_um, plain_name
 from frictrack.report.markup import mark_code
+from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 from frictrack.verdicts import certain_effects, describe_alternatives, indistinguishable_effects
 
@@ -154,18 +155,15 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     first, last = added[0][0], added[-1][1]
     (old, unit), (new, _) = held_out_error(first.summary["errors"]), held_out_error(last.summary["errors"])
     effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
-    found = find_candidate(first.diagnosis, added[0][2]) if len(added) == 1 else None
-    why = Markup("")
-    if found is not None:
-        why = Markup(" ({}; {})").format(lower_first(found["words"].get("what", "")), evidence_text(found))
-    yield Markup("{} lacked {}{}: with {} the held-out error {} from {} to <b>{} {}</b>.").format(
-        plain_name(first.name), Markup(effects), why, "it" if len(added) == 1 else "them", _falls_or_rises(old, new),
-        format_number(old), format_number(new), unit,
-    )  # fmt: skip
-
-
-def _falls_or_rises(old: float | None, new: float | None) -> str:
-    return "rises" if old is not None and new is not None and new > old else "falls"
+    found = [row for row in candidate_rows(first.diagnosis) if len(added) == 1 and row.effect == added[0][2]]
+    why = Markup(" ({})").format(_evidence(found[0])) if found else Markup("")
+    yield Markup("{} lacked {}{}: with {} the held-out error {}.").format(
+        plain_name(first.name),
+        Markup(effects),
+        why,
+        "it" if len(added) == 1 else "them",
+        describe_change(old, new, unit),
+    )
 
 
 def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -198,18 +196,20 @@ def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator
 
 def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield _model_fails(model, diagnosis)
+    rows = {row.effect: row for row in candidate_rows(diagnosis)}
     for effect in diagnosis["missing"]:
-        found = find_candidate(diagnosis, effect)
-        if found is not None:
-            clause = held_out_clause(found)
-            yield Markup("Missing effect: <b>{}</b> ({}; {}{}).").format(
-                effect,
-                lower_first(found["words"].get("what", "")),
-                evidence_text(found),
-                f"; {clause}" if clause else "",
-            )
-        else:
+        if effect not in rows:
             yield Markup("With it in the model, <b>{}</b> is missing too.").format(effect)
+            continue
+        row = rows[effect]
+        added = f" in addition to {join_words(row.added_to)}" if row.added_to else ""
+        change = f"; the held-out error {describe_change(row.before, row.after, row.unit)}" if row.held_out else ""
+        yield Markup("Missing{}: <b>{}</b> ({}{}).").format(added, effect, _evidence(row), change)
+
+
+def _evidence(row: CandidateRow) -> str:
+    """What an effect is, and the evidence for it."""
+    return f"{lower_first(row.source['words'].get('what', ''))}; {row.evidence}"
 
 
 def _model_fails(model: ModelResults, diagnosis: Mapping[str, Any]) -> Markup:
@@ -240,7 +240,7 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
         return
     if leads := diagnosis.get("leads"):
         yield Markup("Leads, no causes: with <b>{}</b> a misfit remains.").format(join_words(leads))
-    elif not any(passes(c) for c in diagnosis["candidates"]):
+    elif not any(row.passes for row in candidate_rows(diagnosis)):
         yield Markup("No effect of the library passes.")
     if left:
         yield Markup("The remaining misfit repeats best with {}.").format(AXES[left["axis"]].name)

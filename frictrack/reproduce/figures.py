@@ -32,16 +32,20 @@ def _place_legend(ax: Axes) -> None:
 
 
 @style.styled
-def traces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]]) -> Figure:
-    """Acceleration over time, measured in grey and laws over it, one panel per recording."""
+def traces(
+    title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]], *, as_force: bool = False
+) -> Figure:
+    """Acceleration a over time, or the friction force -m a: measured in grey, laws over it, one panel per recording."""
     figure = style.new_figure(3.3, title)
     for ax, (name, (series, curves)) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
     ):
-        ax.plot(1e3 * series.t, series.a, label="measured", **MEASURED_STYLE)
+        factor = -series.mass if as_force else 1.0
+        ax.plot(1e3 * series.t, factor * series.a, label="measured", **MEASURED_STYLE)
         for (label, a), curve_style in zip(curves, CURVE_STYLES, strict=False):
-            ax.plot(1e3 * series.t, a, label=label, **curve_style)
-        ax.set(title=name, xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
+            ax.plot(1e3 * series.t, factor * a, label=label, **curve_style)
+        label = "friction force F / N" if as_force else "acceleration a / (m/s²)"
+        ax.set(title=name, xlabel="time t / ms", ylabel=label)
         _place_legend(ax)
     return figure
 

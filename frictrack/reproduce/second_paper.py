@@ -69,13 +69,14 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
                 ),
             ),
             "second_fig06_07_friction": (
-                "Acceleration as the sensor has it, and what SGA made of it.",
+                "Friction force by the sensor, and what SGA made of it.",
                 figures.traces(
                     "Second paper, Figs. 6, 7  Without and with the sine filter",
                     {
                         "without": (data, [("SGA", _chosen_acceleration(results["tustin"]))]),
                         "with": (data, [("SGA", _chosen_acceleration(results["atm1:2"]))]),
                     },
+                    as_force=True,
                 ),
             ),
         },

@@ -166,7 +166,7 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     Parameters
     ----------
     name : str
-        "cutoff:RUN", "scan:EFFECT", "unexplained" or "history".
+        "law", "cutoff:RUN", "scan:EFFECT", "unexplained" or "history".
     snapshot : Snapshot
         The study and its results as they were read last.
 
@@ -194,6 +194,8 @@ def _draw(name: str, results: Results) -> Figure | None:
     kind, _, which = name.partition(":")
     diagnosis = results.diagnosis or {}
     run = next((one for one in results.runs if one.name == which), None)
+    if kind == "law" and results.current is not None and plots.has_law(results.current):
+        return plots.law(results.current, results.runs, title=False, width=4.8)
     if kind == "cutoff" and run is not None and run.cutoff is not None:
         return plots.cutoff(run.name, run.cutoff, run.mass)
     if kind == "scan" and plots.has_scan(results.figures.get(which, {})):

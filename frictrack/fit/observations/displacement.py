@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,8 @@ from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_sca
 from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates, misfit_of
-from frictrack.records import Array, Curve, ModelledMotion, Run
+from frictrack.motion import filtered_acceleration
+from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, stretches
 
 
 class Observation(ABC):
@@ -167,6 +170,13 @@ class DisplacementObservation(Observation):
             repaired=None if run.motion.repaired is None else run.motion.repaired[piece.frames],
         )
 
+    def curves(self, solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
+        """Return measurement and model of every piece, with the force of the model through the filter of its run."""
+        found = super().curves(solution, runs, role)
+        changes = {run.name: filtered_acceleration(run.motion, run.displacement, _misfit(run, found)) for run in runs}
+        pairs = zip(found, solution.responses, strict=True)
+        return tuple(_with_filtered_force(c, runs[r.piece.run], r.piece.mass, changes[c.run]) for c, r in pairs)
+
     def motion(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> tuple[ModelledMotion, ...]:
         """Return x, v, a and F of the model with their bands, one table per run, validation runs last."""
         predicted = list(zip(fitted.predictions, fitted.validation, strict=True))
@@ -220,16 +230,75 @@ class DisplacementObservation(Observation):
         return fitted.runs[0].mass is not None
 
 
+def _misfit(run: Run, curves: Sequence[Curve]) -> Array:
+    """Measured minus modelled displacement (n,), m; 0 before the first fitted frame, linear in time after the last.
+
+    Every segment has its own start. So that segments meet without a jump, what follows is moved by a shift and a speed,
+    which no filter changes.
+    """
+    m = run.motion
+    y = np.where(run.displacement.known, run.displacement.x, m.x)
+    t, x, v, a = m.t, y.copy(), m.v.copy(), m.a.copy()
+    segment = np.full(len(m), -1)
+    for k, c in enumerate(c for c in curves if c.run == run.name):
+        rows = _rows(run, c)
+        x[rows], v[rows], a[rows], segment[rows] = c.x_model, c.v_model, c.a_model, k
+    fitted = np.flatnonzero(segment >= 0)
+    shift = speed = 0.0
+    for i, end in pairwise([*(np.flatnonzero(np.diff(segment)) + 1), len(m)]):
+        dt = t[i] - t[i - 1]
+        shift += speed * dt
+        if fitted[0] < i <= fitted[-1]:
+            speed = v[i - 1] + dt * (a[i - 1] + a[i]) / 2 - v[i]
+            shift = x[i - 1] + dt * v[i - 1] + dt**2 * (2 * a[i - 1] + a[i]) / 6 - x[i]
+        x[i:end] += shift + speed * (t[i:end] - t[i])
+        v[i:end] += speed
+        shift += speed * (t[end - 1] - t[i])
+    return y - x
+
+
+def _with_filtered_force(curve: Curve, run: Run, mass: float, change: Array | None) -> Curve:
+    """Curve with the force of the model through the filter K, which is linear: K y_model = K y - K (y - y_model)."""
+    if change is None:
+        return curve
+    rows = _rows(run, curve)
+    a_filtered = run.motion.a[rows] - change[rows]
+    return replace(curve, F_filtered=curve.F_model + mass * (curve.a_model - a_filtered))
+
+
+def _unsmeared(run: Run, curves: Sequence[Curve]) -> Mask:
+    """Fitted frames (n,) away from the ends, which the filter smears; those of a short section are all kept."""
+    fitted, out = np.zeros((2, len(run.motion)), dtype=bool)
+    for c in curves:
+        if c.run == run.name:
+            fitted[_rows(run, c)] = True
+    for section in stretches(fitted):
+        guard = run.motion.guard if section.stop - section.start > 3 * run.motion.guard else 0
+        out[section.start + guard : section.stop - guard] = True
+    return out
+
+
+def _rows(run: Run, curve: Curve) -> Any:
+    """Rows of a run at which a curve was fitted."""
+    return np.searchsorted(run.motion.t, curve.t - 1e-9)
+
+
 def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
-    """Return the errors of some curves against the runs that they came from, as JSON."""
-    by_name = {r.name: r for r in runs}
+    """Return the errors of some curves against the runs that they came from, as JSON.
+
+    Accelerations and forces of the model are compared after the filter that the measured ones went through, where that
+    does not smear them.
+    """
+    by_name = {r.name: (r, _unsmeared(r, curves)) for r in runs}
     a_error, f_error, f_measured = [], [], []
     for c in curves:
-        run = by_name[c.run]
-        rows = np.searchsorted(run.motion.t, c.t - 1e-9)
-        a_error.append(run.motion.a[rows] - c.a_model)
-        f_error.append((run.mass or 1.0) * a_error[-1])
-        f_measured.append(c.F_model - f_error[-1] if run.drive is None else run.drive[rows])
+        run, unsmeared = by_name[c.run]
+        mass, rows = run.mass or 1.0, _rows(run, c)
+        kept, force = unsmeared[rows], c.F_as_measured
+        error = run.motion.a[rows] - c.a_model + (force - c.F_model) / mass
+        a_error.append(error[kept])
+        f_error.append(mass * error[kept])
+        f_measured.append((force - mass * error if run.drive is None else run.drive[rows])[kept])
     accelerations = np.concatenate(a_error)
     scale = max(float(np.linalg.norm(np.concatenate(f_measured))), 1e-30)
     return {

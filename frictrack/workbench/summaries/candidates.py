@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.flow import read_attempt
-from frictrack.number_format import format_number
+from frictrack.number_format import describe_change
 from frictrack.plots.style import BAND_SIGMAS
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results, to_builtins
@@ -86,26 +86,9 @@ def error_change(now: ModelResults, tried: ModelResults) -> dict[str, Any]:
     predicted = None not in (before["heldout"], after["heldout"]) and before["heldout_unit"] == after["heldout_unit"]
     key, unit, name = ("heldout", "heldout_unit", "Held-out error") if predicted else ("rms", "rms_unit", "Residual")
     first, second = before[key], after[key]
-    error = _change(name, first, second, f" {before[unit]}")
-    chi2 = _change("reduced chi-squared", before["reduced_chi2"], after["reduced_chi2"])
-    words = f"{error}; {chi2}."
+    chi2 = describe_change(before["reduced_chi2"], after["reduced_chi2"])
+    words = f"{name} {describe_change(first, second, before[unit])}; reduced chi-squared {chi2}."
     return {"now": first, "with": second, "unit": before[unit], "words": words}
-
-
-def _change(name: str, before: float | None, after: float | None, unit: str = "") -> str:
-    """Describe how a number changes.
-
-    Examples
-    --------
-    >>> _change("rms", 2.0, 1.0, " µm")
-    'rms falls from 2.00 to 1.00 µm'
-
-    """
-    first, second = format_number(before), format_number(after)
-    if first == second:
-        return f"{name} stays at {first}{unit}"
-    verb = "changes" if before is None or after is None else "rises" if after > before else "falls"
-    return f"{name} {verb} from {first} to {second}{unit}"
 
 
 def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[str, Array]) -> str:

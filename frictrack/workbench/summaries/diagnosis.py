@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any, TypedDict
 
 from frictrack import plots
+from frictrack.candidates import CandidateRow, candidate_rows
 from frictrack.flow import effect_of_formula
 from frictrack.motion_axes import AXES
 from frictrack.number_format import format_change, format_interval, format_number, format_share
-from frictrack.report import held_out_change, mark_code, study_verdict
+from frictrack.report import mark_code, study_verdict
 from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import Study
@@ -121,41 +122,39 @@ def _numbers(found: Mapping[str, Any]) -> list[str]:
 def _candidates(
     results: Results, found: Mapping[str, Any], attempted: Mapping[str, ModelResults]
 ) -> list[dict[str, Any]]:
-    cards = candidate_cards(found)
-    both = zip(cards, found["candidates"], strict=True)
-    return [_card(card, raw, results, tried=attempted.get(card.name)) for card, raw in both]
+    cards = candidate_cards(candidate_rows(found))
+    return [_card(card, results, tried=attempted.get(card.row.effect)) for card in cards]
 
 
-def _card(
-    card: CandidateCard, raw: Mapping[str, Any], results: Results, *, tried: ModelResults | None
-) -> dict[str, Any]:
-    words = {key: str(text.striptags()) for key, text in card.words.items()}
+def _card(card: CandidateCard, results: Results, *, tried: ModelResults | None) -> dict[str, Any]:
+    row = card.row
     return {
-        "name": card.name,
-        "rank": card.rank,
-        "passes": card.passes,
+        "name": row.effect,
+        "rank": row.standing,
+        "passes": row.passes,
         "acts_on": card.acts_on,
-        **{key: words[key] for key in ("what", "looks_like", "here", "confirm")},
-        "rivals": list(card.rivals) if card.passes else [],
-        "numbers": [_text(cell) for cell in card.numbers],
+        **{key: str(text.striptags()) for key, text in card.words.items()},
+        "rivals": list(card.rivals),
+        "numbers": list(card.numbers),
         "fitted": tried is not None,
-        "delta_bic": raw["delta_bic"],
-        "p": raw["p"],
-        "error_with": held_out_change(raw) or None,
-        "errors": _errors(raw, results, tried),
-        "has_scan": bool(plots.has_scan(results.figures.get(card.name, {}))),
+        "delta_bic": row.delta_bic,
+        "p": row.source["p"],
+        "error_with": row.held_out or None,
+        "errors": _errors(row, results, tried),
+        "has_scan": bool(plots.has_scan(results.figures.get(row.effect, {}))),
     }
 
 
-def _errors(raw: Mapping[str, Any], results: Results, tried: ModelResults | None) -> dict[str, Any] | None:
-    """Return the error now and with a candidate: of the fit that was tried, else of the diagnosis; None if unknown."""
-    if tried is not None and results.current is not None:
+def _errors(row: CandidateRow, results: Results, tried: ModelResults | None) -> dict[str, Any] | None:
+    """Return the error now and with a candidate: of the fit that was tried, else of the diagnosis; None if unknown.
+
+    A fit that was tried has this effect alone; one found in addition to others has the error of the diagnosis.
+    """
+    if tried is not None and results.current is not None and not row.added_to:
         return error_change(results.current, tried)
-    key, unit = ("um", "µm") if raw.get("heldout_rms_after_um") is not None else ("N", "N")
-    before, after = raw.get(f"heldout_rms_before_{key}"), raw.get(f"heldout_rms_after_{key}")
-    if before is None or after is None:
+    if not row.held_out:
         return None
-    return {"now": before, "with": after, "unit": unit, "words": f"Held-out error {held_out_change(raw)}."}
+    return {"now": row.before, "with": row.after, "unit": row.unit, "words": f"Held-out error {row.held_out}."}
 
 
 def _failing_plot(found: Mapping[str, Any]) -> str:
@@ -163,10 +162,6 @@ def _failing_plot(found: Mapping[str, Any]) -> str:
     repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
     over = dict(zip(("t", "x", "v"), RESIDUAL_TITLES, strict=True))
     return next((over[axis] for axis in repeats if axis in over), RESIDUAL_TITLES[0])
-
-
-def _text(cell: Any) -> str:
-    return str(cell.striptags()) if hasattr(cell, "striptags") else str(cell)
 
 
 # --- a force that no effect explains

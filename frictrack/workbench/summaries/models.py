@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 from frictrack.effects import catalogue
 from frictrack.flow import user_effects
 from frictrack.number_format import format_quantity
-from frictrack.plots import numbered_name, residual_unit
+from frictrack.plots import has_law, numbered_name, residual_unit
 from frictrack.report import held_out_error, mark_equation
 from frictrack.results import ModelResults, to_builtins
 from frictrack.study import EffectTable, Study
@@ -137,8 +137,9 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        group, label, equation and equation_html, remarks, and effects: name, equation, what, and parameters with name,
-        unit, values (text by run, "" for all runs), settings (fix, low, high, prior, tie, per_run) and bounds.
+        group, label, equation and equation_html, remarks, has_law (whether its law can be drawn over the speed), and
+        effects: name, equation, what, and parameters with name, unit, values (text by run, "" for all runs), settings
+        (fix, low, high, prior, tie, per_run) and bounds.
 
     """
     model = snapshot.results.current if snapshot.results else None
@@ -151,6 +152,7 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
         "equation": model.equation,
         "equation_html": str(mark_equation(model.equation)),
         "remarks": list(model.summary.get("remarks", [])),
+        "has_law": has_law(model),
         "effects": [_effect(name, library, model, snapshot.study) for name in model.summary["model"]],
     }
 

@@ -5,7 +5,7 @@ import { address } from "./api.js";
 import { runAll } from "./actions.js";
 import { useCandidateCurve } from "./candidate_curve.js";
 import { Candidates, Formulas } from "./candidates.js";
-import { Button, Choice, Note } from "./controls.js";
+import { Button, Choice, Note, Panel } from "./controls.js";
 import { ErrorStrip } from "./error_strip.js";
 import { spaced } from "./format.js";
 import { Spinner } from "./icons.js";
@@ -61,6 +61,14 @@ function Nothing() {
     </div>`;
 }
 
+/** Friction force and coefficient over the speed, of the current model. */
+function Law() {
+  const [model, version] = [useStore((s) => s.study?.model), useStore((s) => s.study?.version)];
+  return model?.has_law ? html`
+    <${Panel} title="Friction law"><img class="ui-figure" alt="Friction force and coefficient over the speed, with its band, over the measured force"
+      src=${address("/api/figure", { name: "law", v: `${model.group} ${version}` })} /><//>` : null;
+}
+
 export function CompareTab() {
   const [parts, setParts] = useState(null);
   const film = useStore((s) => filmOf(selectedRun(s.study, s.run))), films = useStore((s) => (s.study?.runs || []).map(filmOf).filter(Boolean));
@@ -81,6 +89,7 @@ export function CompareTab() {
       <aside class="ui-side" aria-label="Verdict and candidates">
         <${Models} />
         <${Verdict} />
+        <${Law} />
         <${ErrorStrip} />
         <${Candidates} curve=${candidate} />
         <${Formulas} />

@@ -1,0 +1,78 @@
+"""The one list of candidates, and that terminal, report, page and figure show it alike."""
+
+import io
+
+import pytest
+from rich.console import Console
+from test_plots import bars, candidate, diagnosis
+
+from frictrack import plots
+from frictrack.candidates import candidate_rows, find_row, not_passing
+from frictrack.cli.diagnosis_output import verdict
+from frictrack.report import tables
+
+
+@pytest.fixture
+def found():
+    """Two effects found one after the other, a rival of the second, and others alone."""
+    return diagnosis(
+        "ambiguous",
+        [
+            candidate("patch", 0.001, 44000.0),
+            candidate("asymmetry", 0.001, 300.0, ["slope"]) | {"heldout_rms_after_um": 7.0},
+            candidate("drag", 0.4, 3.0) | {"passes": False},
+            candidate("presliding", 0.001, 41000.0),
+            candidate("slope", 0.012, 419.0) | {"passes": False},
+            candidate("lens", 0.001, -560.0) | {"passes": False},
+            candidate("texture", 0.001, 90.0) | {"passes": False, "implausible": "1.1 periods"},
+        ],
+        ["patch", "asymmetry"],
+    )
+
+
+def test_order_and_words_of_the_list(found):
+    told = [(row.effect, row.kind, row.standing) for row in candidate_rows(found)]
+    assert told == [
+        ("patch", "named", "found"),
+        ("asymmetry", "named", "found in addition to patch"),
+        ("slope", "rival", "predicts the same data as asymmetry"),
+        ("presliding", "weaker", "passes alone, 3000 behind the best"),
+        ("drag", "fails", "does not pass"),
+        ("texture", "implausible", "not plausible: 1.1 periods"),
+    ]  # lens has no positive evidence
+
+
+def test_error_without_an_effect_is_that_with_the_effects_before_it(found):
+    rows = candidate_rows(found)
+    assert rows[0].held_out == "21.2 to 10.2 µm"
+    assert rows[1].held_out == "10.2 to 7.00 µm"
+
+
+def test_no_p_value_is_smaller_than_the_simulated_studies_allow(found):
+    rows = candidate_rows(found)
+    assert rows[0].evidence.startswith("p at most 1/1000, delta BIC +44")
+    assert find_row(found, "slope").p == "0.012"
+
+
+def test_leads_are_no_finds():
+    found = diagnosis("unexplained", [candidate("patch", 0.001, 300.0)]) | {"leads": ["patch"]}
+    assert [(row.kind, row.standing) for row in candidate_rows(found)] == [("lead", "explains a part")]
+
+
+def test_every_surface_shows_the_same_order_and_words(found):
+    rows = candidate_rows(found)
+    names = [row.effect for row in rows]
+    assert list(bars(plots.candidates(found))) == names
+    report = [row for table in tables.candidate_table(rows) for row in table.rows]
+    assert [str(row[0]).rpartition("<code>")[2].removesuffix("</code>") for row in report] == names
+    assert [row[1] for row in report] == [row.standing for row in rows]
+    assert [card.row for card in tables.candidate_cards(rows)] == rows  # the cards of the page
+    out = Console(file=io.StringIO(), width=200)
+    verdict(out, found)
+    text = out.file.getvalue()
+    at = [text.index(f"\n{name} ") for name in names[:4]]
+    assert at == sorted(at)
+    for row in rows[:4]:
+        assert row.standing in text
+    assert not_passing(rows) == "Of the others with some evidence, 1 does not pass and 1 is not plausible."
+    assert not_passing(rows) in text
