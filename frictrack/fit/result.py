@@ -17,7 +17,7 @@ from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
 from frictrack.fit.prior_transfer import prior_of
-from frictrack.fit.routes import FittedRuns
+from frictrack.fit.routes import FittedRuns, SearchedOptima
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
@@ -35,6 +35,7 @@ from frictrack.priors import Prior
 from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
+from frictrack.search import Convergence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +58,15 @@ class StorableFit(NotebookView):
         """
         fitted: Any = self  # a Fit or GroupFits
         named, model = name or f"1_{'+'.join(fitted.model.names)}", str(fitted.model)
-        return ModelResults(named, model, fitted.summary(), fitted.curves, current=True, motion=fitted.motion)
+        return ModelResults(
+            named,
+            model,
+            fitted.summary(),
+            fitted.curves,
+            current=True,
+            motion=fitted.motion,
+            convergence=fitted.convergence,
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,9 +113,17 @@ class Fit(FittedRuns, StorableFit):
         frame = pd.DataFrame.from_dict(rows, orient="index").astype({"value": float, "std": float})
         return frame.rename_axis("parameter")
 
-    def plot(self) -> Figure:
-        """Draw per run the modelled and the measured friction force over time, and the residual below."""
-        figure: Figure = imported("frictrack.plots:fit")(self, (*self.weighed, *self.validation))
+    def plot(self, what: str = "force") -> Figure:
+        """Draw the fit.
+
+        Parameters
+        ----------
+        what : {"force", "convergence"}
+            "force": per run the modelled and the measured friction force over time, and the residual below.
+            "convergence": a global search generation by generation.
+
+        """
+        figure: Figure = imported("frictrack.plots:of_fit")(self, (*self.weighed, *self.validation), what)
         return figure
 
     @property
@@ -216,6 +233,12 @@ class Fit(FittedRuns, StorableFit):
         """
         return self.observation.motion(self, lambda: self.estimates.covariance)
 
+    @property
+    def convergence(self) -> dict[str, Convergence]:
+        """The global search generation by generation, under the name "all"; empty for variable projection."""
+        searched = self.found.searched
+        return {} if searched is None or searched.convergence is None else {"all": searched.convergence}
+
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
         """Summary of every collision as JSON."""
@@ -242,7 +265,7 @@ class Fit(FittedRuns, StorableFit):
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack fit`."""
-        agreement = self.prior_agreement
+        agreement, searched = self.prior_agreement, self.found.searched
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return (
             {
@@ -258,6 +281,7 @@ class Fit(FittedRuns, StorableFit):
                 "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": [
                     *(() if self.measured else noise_free_remark(self.runs)),
+                    *([searched.remark] if searched is not None and searched.remark else []),
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
                     *(() if agreement is None else agreement.remarks()),
@@ -266,7 +290,7 @@ class Fit(FittedRuns, StorableFit):
                 "per_run": self.observation.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,
             }
-            | ({"optima": self._optima()} if len(self.found.optima) else {})
+            | ({} if searched is None else {"searched": searched.summary, "optima": self._optima(searched)})
             | ({} if agreement is None else {"prior": agreement.summary()})
             | self.uncertainty.summary()
         )
@@ -288,12 +312,11 @@ class Fit(FittedRuns, StorableFit):
         std = found.reported_std
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
-    def _optima(self) -> list[dict[str, Any]]:
+    def _optima(self, searched: SearchedOptima) -> list[dict[str, Any]]:
         """The distinct optima of a search within 1 % of the best, best first."""
-        found = self.found
         return [
-            {"misfit": float(cost), "parameters": quoted(found.solution, p)}
-            for p, cost in zip(found.optima, found.costs, strict=True)
+            {"misfit": float(cost), "parameters": quoted(self.solution, p)}
+            for p, cost in zip(searched.points, searched.costs, strict=True)
         ]
 
 
@@ -328,9 +351,9 @@ class GroupFits(StorableFit):
 
         return pd.concat({name: f.to_dataframe() for name, f in self.fits.items()}, names=["group"])
 
-    def plot(self) -> Figure:
-        """Draw the modelled and the measured friction force of all groups; see `Fit.plot`."""
-        figure: Figure = imported("frictrack.plots:fit")(self, self.weighed)
+    def plot(self, what: str = "force") -> Figure:
+        """Draw the modelled and the measured friction force of all groups, or their searches; see `Fit.plot`."""
+        figure: Figure = imported("frictrack.plots:of_fit")(self, self.weighed, what)
         return figure
 
     @property
@@ -357,6 +380,11 @@ class GroupFits(StorableFit):
     def motion(self) -> tuple[ModelledMotion, ...]:
         """Simulated motions with their bands, group by group."""
         return tuple(chain.from_iterable(f.motion for f in self.fits.values()))
+
+    @property
+    def convergence(self) -> dict[str, Convergence]:
+        """The global search of every group; empty for variable projection."""
+        return {name: one for name, f in self.fits.items() for one in f.convergence.values()}
 
     @property
     def errors(self) -> dict[str, Any]:
@@ -394,7 +422,7 @@ class GroupFits(StorableFit):
                     collision | {"group": g} for g, s in group_fits.items() for collision in s["collisions"]
                 ],
             }
-            | ({"prior": {g: s["prior"] for g, s in group_fits.items()}} if "prior" in first else {})
+            | {key: {g: s[key] for g, s in group_fits.items()} for key in ("prior", "searched") if key in first}
         )
 
 

@@ -6,6 +6,7 @@ plots.motion(run).savefig("v3.pdf")
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates, held_out_order, passes
+from frictrack.plots.convergence import convergence, of_fit
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
@@ -35,6 +36,7 @@ __all__ = [
     "budgets",
     "budgets_title",
     "candidates",
+    "convergence",
     "correlated_signal",
     "cutoff",
     "cutoffs",
@@ -62,6 +64,7 @@ __all__ = [
     "next_experiments",
     "noise_um",
     "numbered_name",
+    "of_fit",
     "pair_separation",
     "passes",
     "pdf",

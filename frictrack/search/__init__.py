@@ -9,7 +9,7 @@ from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.driver import METHODS, minimise, search_method
 from frictrack.search.evaluator import Convergence, SearchResult
 from frictrack.search.ga import GA, SGA
-from frictrack.search.method import SearchMethod
+from frictrack.search.method import SearchMethod, read_settings
 from frictrack.search.mga import MGA, code_length, code_length_as_printed
 from frictrack.search.sa import SA
 
@@ -28,5 +28,6 @@ __all__ = [
     "code_length",
     "code_length_as_printed",
     "minimise",
+    "read_settings",
     "search_method",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch
 from frictrack.search.ga import GA, SGA
-from frictrack.search.method import SearchMethod, with_settings
+from frictrack.search.method import SearchMethod, read_settings
 from frictrack.search.mga import MGA
 from frictrack.search.sa import SA
 
@@ -42,10 +43,10 @@ def search_method(method: str | SearchMethod, settings: Mapping[str, Any] | None
 
     """
     if isinstance(method, SearchMethod):
-        return with_settings(type(method), vars(method) | dict(settings)) if settings else method
+        return replace(method, **read_settings(type(method), settings or {}))
     if method not in METHODS:
         raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"', usage=True)
-    return with_settings(METHODS[method], settings or {})
+    return METHODS[method](**read_settings(METHODS[method], settings or {}))
 
 
 def minimise(  # noqa: PLR0913 - the one public function of the searches; all but two settings are optional

@@ -90,8 +90,8 @@ class SearchMethod:
         return {"method": self.name, **asdict(self)}
 
 
-def with_settings(kind: type[SearchMethod], raw: Mapping[str, Any]) -> SearchMethod:
-    """Build the record of a method from settings by name; texts are read as numbers, and the papers' symbols are known.
+def read_settings(kind: type[SearchMethod], raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings by their names, as numbers: texts are read, and the papers' symbols are known.
 
     Parameters
     ----------
@@ -106,15 +106,15 @@ def with_settings(kind: type[SearchMethod], raw: Mapping[str, Any]) -> SearchMet
         (usage) For unknown settings, with the list of the known ones, and for values out of range.
 
     """
-    known = {f.name: f for f in fields(kind)}
-    found = {key: PAPER_NAMES.get(key.lower(), key.lower()) for key in raw}
-    found = {key: key.lower() if key.lower() in known else name for key, name in found.items()}
-    unknown = [key for key, name in found.items() if name not in known]
-    faults = [f'expected a setting among {", ".join(known)} but got "{key}"' for key in unknown]
-    names = list(found.values())
-    faults += [f"expected {name} once but got it twice" for name in sorted({n for n in names if names.count(n) > 1})]
+    known = [f.name for f in fields(kind)]
+    names = {key: key.lower() if key.lower() in known else PAPER_NAMES.get(key.lower(), key) for key in raw}
+    faults = [f'expected a setting among {", ".join(known)} but got "{key}"' for key in raw if names[key] not in known]
+    given = list(names.values())
+    faults += [f"expected {name} once but got it twice" for name in sorted({n for n in given if given.count(n) > 1})]
     refuse(kind.name, *faults)
-    return kind(**{name: _read(raw[key]) for key, name in found.items()})
+    found = {name: _read(raw[key]) for key, name in names.items()}
+    kind(**found)  # checks the values
+    return found
 
 
 def refuse(name: str, *faults: str) -> None:
