@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from sys import maxsize
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-
-if TYPE_CHECKING:
-    from frictrack.search.method import SearchMethod
 
 Cost = Callable[[Array], Array]
 Callback = Callable[[int, Array, float], "bool | None"]
@@ -146,12 +143,6 @@ class CostEvaluator:
         self._start, self._begun, self.initial_spread, self.population = self._start + 1, len(self._rows), -1.0, None
         self._last_generation = None if generations is None else self._begun + generations
         self._last_evaluation = maxsize if generations is not None else self.evaluations + self.max_evaluations
-
-    def generation_limit(self, method: SearchMethod) -> int:
-        """Compute G_max of a method that evaluates the same number of points in every generation; at least 1."""
-        limit = method.generation_limit(self.max_evaluations)
-        assert limit is not None  # such methods know their points
-        return limit
 
     def __call__(self, unit: Array) -> Array:
         """Evaluate the points ``unit`` (P, d) of the unit box and return their costs (P,).

@@ -76,7 +76,7 @@ class SGA(GA):
 
     def operators(self, evaluator: CostEvaluator, rng: np.random.Generator) -> Operators:
         """Return the operators of the GA with Metropolis' rule."""
-        limit, first, cool = evaluator.generation_limit(self), self.temperature or 0.0, COOLING[self.cooling]
+        limit, first, cool = self.limit(evaluator), self.temperature or 0.0, COOLING[self.cooling]
 
         def accept(generation: int, child: Array, parent: Array) -> Mask:
             T = evaluator.initial_spread * cool(generation, limit, first, self.final)

@@ -85,6 +85,12 @@ class SearchMethod:
         first, each = self.points
         return max(1, -(-(max_evaluations - first) // each))
 
+    def limit(self, evaluator: CostEvaluator) -> int:
+        """Return G_max of a method that evaluates the same number of points in every generation; at least 1."""
+        limit = self.generation_limit(evaluator.max_evaluations)
+        assert limit is not None  # such methods know their points
+        return limit
+
     def summary(self) -> dict[str, Any]:
         """Return the name of the method and all settings as JSON."""
         return {"method": self.name, **asdict(self)}

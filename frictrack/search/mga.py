@@ -165,7 +165,7 @@ class MGA(GeneticMethod):
 
     def resolved(self, evaluator: CostEvaluator) -> Self:
         """Return the settings with the constants of this number of parameters and generations."""
-        limit, longest = evaluator.generation_limit(self), evaluator.dimension * (self.bits or 2 * self.l_const)
+        limit, longest = self.limit(evaluator), evaluator.dimension * (self.bits or 2 * self.l_const)
         return self.filled(
             a=10 / limit,
             c=(2 if self.as_printed else 20) / limit,
@@ -175,7 +175,7 @@ class MGA(GeneticMethod):
 
     def operators(self, evaluator: CostEvaluator, rng: np.random.Generator) -> Operators:
         """Return the operators of Eqs. 5, 6 and 7."""
-        limit, a, b, c, p, s = evaluator.generation_limit(self), self.a, self.b, self.c, self.p_const, self.s
+        limit, a, b, c, p, s = self.limit(evaluator), self.a, self.b, self.c, self.p_const, self.s
         assert a is not None and c is not None and p is not None and s is not None  # noqa: PT018 - by `resolved`
         return Operators(
             bits=lambda G: self.bits or self._length(G, limit, s),

@@ -46,7 +46,7 @@ class SA(SearchMethod):
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until the evaluator stops it."""
         d, rows = evaluator.dimension, np.arange(self.chains)
-        limit, cool = evaluator.generation_limit(self), COOLING[self.cooling]
+        limit, cool = self.limit(evaluator), COOLING[self.cooling]
         unit = rng.random((self.chains, d))
         step = np.full((self.chains, d), 0.5)
         costs = evaluator(unit)
