@@ -40,7 +40,8 @@ MODEL_MEMBERS = {
 }
 STUDY_GROUPS = {
     "runs": "a link per run to its file",
-    "models": "a group per model in the order tried, `<number>_<name>`; `study_model` and `study_search` are the study file's (JSON)",
+    "models": "a group per model in the order tried, `<number>_<name>`; `study_model` and `study_search` are the study "
+    "file's (JSON)",
     "comparison": "`summary`: JSON of `frictrack compare`",
     "diagnosis": "a link to the diagnosis of the current model",
     "papers": "a group like a model's: the papers' route, force domain and SGA or the study file's search",
