@@ -48,9 +48,7 @@ class SyntheticRecording:
     truth: Trajectory
 
 
-def record_printed(
-    source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator, speed: float | None = None
-) -> SyntheticRecording:
+def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator) -> SyntheticRecording:
     """Simulate a recording of a printed law.
 
     Parameters
@@ -63,8 +61,6 @@ def record_printed(
         Mass and field of view.
     rng
         Source of the noise.
-    speed
-        Start speed, m/s; by default the printed one, or that of the printed impact energy.
 
     Returns
     -------
@@ -73,10 +69,12 @@ def record_printed(
 
     """
     law = laws.law_by_name(source.law)
-    speed = source.speed if speed is None else speed
-    if speed is None:
-        speed = float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
-    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, speed, rng)
+    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, start_speed(source, bench), rng)
+
+
+def start_speed(source: PrintedLaw, bench: TestRig) -> float:
+    """The printed start speed, m/s, or that of the printed impact energy."""
+    return source.speed or float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
 
 
 def record_with_dither(
@@ -202,7 +200,7 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
     """
     law = laws.law_by_name(source.law)
     p = laws.read_printed(source, unit)
-    speed = source.speed or float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
+    speed = start_speed(source, bench)
     trajectory = _simulate_in_view(*laws.to_effects(law, p), replace(bench, view=1e3), speed)
     lines = np.array([x for x, name in zip(p, law.names, strict=True) if name.startswith("f") and name[-1].isdigit()])
     duration = float(trajectory.t[-1])

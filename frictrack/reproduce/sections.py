@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+
+from frictrack.reproduce.printed import RUNS
 
 Progress = Callable[[int, int, str], None]
 Cell = str | float | None
@@ -39,6 +44,29 @@ class Claim:
     why: str
 
 
+@cache
+def _texts() -> dict[str, dict[str, str]]:
+    """The texts of all claims by name."""
+    return tomllib.loads((Path(__file__).parent / "claims.toml").read_text(encoding="utf-8"))
+
+
+def claim(name: str, verdict: str, ours: str, **values: Any) -> Claim:
+    """Build a claim: its texts from ``claims.toml``, filled in with values, and what came out here."""
+    texts = _texts()[name]
+    printed, why = (texts[key].format(**values) for key in ("printed", "why"))
+    return Claim(texts["where"], texts["claim"], printed, ours, verdict, why)
+
+
+def decided(verdict: str, seeds: int) -> str:
+    """The verdict, or `OPEN` with fewer seeds than the 50 runs of the papers."""
+    return verdict if seeds >= RUNS else OPEN
+
+
+def verdict(holds: bool, fails: bool = True) -> str:
+    """The verdict on a claim: `OPEN` where it neither holds nor fails."""
+    return HOLDS if holds else FAILS if fails else OPEN
+
+
 def _finite(value: float) -> float | None:
     """A finite number; None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
@@ -46,15 +74,17 @@ def _finite(value: float) -> float | None:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table with heads, rows of text and numbers, and a note; `name` is that of its CSV file."""
+    """A table with heads (or one text, split at " | "), rows of text and numbers, and a note; `name` is its file's."""
 
     name: str
     title: str
-    heads: tuple[str, ...]
+    heads: tuple[str, ...] | str
     rows: list[list[Cell]]
     note: str = ""
 
     def __post_init__(self) -> None:
+        if isinstance(self.heads, str):
+            object.__setattr__(self, "heads", tuple(self.heads.split(" | ")))
         plain = [[c if c is None or isinstance(c, str) else _finite(c) for c in row] for row in self.rows]
         object.__setattr__(self, "rows", plain)
 
@@ -72,7 +102,7 @@ class Section:
     tables
         Tables.
     figures
-        Caption and figure by file name.
+        Caption and figure by file name; a figure that was drawn before is its SVG.
     claims
         Claims that the section tests.
 
@@ -82,7 +112,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[ResultTable, ...] = ()
-    figures: dict[str, tuple[str, Figure]] = field(default_factory=dict)
+    figures: dict[str, tuple[str, Figure | str]] = field(default_factory=dict)
     claims: tuple[Claim, ...] = ()
 
     def summary(self) -> dict[str, Any]:
