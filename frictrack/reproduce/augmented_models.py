@@ -28,7 +28,10 @@ from frictrack.reproduce.sections import (
     ResultTable,
     Section,
     claim,
+    figure,
+    section,
     silent,
+    table,
     verdict,
 )
 
@@ -72,37 +75,20 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
         for what in ("MGA", "lowest")
     }
     places = [f"{g} speed,\n{SOURCE_TITLES[w]}" for g, w in synthetic]
-    return Section(
+    return section(
         "two_models",
-        "First paper, section 3.2: ATM1 against ATM2 (Tables 1-4, Figs. 9-12)",
-        (
-            "The paper compares two models on its own recordings, which nobody has. Here both meet three kinds of "
-            "recording: from the ATM1 tables, from the ATM2 tables, and from a mechanism of neither (dry friction "
-            "modulated by the beam's vibration, and a collision).",
-            "The error is the sum of squared acceleration residuals. Its size goes with mass, noise, cut-off and "
-            "number of frames, so only ratios can be compared with the printed ones.",
-        ),
-        (_table_errors("errors", "Errors at n = 2", results), *_tables_parameters(results, synthetic)),
-        {
-            f"fig{figure}_{name}": (
-                "Measured by the papers' chain, and the law that MGA found (best of the seeds).",
-                figures.traces(
-                    f"Figs. {number}  {name.upper()} at n = 2, {SOURCE_TITLES[source]}",
-                    {title: _panel(results[g, source, f"{name}:2"]) for g, title in GROUPS.items()},
-                ),
-            )
-            for figure, number, name, source in (
-                ("09_10", "9, 10", "atm1", "ATM1 tables"),
-                ("11_12", "11, 12", "atm2", "ATM2 tables"),
-            )
-        }
-        | {
-            "errors_two_models": (
-                "Lowest errors known at n = 2. Each model wins where it was born.",
-                figures.bars("Error of ATM1 and ATM2 at n = 2", "sum of squared residuals / (m²/s⁴)", places, bars),
-            )
-        },
-        _claims_models(results, effort),
+        [_table_errors("errors", results), *_tables_parameters(results, synthetic)],
+        [
+            *(
+                figure(name, figures.traces, {GROUPS[g]: _panel(results[g, source, law]) for g in GROUPS})
+                for name, source, law in (
+                    ("fig09_10_atm1", "ATM1 tables", "atm1:2"),
+                    ("fig11_12_atm2", "ATM2 tables", "atm2:2"),
+                )
+            ),
+            figure("errors_two_models", figures.bars, "sum of squared residuals / (m²/s⁴)", places, bars),
+        ],
+        *_claims_models(results, effort),
     )
 
 
@@ -123,25 +109,19 @@ def orders(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) ->
     rng = np.random.default_rng([seed, 33])
     synthetic = {("low", w): r for w, r in simulate_sources("low", rng).items()}
     results = _identify_all(synthetic, ORDERS, effort, rng, progress)
-    return Section(
+    return section(
         "orders",
-        "First paper, section 3.2: two or three sines (Figs. 13-16)",
-        (
-            '"Accuracy raised by 300 %" is read as the error falling to a quarter (error at n = 2 over error at n = 3, '
-            "less one). ATM2 of order n has 2n sines, so ATM1 of order 4 stands next to ATM2 of order 2.",
-        ),
-        (_table_orders(results),),
-        {
-            f"fig{figure}_{name}_{n}": (
-                f"{name.upper()} with n = {n} on the three kinds of recording, low speed.",
-                figures.traces(
-                    f"Fig. {figure}  {name.upper()}, n = {n}",
-                    {title: _panel(results["low", w, f"{name}:{n}"]) for w, title in SOURCE_TITLES.items()},
-                ),
+        [_table_orders(results)],
+        [
+            figure(name, figures.traces, {SOURCE_TITLES[w]: _panel(results["low", w, law]) for w in SOURCE_TITLES})
+            for name, law in (
+                ("fig13_atm1_2", "atm1:2"),
+                ("fig14_atm1_3", "atm1:3"),
+                ("fig15_atm2_2", "atm2:2"),
+                ("fig16_atm2_3", "atm2:3"),
             )
-            for figure, name, n in ((13, "atm1", 2), (14, "atm1", 3), (15, "atm2", 2), (16, "atm2", 3))
-        },
-        _claims_orders(results),
+        ],
+        *_claims_orders(results),
     )
 
 
@@ -177,44 +157,16 @@ def equation_4(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
         told.append(
             f"{group}: sums {sliding:.2f} and {viscous:.2f}, speed lost {braked[0]:.0f} % (with t {braked[1]:.0f} %)"
         )
-    heads = (
-        "speed | sliding sum without t | viscous sum without t | factor of the exponential / N | "
-        "viscous coefficient / (N s/m) | speed lost as printed / % | with t / %"
-    )
-    note = "With t, both sums have the mean zero. The Tustin models of section 3.1 have 8.4 and 12.3 N s/m."
-    return Section(
+    readings = {"as printed": "atm2_printed:2", "with t": "atm2:2"}
+    panels = {}
+    for group, title in GROUPS.items():
+        found = {label: results[group, "as printed", law] for label, law in readings.items()}
+        panels[title] = found["with t"].data, [(label, d.acceleration(d.chosen)) for label, d in found.items()]
+    return section(
         "equation_4",
-        "First paper, Eq. 4: as printed, and with t in every sum",
-        (
-            "Eq. 4 has t in its first sum only. In the exponential's and in the viscous sum it prints sin(omega_i + "
-            "phi_i) and sin(Omega_j + Phi_j), which are numbers. The text calls both frictions time-varying; so "
-            "frictrack's atm2 has t in every sum, and atm2_printed is the equation to the letter. Both are fitted here "
-            "to recordings of either; frequencies are read per millisecond.",
-        ),
-        (
-            ResultTable("equation_4", "Eq. 4 with the values of Tables 3 and 4", heads, rows, note),
-            _table_errors("equation_4_errors", "Errors of both readings at n = 2", results),
-        ),
-        {
-            "equation_4": (
-                "Recordings of the printed equation, and both readings as MGA found them (best of the seeds).",
-                figures.traces(
-                    "Eq. 4 as printed, low and high speed",
-                    {
-                        title: (
-                            results[g, "as printed", "atm2:2"].data,
-                            [
-                                (label, found.acceleration(found.chosen))
-                                for label, law in (("as printed", "atm2_printed:2"), ("with t", "atm2:2"))
-                                for found in [results[g, "as printed", law]]
-                            ],
-                        )
-                        for g, title in GROUPS.items()
-                    },
-                ),
-            )
-        },
-        (claim("equation_4", OPEN, "; ".join(told)),),
+        [table("equation_4", rows), _table_errors("equation_4_errors", results)],
+        [figure("equation_4", figures.traces, panels)],
+        claim("equation_4", OPEN, "; ".join(told)),
     )
 
 
@@ -240,7 +192,7 @@ def _panel(found: Identification) -> tuple[Any, list[tuple[str, Array]]]:
     return found.data, curves
 
 
-def _table_errors(name: str, title: str, results: Mapping[Key, Identification]) -> ResultTable:
+def _table_errors(name: str, results: Mapping[Key, Identification]) -> ResultTable:
     rows: list[list[Any]] = []
     for (group, source, law), found in results.items():
         said = (printed.ATM1 if law == "atm1:2" else printed.ATM2)[group].error
@@ -248,10 +200,7 @@ def _table_errors(name: str, title: str, results: Mapping[Key, Identification]) 
         model = {"atm1:2": "ATM1", "atm2:2": "ATM2"}.get(law, "ATM2 as printed")
         rms = float(np.sqrt(found.lowest / len(found.data.t)))
         rows.append([group, SOURCE_TITLES.get(source, source), model, said, *errors, rms])
-    heads = (
-        "speed | recording | model | printed error | MGA, best seed | MGA, median | lowest known | rms of the lowest"
-    )
-    return ResultTable(name, title, heads, rows, "Sums of squared residuals in m²/s⁴; rms in m/s².")
+    return table(name, rows)
 
 
 def _tables_parameters(
@@ -265,13 +214,7 @@ def _tables_parameters(
             truth = laws.read_printed(source, unit)
             ours = _own_estimates(name, synthetic[group, f"{kind} tables"], truth)
             columns = found.law.names, source.values, truth, _match_sines(found.chosen, truth, name), ours
-            note = f"N, N s/m, m/s, Hz, rad; printed frequencies in rad per {unit}. Ours: displacement domain, varpro."
-            title, heads = (
-                f"{source.where}: {kind}, {GROUPS[group]}",
-                "parameter | printed | rendered | MGA, best seed | ours",
-            )
-            rows = [list(row) for row in zip(*columns, strict=True)]
-            out.append(ResultTable(source.where.lower().replace(" ", ""), title, heads, rows, note))
+            out.append(table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
     return tuple(out)
 
 
@@ -331,9 +274,7 @@ def _table_orders(results: Mapping[Key, Identification]) -> ResultTable:
         gains = [None] * 3 if n == "2" else [said, gain, by_search]
         size = float(n), float(len(found.law.names))
         rows.append([SOURCE_TITLES[source], kind.upper(), *size, found.lowest, *gains])
-    heads = "recording | model | n | parameters | lowest error known | gain over n = 2, printed / % | ours / %"
-    note = "Gain: error at n = 2 over this error, less one."
-    return ResultTable("orders", "Two, three and four sines, low speed", f"{heads} | MGA median / %", rows, note)
+    return table("orders", rows)
 
 
 def _claims_orders(results: Mapping[Key, Identification]) -> tuple[Claim, ...]:

@@ -82,7 +82,7 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
     """Errors on a logarithmic axis: one cluster per group, one bar per method."""
     figure = style.new_figure(3.6, title)
     ax, width, places = figure.subplots(), 0.8 / len(series), np.arange(len(groups))
-    look = {"edgecolor": "#333333", "linewidth": 0.7}
+    look: dict[str, Any] = {"edgecolor": "#333333", "linewidth": 0.7}
     for i, (name, values) in enumerate(series.items()):
         x = places + (i - (len(series) - 1) / 2) * width
         ax.bar(x, values, 0.92 * width, label=name, color=BAR_FILLS[i], hatch=BAR_HATCHES[i], **look)
@@ -95,9 +95,9 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
 
 
 @style.styled
-def humps(cost: Callable[[Array], Array], place: tuple[float, float]) -> Figure:
+def humps(title: str, cost: Callable[[Array], Array], place: tuple[float, float]) -> Figure:
     """Fig. 17: the test function, whose sign `cost` turns, with its maximum."""
-    figure, x = style.new_figure(2.9, "Fig. 17  Test function, Eq. 8"), np.linspace(-1, 2, 3001)
+    figure, x = style.new_figure(2.9, title), np.linspace(-1, 2, 3001)
     ax = figure.subplots()
     ax.plot(x, -cost(x[:, None]), color=style.BLUE, linewidth=1.2)
     ax.plot(*place, "o", color=style.VERMILION, markersize=6)
@@ -107,9 +107,9 @@ def humps(cost: Callable[[Array], Array], place: tuple[float, float]) -> Figure:
 
 
 @style.styled
-def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
+def generations(title: str, runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
     """Figs. 18 and 19: generation of the last improvement of each run, with our mean and the printed one."""
-    figure = style.new_figure(3.0, "Figs. 18, 19  Generation of the last improvement")
+    figure = style.new_figure(3.0, title)
     axes = figure.subplots(1, len(runs), sharey=True)
     for ax, (name, last) in zip(axes, runs.items(), strict=True):
         ax.plot(np.arange(1, len(last) + 1), last, **(style.DOT_STYLE | {"color": style.BLUE, "markersize": 4}))
@@ -122,9 +122,9 @@ def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figu
 
 
 @style.styled
-def lengths(curves: Mapping[str, Array]) -> Figure:
+def lengths(title: str, curves: Mapping[str, Array]) -> Figure:
     """Code length over the generations, Eq. 7 as read and as printed."""
-    figure = style.new_figure(2.7, "Eq. 7  Code length", width=6.0)
+    figure = style.new_figure(2.7, title, width=6.0)
     ax = figure.subplots()
     for (name, bits), look in zip(curves.items(), CURVE_STYLES, strict=False):
         ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)

@@ -82,7 +82,9 @@ class SectionStore:
                 return None
             found = kept["section"]
             files = {figure: self.folder / "figures" / f"{figure}.svg" for figure in kept["captions"]}
-            figures = {n: (kept["captions"][n], path.read_text(encoding="utf-8")) for n, path in files.items()}
+            figures: dict[str, Any] = {
+                n: (kept["captions"][n], f.read_text(encoding="utf-8")) for n, f in files.items()
+            }
             tables = tuple(ResultTable(**table) for table in found["tables"])
             claims = tuple(Claim(**one) for one in found["claims"])
         except (OSError, ValueError, KeyError, TypeError):  # not there, or written by another version

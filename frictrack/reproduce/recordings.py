@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from frictrack.effects import Path
 from frictrack.models import Model, Values
 from frictrack.motion import differentiate, low_pass
-from frictrack.records import Array, Displacement, Run
+from frictrack.records import Displacement, Run
 from frictrack.reproduce import laws, printed
 from frictrack.reproduce.printed import PrintedLaw
 from frictrack.simulate import Conditions, Trajectory, simulate
@@ -145,31 +143,12 @@ def record_law(
 
 def _simulate_in_view(model: Model, values: Values, bench: TestRig, speed: float) -> Trajectory:
     """True motion while the mass is in view and moves, at most `MAX_DURATION_S`."""
-    frames = int(_end_time(model, values, bench, speed) * FPS) + 1
-    t = np.arange(frames) / FPS
-    return simulate(model, values, Conditions(bench.mass, pixel_pitch=PIXEL_PITCH), t, (0.0, speed))
-
-
-def _end_time(model: Model, values: Values, bench: TestRig, speed: float) -> float:
-    """Time at which the mass leaves the view or becomes slow, s."""
-
-    def motion(t: float, state: Array) -> Array:
-        x, v = (np.array([value]) for value in state)
-        path = Path(np.array([t]), x, v, np.ones(1), pixel_pitch=PIXEL_PITCH)
-        return np.array([state[1], -model.force(path, values)[0] / bench.mass])
-
-    def slowed_down(t: float, state: Array) -> float:
-        return float(state[1] - MIN_SPEED)
-
-    def out_of_view(t: float, state: Array) -> float:
-        return float(bench.view - state[0])
-
-    slowed_down.terminal = out_of_view.terminal = True  # type: ignore[attr-defined]
-    step = 2 / FPS  # shorter than any pulse
-    solved = solve_ivp(
-        motion, (0.0, MAX_DURATION_S), [0.0, speed], events=[slowed_down, out_of_view], max_step=step, rtol=1e-5
-    )
-    return float(solved.t[-1])
+    conditions = Conditions(bench.mass, pixel_pitch=PIXEL_PITCH)
+    t = np.arange(round(MAX_DURATION_S * FPS) + 1) / FPS
+    whole = simulate(model, values, conditions, t, (0.0, speed))
+    over = (whole.v < MIN_SPEED) | (whole.x > bench.view)
+    frames = int(np.argmax(over)) if over.any() else len(t)
+    return simulate(model, values, conditions, t[:frames], (0.0, speed))
 
 
 def group_runs(recordings: list[SyntheticRecording], group: str) -> list[Run]:

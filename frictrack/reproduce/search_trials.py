@@ -28,7 +28,10 @@ from frictrack.reproduce.sections import (
     Section,
     claim,
     decided,
+    figure,
+    section,
     silent,
+    table,
     verdict,
 )
 from frictrack.search import GA, MGA, SGA, SearchMethod, SearchResult, code_length, code_length_as_printed, minimise
@@ -131,7 +134,7 @@ def _run_settings(
     results = {}
     for i, (name, method) in enumerate(settings.items()):
         progress(i, len(settings), f"{what}: {name}")
-        results[name] = run_trials(*trials, method)
+        results[name] = run_trials(*trials, method=method)
     return results
 
 
@@ -203,24 +206,17 @@ def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
     }
     last = {name: results[name].last for name in ("GA", "MGA")}
-    return Section(
+    return section(
         "test_function",
-        "First paper, Eq. 8: GA against MGA (Figs. 17-19, Tables 5 and 6)",
-        (
-            f"{effort.seeds} seeds each; population 40, 20 bits, 200 generations, ranking, stochastic universal "
-            "sampling. Crossover 0.7, mutation 0.7 over the length, gap 0.9 and Gray code are not specified by the "
-            "paper, nor are a, b, c and P_const of Eqs. 5 and 6.",
-        ),
-        (_table_5(results), _table_6(results, bits)),
-        {
-            "fig17_test_function": ("Eq. 8 has 15 humps; the highest is the last.", figures.humps(eq8, maximum())),
-            "fig18_19_generations": (
-                "One dot per run. The scatter from run to run is far larger than what the tables compare.",
-                figures.generations(last, {name: printed.TABLE_5[name][0] for name in last}),
-            ),
-            "eq7_code_length": ("Eq. 7 as the text wants it, and to the letter.", figures.lengths(bits)),
-        },
-        (*_claims_5(results), *_claims_6(results, bits)),
+        [_table_5(results), _table_6(results, bits)],
+        [
+            figure("fig17_test_function", figures.humps, eq8, maximum()),
+            figure("fig18_19_generations", figures.generations, last, {n: printed.TABLE_5[n][0] for n in last}),
+            figure("eq7_code_length", figures.lengths, bits),
+        ],
+        *_claims_5(results),
+        *_claims_6(results, bits),
+        seeds=effort.seeds,
     )
 
 
@@ -244,12 +240,7 @@ def _table_5(results: dict[str, SearchTrials]) -> ResultTable:
         generations = _printed(printed.TABLE_5, name, 0), float(found.last.mean()), mean, change
         times = _printed(printed.TABLE_5, name, 1, "GA"), float(found.seconds.mean() / base.seconds.mean())
         rows.append([name, *generations, float(np.nanmean(found.first)), hits, *times])
-    heads = (
-        "algorithm | generations, printed | generations, ours | 95 % | against GA, 95 % | first hit | found | "
-        "time / GA, printed | time / GA, ours"
-    )
-    note = "Generations: of the last improvement. First hit: first generation with f above 3.85025, among those found."
-    return ResultTable("table5", "Table 5  Efficiency on Eq. 8", heads, rows, note)
+    return table("table5", rows)
 
 
 def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> ResultTable:
@@ -261,12 +252,7 @@ def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> Result
         optima = _printed(printed.TABLE_6, name, 0), float(-np.median(found.cost)), float(-found.cost.max())
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
         rows.append([name, *optima, float(n), _printed(printed.TABLE_6, name, 1, "20 bits"), time])
-    heads = (
-        "coding | optimum, printed | optimum, ours (median) | worst run | mean bits | time / 20 bits, printed | "
-        "time / 20 bits, ours"
-    )
-    note = "The two printed fixed lengths fix the cost per bit; the adaptive time then means 12.3 bits on average."
-    return ResultTable("table6", "Table 6  Three coding modes", heads, rows, note)
+    return table("table6", rows)
 
 
 def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
@@ -349,23 +335,14 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
     if effort != QUICK:
         tables.append(_table_7("table7_quick", trials(QUICK), floor, QUICK))
     finals = {name: np.maximum(found.cost / floor, 1.0) for name, found in results.items()}
-    return Section(
+    return section(
         "friction_problem",
-        "First paper, Table 7: GA against MGA on the friction problem",
-        (
-            f"{effort.seeds} seeds each on the recording of Table 2 (8 m/s), {effort.budget} evaluations (1000 "
-            "generations of 40 in full). Problem, budget, stop rule, box and settings are not specified by the paper. "
-            f"A run ends in a local optimum when its error stays above {LOCAL_OPTIMUM_RATIO:g} times the lowest known: "
-            "a sine was missed.",
-        ),
-        tuple(tables),
-        {
-            "table7_ends": (
-                "Further left is better. No setting finds the lowest error in more than a part of its runs.",
-                figures.ends("Table 7  Where the searches end", finals, LOCAL_OPTIMUM_RATIO),
-            )
-        },
-        _claims_7(results, finals),
+        tables,
+        [figure("table7_ends", figures.ends, finals, LOCAL_OPTIMUM_RATIO)],
+        *_claims_7(results, finals),
+        seeds=effort.seeds,
+        budget=effort.budget,
+        ratio=LOCAL_OPTIMUM_RATIO,
     )
 
 
@@ -386,16 +363,7 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
         counts = _printed(printed.TABLE_7, setting, 0), float(found.last.mean()), float(found.converged.mean()), first
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
         rows.append([setting, *shares, *counts, _printed(printed.TABLE_7, setting, 1, "GA"), time])
-    heads = (
-        "algorithm | local optima, printed / % | ours / % | 95 % | within 0.1 % / % | iterations, printed | "
-        "last improvement | within 1 % of own end | within 1.2 of the lowest | time / GA, printed | time / GA, ours"
-    )
-    note = (
-        "Three definitions of 'iterations'; the last counts only runs that get there, which flatters settings that "
-        "rarely do."
-    )
-    title = f"Table 7  Performance on the friction problem: {effort.seeds} seeds, {effort.budget} evaluations"
-    return ResultTable(name, title, heads, rows, note)
+    return table(name, rows, seeds=effort.seeds, budget=effort.budget)
 
 
 def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[Claim, ...]:
@@ -414,7 +382,7 @@ def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tup
     time, share = float(mga.seconds.mean() / base.seconds.mean()), printed.TABLE_7["MGA"][0] / printed.TABLE_7["GA"][0]
     shares = {name: f"{100 * count / n:.0f} %" for name, count in local.items()}
     against = f"{shares['MGA']} against {shares['GA']} (p = {p:.2g})"
-    reached = decided(verdict(local[best] / n <= said, low > said), n)
+    reached = decided(verdict(local[best] / n <= said, bool(low > said)), n)
     iterations = decided(verdict(met == len(ratios), not met), n)
     told = "; ".join(f"{name} {r:.2f}" for name, r in ratios.items())
     return (

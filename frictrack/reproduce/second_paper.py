@@ -26,7 +26,10 @@ from frictrack.reproduce.sections import (
     ResultTable,
     Section,
     claim,
+    figure,
+    section,
     silent,
+    table,
     verdict,
 )
 
@@ -67,32 +70,19 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
         for what, found in zip(("without", "with"), results.values(), strict=True)
     }
     strong, weak = 1e6 * truth[4::3] / STRUCK.mass / (2 * np.pi * truth[5::3]) ** 2  # F/(m omega^2), um
-    return Section(
+    return section(
         "sine_filter",
-        "Second paper: identification with and without the sine filter (Figs. 4-7, Tables 1 and 2)",
-        (
-            f"A slider of {STRUCK.mass:g} kg (not specified by the paper) struck with 2 J: {recording.truth.v[0]:.2f} "
-            'm/s. Rendered from Table 2, which is captioned "without sine filter" but is the result with it; F_v is '
-            "printed in N·m/s for N·s/m, phases in rad/s for rad; frequencies are read as rad per millisecond (455 and "
-            "112 Hz). Cooling, acceptance and the order of steps of the SGA are not specified by the paper.",
-            f"Acceleration comes from the sensor ({recordings.SENSOR_NOISE:g} m/s² of noise, chosen here), speed from "
-            f"the camera: in the film the printed sines are {strong:.1f} and {weak:.1f} µm, far below the 10 µm of "
-            "noise.",
-        ),
-        (_table_static(results, rounded, own, truth), _table_sines(results["atm1:2"], truth)),
-        {
-            "second_fig04_05_motion": (
-                "True velocity and acceleration after the blow.",
-                figures.motions(
-                    "Second paper, Figs. 4, 5  Velocity and acceleration", {"struck with 2 J": [recording]}
-                ),
-            ),
-            "second_fig06_07_friction": (
-                "Acceleration as the sensor has it, and what SGA made of it.",
-                figures.traces("Second paper, Figs. 6, 7  Without and with the sine filter", traces),
-            ),
-        },
-        _claims(results, rounded, own, truth),
+        [_table_static(results, rounded, own, truth), _table_sines(results["atm1:2"], truth)],
+        [
+            figure("second_fig04_05_motion", figures.motions, {"struck with 2 J": [recording]}),
+            figure("second_fig06_07_friction", figures.traces, traces),
+        ],
+        *_claims(results, rounded, own, truth),
+        mass=STRUCK.mass,
+        speed=recording.truth.v[0],
+        noise=recordings.SENSOR_NOISE,
+        strong=strong,
+        weak=weak,
     )
 
 
@@ -121,12 +111,7 @@ def _table_static(results: dict[str, Identification], rounded: Array, own: dict[
         right = float(full.chosen[i]), range_over_seeds(full, i), estimate_text(own["atm1:2"], name)
         ours = estimate_text(own["tustin"], name)
         rows.append([name, printed.WITHOUT_FILTER.values[i], *left, ours, truth[i], *right])
-    heads = (
-        "parameter | without: printed (Table 1) | SGA | over seeds | SGA, F_c ≤ 10, F_v ≤ 5 | ours | "
-        "with: printed and rendered (Table 2) | SGA, with | over seeds, with | ours, with"
-    )
-    title = "Tables 1 and 2: friction without and with the sine filter"
-    return ResultTable("second_tables_1_2", title, heads, rows, "N, N s/m, m/s.")
+    return table("second_tables_1_2", rows)
 
 
 def _table_sines(found: Identification, truth: Array) -> ResultTable:
@@ -140,9 +125,7 @@ def _table_sines(found: Identification, truth: Array) -> ResultTable:
         ]
         for i in range(4, len(truth))
     ]
-    heads = "parameter | printed | rendered | SGA | over seeds"
-    note = "N, Hz, rad; printed frequencies in rad per millisecond. The two sines may change places."
-    return ResultTable("second_table_2_sines", "Table 2: the sines", heads, rows, note)
+    return table("second_table_2_sines", rows)
 
 
 def _claims(results: dict[str, Identification], rounded: Array, own: dict[str, Any], truth: Array) -> tuple[Claim, ...]:

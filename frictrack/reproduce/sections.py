@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -44,29 +45,6 @@ class Claim:
     why: str
 
 
-@cache
-def _texts() -> dict[str, dict[str, str]]:
-    """The texts of all claims by name."""
-    return tomllib.loads((Path(__file__).parent / "claims.toml").read_text(encoding="utf-8"))
-
-
-def claim(name: str, verdict: str, ours: str, **values: Any) -> Claim:
-    """Build a claim: its texts from ``claims.toml``, filled in with values, and what came out here."""
-    texts = _texts()[name]
-    printed, why = (texts[key].format(**values) for key in ("printed", "why"))
-    return Claim(texts["where"], texts["claim"], printed, ours, verdict, why)
-
-
-def decided(verdict: str, seeds: int) -> str:
-    """The verdict, or `OPEN` with fewer seeds than the 50 runs of the papers."""
-    return verdict if seeds >= RUNS else OPEN
-
-
-def verdict(holds: bool, fails: bool = True) -> str:
-    """The verdict on a claim: `OPEN` where it neither holds nor fails."""
-    return HOLDS if holds else FAILS if fails else OPEN
-
-
 def _finite(value: float) -> float | None:
     """A finite number; None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
@@ -74,17 +52,15 @@ def _finite(value: float) -> float | None:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table with heads (or one text, split at " | "), rows of text and numbers, and a note; `name` is its file's."""
+    """A table with heads, rows of text and numbers, and a note; `name` is that of its CSV file."""
 
     name: str
     title: str
-    heads: tuple[str, ...] | str
+    heads: tuple[str, ...]
     rows: list[list[Cell]]
     note: str = ""
 
     def __post_init__(self) -> None:
-        if isinstance(self.heads, str):
-            object.__setattr__(self, "heads", tuple(self.heads.split(" | ")))
         plain = [[c if c is None or isinstance(c, str) else _finite(c) for c in row] for row in self.rows]
         object.__setattr__(self, "rows", plain)
 
@@ -151,6 +127,51 @@ class Effort:
 
 
 FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=2000, lowest=450)
+
+
+@cache
+def _texts() -> dict[str, dict[str, dict[str, Any]]]:
+    """The texts of all sections, tables, figures and claims by name."""
+    return tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))
+
+
+def claim(name: str, verdict: str, ours: str, **values: Any) -> Claim:
+    """Build a claim: its texts from ``texts.toml``, filled in with values, and what came out here."""
+    texts = _texts()["claims"][name]
+    printed, why = (texts[key].format(**values) for key in ("printed", "why"))
+    return Claim(texts["where"], texts["claim"], printed, ours, verdict, why)
+
+
+def table(name: str, rows: Sequence[Sequence[Cell]], **values: Any) -> ResultTable:
+    """Build a table: its title, heads and note from ``texts.toml``, filled in with values."""
+    texts = _texts()["tables"][name]
+    title, note = (texts[key].format(**values) for key in ("title", "note"))
+    return ResultTable(name, title, tuple(texts["heads"].split(" | ")), [list(row) for row in rows], note)
+
+
+def figure(name: str, draw: Callable[..., Figure], *arguments: Any) -> dict[str, tuple[str, Figure | str]]:
+    """Draw a figure with the title from ``texts.toml``; return it with its caption, by its name."""
+    texts = _texts()["figures"][name]
+    return {name: (texts["caption"], draw(texts["title"], *arguments))}
+
+
+def section(
+    name: str, tables: Sequence[ResultTable], figures: Sequence[Mapping[str, Any]], *claims: Claim, **values: Any
+) -> Section:
+    """Build a section: its title and text from ``texts.toml``, filled in with values."""
+    texts = _texts()["sections"][name]
+    text = tuple(line.format(**values) for line in texts["text"])
+    return Section(name, texts["title"], text, tuple(tables), dict(ChainMap(*reversed(figures))), claims)
+
+
+def decided(verdict: str, seeds: int) -> str:
+    """The verdict, or `OPEN` with fewer seeds than the 50 runs of the papers."""
+    return verdict if seeds >= RUNS else OPEN
+
+
+def verdict(holds: bool, fails: bool = True) -> str:
+    """The verdict on a claim: `OPEN` where it neither holds nor fails."""
+    return HOLDS if holds else FAILS if fails else OPEN
 
 
 def silent(done: int, total: int, what: str) -> None:

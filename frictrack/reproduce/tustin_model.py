@@ -14,17 +14,8 @@ from frictrack.reproduce import figures, laws, papers_method, printed, recording
 from frictrack.reproduce.identification import GROUPS, Identification, estimate_text, identify, range_over_seeds
 from frictrack.reproduce.laws import PaperLaw
 from frictrack.reproduce.recordings import BEAM, SyntheticRecording
-from frictrack.reproduce.sections import (
-    FULL,
-    Claim,
-    Effort,
-    Progress,
-    ResultTable,
-    Section,
-    claim,
-    silent,
-    verdict,
-)
+from frictrack.reproduce.sections import FULL, Claim, Effort, Progress, Section, claim, figure, section, silent, verdict
+from frictrack.reproduce.sections import table as make_table
 
 SPEEDS = {"low": (4.0, 4.5, 5.0), "high": (7.0, 7.5, 8.0)}  # m/s, section 3.1
 DITHER_SHARE = 0.1  # of the printed sines, which are several times the friction that they would dither about
@@ -51,31 +42,12 @@ def time_units() -> Section:
             rows.append([source.where, unit, *numbers, *motion, "yes" if curve["described"] else "no"])
             if curve["described"]:
                 fits.setdefault(source.where, []).append(unit)
-    table = ResultTable(
-        "time_units",
-        "Which time unit is behind the printed frequencies",
-        "table | rad per | lowest / Hz | highest / Hz | cycles | slide / ms | speed lost / % | mean force / N | "
-        "as described",
-        rows,
-        "As described: at least three cycles, a slide that brakes by more than half, no line above a tenth of the "
-        f"frame rate. Slides end at {recordings.MIN_SPEED:g} m/s or after {recordings.MAX_DURATION_S:g} s. Eq. 4 has t "
-        "in every sum here.",
-    )
     without = [s.where for s in printed.ATM2.values() if s.where not in fits]
     units = "; ".join(f"{where}: per {' or '.join(units)}" for where, units in fits.items()) + "; others: none"
     never = f"no time unit gives a dither and a brake together for {' and '.join(without) or 'any'}"
-    return Section(
-        "time_units",
-        "The time unit behind the printed frequencies",
-        (
-            "Taken per second, no sine of Tables 1 to 4 turns once in a slide. Per sample at 4 kHz, Tables 1 and 2 "
-            "give dithers of 35 to 129 Hz. Tables 3 and 4 are too fast per sample for any low-pass, and are read per "
-            "millisecond.",
-        ),
-        (table,),
-        {},
-        (claim("time_units", verdict(False), units), claim("atm2_brakes", verdict(not without), never)),
-    )
+    limits = {"slowest": recordings.MIN_SPEED, "longest": recordings.MAX_DURATION_S}
+    claims = claim("time_units", verdict(False), units), claim("atm2_brakes", verdict(not without), never)
+    return section("time_units", [make_table("time_units", rows, **limits)], [], *claims)
 
 
 def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
@@ -112,40 +84,23 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = sil
         ours, reason = {}, str(e)
     single = {g: papers_method.measure_series([made[-1].run]) for g, made in synthetic.items()}
     own = {g: Identification(law, single[g], (results[g].chosen,), results[g].chosen) for g in results}
-    return Section(
+    moved = {f"{group} speed": made for group, made in synthetic.items()}
+    traced = {GROUPS[g]: (single[g], [("Tustin, MGA", d.acceleration(d.chosen))]) for g, d in own.items()}
+    over_speed = {GROUPS[g]: (found.data, _force_curves(law, found, g)) for g, found in results.items()}
+    rows = [
+        [g, name, said, found.chosen[i], range_over_seeds(found, i), estimate_text(ours.get(g), name)]
+        for g, found in results.items()
+        for i, (name, said) in enumerate(zip(law.names, printed.TM[g].values, strict=True))
+    ]
+    return section(
         "tustin_groups",
-        "First paper, section 3.1: the Tustin model at low and at high speed (Figs. 4-8)",
-        (
-            "Three runs per group (4 to 5 and 7 to 8 m/s), rendered from the printed Tustin models with a tenth of "
-            "the sines of Tables 1 and 2: in full these are several times the friction, and nothing of a Tustin model "
-            "would be seen beneath them. Mass (2 kg), view (0.5 m), camera noise (10 µm), low-pass and box are not "
-            "specified by the paper.",
-        ),
-        (_table_tustin(results, ours, reason),),
-        {
-            "fig08_accelerations": (
-                "True motion of all runs: every acceleration dithers. The fast runs leave the view while still fast.",
-                figures.motions(
-                    "Figs. 4, 5, 8  Velocity and acceleration of both groups",
-                    {f"{group} speed": made for group, made in synthetic.items()},
-                ),
-            ),
-            "fig06_07_tustin": (
-                "The Tustin model leaves the whole dither; at high speed it is all but a straight line.",
-                figures.traces(
-                    "Figs. 6, 7  The Tustin model on the fastest run of either group",
-                    {GROUPS[g]: (single[g], [("Tustin, MGA", own[g].acceleration(own[g].chosen))]) for g in own},
-                ),
-            ),
-            "tustin_over_speed": (
-                "The same laws over speed, and the law without sines from which the runs were rendered.",
-                figures.forces(
-                    "The identified Tustin models over speed",
-                    {GROUPS[g]: (found.data, _force_curves(law, found, g)) for g, found in results.items()},
-                ),
-            ),
-        },
-        _claims_tustin(law, results, ours, reason),
+        [make_table("tustin_groups", rows, reason=reason and f" Ours: {reason}.")],
+        [
+            figure("fig08_accelerations", figures.motions, moved),
+            figure("fig06_07_tustin", figures.traces, traced),
+            figure("tustin_over_speed", figures.forces, over_speed),
+        ],
+        *_claims_tustin(law, results, ours, reason),
     )
 
 
@@ -174,20 +129,6 @@ def straightness(law: PaperLaw, p: Array, v: Array) -> float:
     force = law.force(p[None], v, v)[0]
     rest = force - np.polyval(np.polyfit(v, force, 1), v)
     return float(1 - rest.var() / max(force.var(), 1e-30))
-
-
-def _table_tustin(results: Mapping[str, Identification], ours: Mapping[str, Any], reason: str) -> ResultTable:
-    rows: list[list[Any]] = [
-        [g, name, said, found.chosen[i], range_over_seeds(found, i), estimate_text(ours.get(g), name)]
-        for g, found in results.items()
-        for i, (name, said) in enumerate(zip(found.law.names, printed.TM[g].values, strict=True))
-    ]
-    heads = "group | parameter | printed, rendered | MGA, best | MGA over seeds | ours"
-    note = (
-        "N, N s/m, m/s. Not determined: said by our fit where the runs do not hold it. Errors of ± know nothing of the "
-        f"sines that the model lacks.{f' Ours: {reason}.' if reason else ''}"
-    )
-    return ResultTable("tustin_groups", "The Tustin model, group by group", heads, rows, note)
 
 
 def _claims_tustin(
