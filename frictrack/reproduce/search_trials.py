@@ -36,6 +36,7 @@ from frictrack.reproduce.sections import (
 )
 from frictrack.search import GA, MGA, SGA, SearchMethod, SearchResult, code_length, code_length_as_printed, minimise
 
+Problem = tuple[Callable[[Array], Array], Any, int, float, int]  # cost, box, seeds, reach, budget
 SEARCH_INTERVAL = [[-1.0, 2.0]]
 EQ8_BUDGET = 40 + 36 * 200  # population 40, generation gap 0.9, 200 generations
 FOUND_VALUE = 3.85025  # value of Eq. 8 from which on the optimum, 3.850274, counts as found
@@ -128,13 +129,13 @@ def _counts(found: SearchResult, reach: float) -> tuple[float, float, float, flo
 
 
 def _run_settings(
-    settings: Mapping[str, SearchMethod], what: str, progress: Progress, *trials: Any
+    settings: Mapping[str, SearchMethod], what: str, progress: Progress, trials: Problem
 ) -> dict[str, SearchTrials]:
     """Run all settings; `trials` are the other arguments of `run_trials`."""
     results = {}
     for i, (name, method) in enumerate(settings.items()):
         progress(i, len(settings), f"{what}: {name}")
-        results[name] = run_trials(*trials, method=method)
+        results[name] = run_trials(*trials, method)
     return results
 
 
@@ -200,7 +201,7 @@ def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
 
     """
     trials = eq8, SEARCH_INTERVAL, effort.seeds, -FOUND_VALUE, EQ8_BUDGET
-    results = _run_settings(EQ8_SETTINGS, "Tables 5, 6", progress, *trials)
+    results = _run_settings(EQ8_SETTINGS, "Tables 5, 6", progress, trials)
     bits = {
         name: np.array([length(g, 200, 10, 0.2, 50) for g in range(200)])
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
@@ -328,7 +329,7 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
 
     def trials(of: Effort) -> dict[str, SearchTrials]:
         limit = LOCAL_OPTIMUM_RATIO * floor
-        return _run_settings(FRICTION_SETTINGS, "Table 7", progress, *problem, of.seeds, limit, of.budget)
+        return _run_settings(FRICTION_SETTINGS, "Table 7", progress, (*problem, of.seeds, limit, of.budget))
 
     results = trials(effort)
     tables = [_table_7("table7", results, floor, effort)]
