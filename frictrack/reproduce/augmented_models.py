@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.reproduce import figures, laws, papers_method, printed, recordings
+from frictrack.reproduce import figures, laws, papers_method, printed, recordings, sections
 from frictrack.reproduce.identification import (
     GROUPS,
     TIME_UNITS,
@@ -19,21 +19,7 @@ from frictrack.reproduce.identification import (
     simulate_sources,
 )
 from frictrack.reproduce.recordings import BEAM, SyntheticRecording
-from frictrack.reproduce.sections import (
-    FULL,
-    OPEN,
-    Claim,
-    Effort,
-    Progress,
-    ResultTable,
-    Section,
-    claim,
-    figure,
-    section,
-    silent,
-    table,
-    verdict,
-)
+from frictrack.reproduce.sections import FULL, OPEN, Claim, Effort, Progress, ResultTable, Section, silent
 
 Key = tuple[str, str, str]  # group, source of the recording, law
 SOURCE_TITLES = {
@@ -75,18 +61,18 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
         for what in ("MGA", "lowest")
     }
     places = [f"{g} speed,\n{SOURCE_TITLES[w]}" for g, w in synthetic]
-    return section(
+    return sections.section(
         "two_models",
         [_table_errors("errors", results), *_tables_parameters(results, synthetic)],
         [
             *(
-                figure(name, figures.traces, {GROUPS[g]: _panel(results[g, source, law]) for g in GROUPS})
+                sections.figure(name, figures.traces, {GROUPS[g]: _panel(results[g, source, law]) for g in GROUPS})
                 for name, source, law in (
                     ("fig09_10_atm1", "ATM1 tables", "atm1:2"),
                     ("fig11_12_atm2", "ATM2 tables", "atm2:2"),
                 )
             ),
-            figure("errors_two_models", figures.bars, "sum of squared residuals / (m²/s⁴)", places, bars),
+            sections.figure("errors_two_models", figures.bars, "sum of squared residuals / (m²/s⁴)", places, bars),
         ],
         *_claims_models(results, effort),
     )
@@ -109,11 +95,13 @@ def orders(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) ->
     rng = np.random.default_rng([seed, 33])
     synthetic = {("low", w): r for w, r in simulate_sources("low", rng).items()}
     results = _identify_all(synthetic, ORDERS, effort, rng, progress)
-    return section(
+    return sections.section(
         "orders",
         [_table_orders(results)],
         [
-            figure(name, figures.traces, {SOURCE_TITLES[w]: _panel(results["low", w, law]) for w in SOURCE_TITLES})
+            sections.figure(
+                name, figures.traces, {SOURCE_TITLES[w]: _panel(results["low", w, law]) for w in SOURCE_TITLES}
+            )
             for name, law in (
                 ("fig13_atm1_2", "atm1:2"),
                 ("fig14_atm1_3", "atm1:3"),
@@ -162,11 +150,11 @@ def equation_4(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
     for group, title in GROUPS.items():
         found = {label: results[group, "as printed", law] for label, law in readings.items()}
         panels[title] = found["with t"].data, [(label, d.acceleration(d.chosen)) for label, d in found.items()]
-    return section(
+    return sections.section(
         "equation_4",
-        [table("equation_4", rows), _table_errors("equation_4_errors", results)],
-        [figure("equation_4", figures.traces, panels)],
-        claim("equation_4", OPEN, "; ".join(told)),
+        [sections.table("equation_4", rows), _table_errors("equation_4_errors", results)],
+        [sections.figure("equation_4", figures.traces, panels)],
+        sections.claim("equation_4", OPEN, "; ".join(told)),
     )
 
 
@@ -200,7 +188,7 @@ def _table_errors(name: str, results: Mapping[Key, Identification]) -> ResultTab
         model = {"atm1:2": "ATM1", "atm2:2": "ATM2"}.get(law, "ATM2 as printed")
         rms = float(np.sqrt(found.lowest / len(found.data.t)))
         rows.append([group, SOURCE_TITLES.get(source, source), model, said, *errors, rms])
-    return table(name, rows)
+    return sections.table(name, rows)
 
 
 def _tables_parameters(
@@ -214,7 +202,7 @@ def _tables_parameters(
             truth = laws.read_printed(source, unit)
             ours = _own_estimates(name, synthetic[group, f"{kind} tables"], truth)
             columns = found.law.names, source.values, truth, _match_sines(found.chosen, truth, name), ours
-            out.append(table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
+            out.append(sections.table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
     return tuple(out)
 
 
@@ -256,10 +244,10 @@ def _claims_models(results: Mapping[Key, Identification], effort: Effort) -> tup
     told = "; ".join(f"{g}, {SOURCE_TITLES[w]} {r:.2f}" for (g, w), r in ratios.items())
     said = {g: (printed.ATM2[g].error or 0) / (printed.ATM1[g].error or 1) for g in GROUPS}
     counts = "; ".join(f"{name}: {n} of {effort.identified}" for name, n in missed.items())
-    found = OPEN if effort.identified < 5 else verdict(not any(missed.values()))
+    found = OPEN if effort.identified < 5 else sections.verdict(not any(missed.values()))
     return (
-        claim("atm2_better", verdict(len(better) == len(ratios), not better), told, **said),
-        claim("mga_identifies", found, f"error above 1.2 times the lowest known: {counts}"),
+        sections.claim("atm2_better", sections.verdict(len(better) == len(ratios), not better), told, **said),
+        sections.claim("mga_identifies", found, f"error above 1.2 times the lowest known: {counts}"),
     )
 
 
@@ -274,7 +262,7 @@ def _table_orders(results: Mapping[Key, Identification]) -> ResultTable:
         gains = [None] * 3 if n == "2" else [said, gain, by_search]
         size = float(n), float(len(found.law.names))
         rows.append([SOURCE_TITLES[source], kind.upper(), *size, found.lowest, *gains])
-    return table("orders", rows)
+    return sections.table("orders", rows)
 
 
 def _claims_orders(results: Mapping[Key, Identification]) -> tuple[Claim, ...]:
@@ -291,7 +279,7 @@ def _claims_orders(results: Mapping[Key, Identification]) -> tuple[Claim, ...]:
     large = [g >= 300 for g in gains["atm2"].values()]
     share = f"so on {sum(more)} of {len(more)} kinds of recording"
     return (
-        claim("third_sine", verdict(all(near), not any(near)), told["atm1"]),
-        claim("third_order", verdict(all(large), not any(large)), told["atm2"]),
-        claim("atm2_gains_more", verdict(all(more), not any(more)), share),
+        sections.claim("third_sine", sections.verdict(all(near), not any(near)), told["atm1"]),
+        sections.claim("third_order", sections.verdict(all(large), not any(large)), told["atm2"]),
+        sections.claim("atm2_gains_more", sections.verdict(all(more), not any(more)), share),
     )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.reproduce import figures, laws, papers_method, printed, recordings
+from frictrack.reproduce import figures, laws, papers_method, printed, recordings, sections
 from frictrack.reproduce.identification import (
     ADDRESSES,
     Identification,
@@ -17,21 +17,7 @@ from frictrack.reproduce.identification import (
     range_over_seeds,
 )
 from frictrack.reproduce.recordings import STRUCK, SyntheticRecording
-from frictrack.reproduce.sections import (
-    FULL,
-    OPEN,
-    Claim,
-    Effort,
-    Progress,
-    ResultTable,
-    Section,
-    claim,
-    figure,
-    section,
-    silent,
-    table,
-    verdict,
-)
+from frictrack.reproduce.sections import FULL, OPEN, Claim, Effort, Progress, ResultTable, Section, silent
 
 TIME_UNIT = "millisecond"  # per sample, 2.86 of Table 2 would be 1.8 kHz; per second, no sine completes a cycle
 
@@ -70,12 +56,12 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
         for what, found in zip(("without", "with"), results.values(), strict=True)
     }
     strong, weak = 1e6 * truth[4::3] / STRUCK.mass / (2 * np.pi * truth[5::3]) ** 2  # F/(m omega^2), um
-    return section(
+    return sections.section(
         "sine_filter",
         [_table_static(results, rounded, own, truth), _table_sines(results["atm1:2"], truth)],
         [
-            figure("second_fig04_05_motion", figures.motions, {"struck with 2 J": [recording]}),
-            figure("second_fig06_07_friction", figures.traces, traces),
+            sections.figure("second_fig04_05_motion", figures.motions, {"struck with 2 J": [recording]}),
+            sections.figure("second_fig06_07_friction", figures.traces, traces),
         ],
         *_claims(results, rounded, own, truth),
         mass=STRUCK.mass,
@@ -111,7 +97,7 @@ def _table_static(results: dict[str, Identification], rounded: Array, own: dict[
         right = float(full.chosen[i]), range_over_seeds(full, i), estimate_text(own["atm1:2"], name)
         ours = estimate_text(own["tustin"], name)
         rows.append([name, printed.WITHOUT_FILTER.values[i], *left, ours, truth[i], *right])
-    return table("second_tables_1_2", rows)
+    return sections.table("second_tables_1_2", rows)
 
 
 def _table_sines(found: Identification, truth: Array) -> ResultTable:
@@ -125,7 +111,7 @@ def _table_sines(found: Identification, truth: Array) -> ResultTable:
         ]
         for i in range(4, len(truth))
     ]
-    return table("second_table_2_sines", rows)
+    return sections.table("second_table_2_sines", rows)
 
 
 def _claims(results: dict[str, Identification], rounded: Array, own: dict[str, Any], truth: Array) -> tuple[Claim, ...]:
@@ -143,12 +129,12 @@ def _claims(results: dict[str, Identification], rounded: Array, own: dict[str, A
     relative = f"{100 * median['tustin']:.0f} % without, {100 * median['atm1:2']:.0f} % with"
     edges = f"F_c ends at the bound in {int(at_edge[:, 0].sum())} and F_v in {int(at_edge[:, 1].sum())}"
     return (
-        claim("filter_follows", verdict(without.lowest / full.lowest > 1.05), errors),
-        claim(
+        sections.claim("filter_follows", sections.verdict(without.lowest / full.lowest > 1.05), errors),
+        sections.claim(
             "filter_precision",
-            verdict(better and median["atm1:2"] < 0.1, not better),
+            sections.verdict(better and median["atm1:2"] < 0.1, not better),
             f"mean relative error of the four, median over seeds: {relative}",
             missing=missing if lost else "",
         ),
-        claim("round_numbers", OPEN, f"in a box that ends there, {edges} of {len(rounded)} runs"),
+        sections.claim("round_numbers", OPEN, f"in a box that ends there, {edges} of {len(rounded)} runs"),
     )
