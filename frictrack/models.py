@@ -455,7 +455,7 @@ def atm1(n: int) -> Model:
 
 
 def atm2(n: int) -> Model:
-    """Augmented Tustin model 2 as printed (first paper, Eq. 4).
+    """Augmented Tustin model 2 (first paper, Eq. 4), with t in every sum.
 
     Examples
     --------
@@ -464,6 +464,18 @@ def atm2(n: int) -> Model:
 
     """
     return of([f"atm2:{n}"])
+
+
+def atm2_printed(n: int) -> Model:
+    """Augmented Tustin model 2 as printed, without t in two of its three sums (first paper, Eq. 4).
+
+    Examples
+    --------
+    >>> atm2_printed(2).names
+    ['atm2_printed:2']
+
+    """
+    return of([f"atm2_printed:{n}"])
 
 
 def dahl() -> Model:
@@ -506,6 +518,7 @@ NAMED: dict[str, Any] = {
     "lugre": lugre,
     "atm1": atm1,
     "atm2": atm2,
+    "atm2_printed": atm2_printed,
 }
 
 
@@ -577,7 +590,7 @@ def _effects_of(word: str | Effect, extra: Sequence[Effect], *, whole: bool) -> 
     if not isinstance(word, str):
         return (word,)
     kind = word.partition(":")[0]
-    if kind in ("atm1", "atm2"):
+    if kind in ("atm1", "atm2", "atm2_printed"):
         return tuple(NAMED[kind](effects.order(word)).effects)
     if word in NAMED and (whole or word not in effects.known(extra)):
         return tuple(NAMED[word]().effects)

@@ -27,6 +27,7 @@ from frictrack.records import (
     column,
     scalar,
 )
+from frictrack.search import Convergence
 
 BACKWARD = "backward"  # name of the track of the target from the last frame to the first, which is a check
 
@@ -122,6 +123,7 @@ class ModelResults:
     diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, if it was asked for
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     motion: tuple[ModelledMotion, ...] = ()  # one per run; empty for models of early versions
+    convergence: dict[str, Convergence] = field(default_factory=dict)  # of a global search, by group; "all" without
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ class TestSearch:
         best = fit("tustin", [one_slide()], domain="force").found.force
         misfit = population_misfit(best.problem, best.problem.chains)
         at_best = misfit(best.p[None])[0]
-        found = [search_parameters(misfit, search, np.random.default_rng(seed))[1][0] / at_best for seed in range(5)]
+        found = [search_parameters(misfit, search, np.random.default_rng(seed)).costs[0] / at_best for seed in range(5)]
         assert min(found) > 0.999
         assert np.median(found) < close
 
@@ -172,7 +172,8 @@ class TestSearch:
 
         def found(search):
             return (
-                min(search_parameters(misfit, search, np.random.default_rng(s))[1][0] for s in range(3)) / misfit.unit
+                min(search_parameters(misfit, search, np.random.default_rng(s)).costs[0] for s in range(3))
+                / misfit.unit
             )
 
         for search in (

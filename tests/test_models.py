@@ -12,6 +12,9 @@ from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, TOLD, Slider, force
 from frictrack import effects, models
 from frictrack.effects import Path
 from frictrack.errors import FrictrackError
+from frictrack.fit import fit
+from frictrack.records import Run
+from frictrack.simulate import Conditions, simulate
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]
 
@@ -232,7 +235,7 @@ def test_a_model_is_read_from_toml_and_written_to_it():
 
 @pytest.mark.parametrize("name", [*models.NAMED, "coulomb,viscous,lens,camera_shake:3"])
 def test_every_named_model_survives_toml(name):
-    law = models.parse(name if name not in ("atm1", "atm2") else f"{name}:3")
+    law = models.parse(f"{name}:3" if name.startswith("atm") else name)
     assert models.from_toml(law.to_toml()) == law
 
 
@@ -319,6 +322,33 @@ def test_atm2_is_the_papers_equation_4_with_its_count_of_parameters(n):
     law = models.atm2(n)
     np.testing.assert_allclose(law.force(path, {f"atm2:{n}": own}), truth, rtol=1e-12, atol=1e-12)
     assert len(law.effects[0].parameters) == 4 + 4 * n  # twelve at n = 2
+
+
+@pytest.mark.parametrize("s", [1.0, -1.0])
+def test_equation_4_as_printed_has_no_t_in_two_of_its_sums(s):
+    """omega in rad per millisecond: the sine without t is that of omega + phi."""
+    path = path_of(s, load=1.0)
+    omega, phi = np.array([0.31, 0.07]), np.array([0.6, -0.8])
+    own = {"f_c": 2.0, "f_s": 5.0, "f_v": 0.7, "v_s": 0.4}
+    for i in (0, 1):
+        own |= {f"sliding_frequency_{i + 1}": omega[i] * 1e3 / (2 * np.pi), f"sliding_phase_{i + 1}": phi[i]}
+    with_t = sum(np.sin(w * 1e3 * path.t + p) for w, p in zip(omega, phi, strict=True))
+    dry = with_t * 2.0 + (5.0 - np.sin(omega + phi).sum() * 2.0) * np.exp(-np.abs(path.v) / 0.4)
+    law = models.parse("atm2_printed:2")
+    np.testing.assert_allclose(law.force(path, {"atm2_printed:2": own}), s * dry + 0.7 * path.v, rtol=1e-12, atol=1e-12)
+    assert (models.tustin() + "atm2_printed:2").names == ["atm2_printed:2"]
+
+
+def test_equation_4_as_printed_is_fitted_by_variable_projection():
+    t = np.arange(280) / 2000
+    values = {"f_c": 8.0, "f_s": 13.0, "f_v": 1.3, "v_s": 0.7, "sliding_frequency_1": 40.0, "sliding_phase_1": 0.6}
+    truth = simulate(models.parse("atm2_printed:1"), {"atm2_printed:1": values}, Conditions(0.35), t, (0.0, 5.0))
+    run = Run.from_arrays(t, truth.x + 1e-5 * np.random.default_rng(3).standard_normal(len(t)), mass=0.35, name="r")
+    found = fit("atm2_printed:1", [run])
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+    for name in ("f_c", "f_v", "sliding_frequency_1"):
+        estimate = found.parameters[f"atm2_printed:1.{name}"]
+        assert estimate.value == pytest.approx(values[name], abs=4 * estimate.std)
 
 
 def test_the_freer_physical_forms_modulate_load_and_viscosity():

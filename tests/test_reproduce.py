@@ -12,6 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
+import frictrack as ft
+from frictrack import reproduce
 from frictrack.cli.utility_commands import app
 from frictrack.effects import Path as Way
 from frictrack.errors import FrictrackError
@@ -22,18 +24,18 @@ from frictrack.reproduce import (
     Reproduction,
     ResultTable,
     Section,
-    eq8,
     laws,
     papers_method,
     printed,
     recordings,
+    search_trials,
     statistics,
     tustin_model,
     write_reproduction,
 )
-from frictrack.reproduce.page import format_cell, numeric_columns, render_page
-from frictrack.reproduce.search_trials import run_trials
-from frictrack.reproduce.sections import FAILS, HOLDS, OPEN
+from frictrack.reproduce.page import SectionStore, as_text, format_cell, render_page
+from frictrack.reproduce.sections import FAILS, HOLDS, OPEN, claim
+from frictrack.search import GA
 
 Array = np.ndarray
 
@@ -103,7 +105,22 @@ def test_the_simulator_obeys_the_papers_law(source: printed.PrintedLaw) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["tustin", "atm1:1", "atm1:3", "atm2:1"])
+@pytest.mark.parametrize("source", printed.ATM2.values())
+def test_equation_4_as_printed_by_hand_and_in_the_simulator(source: printed.PrintedLaw) -> None:
+    """No t in the exponential's and the viscous sum: sin(omega + phi) of the printed numbers, t in milliseconds."""
+    f_c, f_s, f_v, v_s, *pairs = source.values
+    (w1, p1, w2, p2), (W1, P1, W2, P2) = pairs[:4], pairs[4:]
+    t, v = np.linspace(0, 0.05, 40), np.linspace(5, 1, 40)
+    with_t = np.sin(w1 * 1e3 * t + p1) + np.sin(w2 * 1e3 * t + p2)
+    exponential = (f_s - (np.sin(w1 + p1) + np.sin(w2 + p2)) * f_c) * np.exp(-v / v_s)
+    truth = with_t * f_c + exponential + (np.sin(W1 + P1) + np.sin(W2 + P2)) * f_v * v
+    law, p = laws.law_by_name("atm2_printed:2"), laws.read_as_printed(source)
+    np.testing.assert_allclose(law.force(p[None], v, t)[0], truth, rtol=1e-10)
+    model, values = laws.to_effects(law, p)
+    np.testing.assert_allclose(model.force(Way(t, 0 * t, v, 1 + 0 * t), values), truth, rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["tustin", "atm1:1", "atm1:3", "atm2:1", "atm2_printed:2"])
 def test_reductions_are_the_law_with_its_coefficients_solved(name: str) -> None:
     """From the non-linear parameters alone least squares returns the whole law (ATM2's freer form at order 1 too)."""
     law = laws.law_by_name(name)
@@ -234,14 +251,14 @@ def test_thirty_and_six_per_cent_differ_in_fifty_runs() -> None:
 
 
 def test_maximum_of_eq8() -> None:
-    x, y = eq8.maximum()
+    x, y = search_trials.maximum()
     assert (round(x, 6), round(y, 6)) == (1.850547, 3.850274)
     grid = np.linspace(-1, 2, 300_001)[:, None]
-    assert -eq8.eq8(grid).min() == pytest.approx(y, abs=1e-6)
+    assert -search_trials.eq8(grid).min() == pytest.approx(y, abs=1e-6)
 
 
 def test_trials_count_generations() -> None:
-    results = run_trials(eq8.eq8, eq8.SEARCH_INTERVAL, 3, -3.85025, 7240, method="ga")
+    results = search_trials.run_trials(search_trials.eq8, search_trials.SEARCH_INTERVAL, 3, -3.85025, 7240, GA())
     assert np.all(results.cost >= -3.850275)
     hit = results.cost <= -3.85025
     assert np.all(np.isfinite(results.first) == hit)
@@ -253,7 +270,7 @@ def test_trials_count_generations() -> None:
 @pytest.mark.slow
 def test_tables_5_and_6_in_full() -> None:
     """Ten bits suffice; 50 runs cannot tell GA and MGA apart; the working Eq. 6 loses no run."""
-    part = eq8.eq8_trials(FULL)
+    part = search_trials.eq8_trials(FULL)
     verdicts = {c.claim: c.verdict for c in part.claims}
     assert verdicts["10 bits reach only 3.6792"] == FAILS
     assert verdicts["the adaptive code keeps the optimum"] == HOLDS
@@ -283,6 +300,8 @@ def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
         "time_units",
         "tustin_groups",
         "second_tables_1_2",
+        "equation_4",
+        "equation_4_errors",
     }
     assert wanted <= tables
     figures = " ".join(f.stem for f in (folder / "figures").glob("*.svg"))
@@ -293,6 +312,48 @@ def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
     assert json.loads((folder / "reproduce.json").read_text()) == result
     assert result["output"] == str(folder)
     assert result["quick"] is True
+
+
+def test_a_second_call_keeps_what_is_done(made: tuple[Path, dict], monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, result = made
+    assert set(result["seconds"]) == set(reproduce.SECTIONS)
+    told: list[str] = []
+    monkeypatch.setattr(reproduce, "_timed", None)  # nothing is computed
+    again = reproduce.reproduce(folder, quick=True, progress=lambda done, total, what: told.append(what))
+    assert again == result
+    assert told == ["reproduce: 8 of 8 sections are done and kept"]
+    (folder / "sections" / "orders.json").write_text("{}")  # another version's
+    assert sorted(set(reproduce.SECTIONS) - _kept(folder)) == ["orders"]
+    assert _kept(folder, "another effort") == set()
+
+
+def _kept(folder: Path, about: str | None = None) -> set[str]:
+    known = {"effort": QUICK, "seed": 0}
+    store = SectionStore(folder, about or f"{ft.__version__} {known}")
+    return {name for name in reproduce.SECTIONS if store.read(name) is not None}
+
+
+def test_the_time_is_said_before_the_work() -> None:
+    said = reproduce.describe_work(2, ["orders", "friction_problem"])
+    assert said.startswith(
+        "reproduce: 2 of 8 sections are done and kept; the others take about 4 min of processor time"
+    )
+    assert sum(seconds for *_, seconds in reproduce.SECTIONS.values()) < 600
+
+
+def test_table_7_stands_in_full_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = replace(QUICK, seeds=2, budget=400)
+    monkeypatch.setattr(search_trials, "QUICK", tiny)
+    full, quick = search_trials.genetic_searches(replace(tiny, budget=800)).tables
+    assert [t.name for t in (full, quick)] == ["table7", "table7_quick"]
+    assert full.title.endswith("2 seeds, 800 evaluations")
+    assert [row[0] for row in full.rows] == [row[0] for row in quick.rows]
+
+
+def test_claims_are_filled_in() -> None:
+    told = claim("fewer_local_optima", HOLDS, "5 % against 9 %", more=3.0)
+    assert (told.where, told.verdict, told.ours) == ("Table 7", HOLDS, "5 % against 9 %")
+    assert told.why == "Plain GA with more mutation (0.02 per bit) ends there in 3 %."
 
 
 def test_page_needs_nothing_else(made: tuple[Path, dict]) -> None:
@@ -325,6 +386,15 @@ def test_every_claim_has_a_verdict_and_a_reason(made: tuple[Path, dict]) -> None
     assert held["10 bits reach only 3.6792"] == FAILS
     assert held["the maximum of Eq. 8, and the GA finds it"] == HOLDS
     assert held["MGA needs fewer iterations than GA"] == OPEN  # four seeds decide nothing
+
+
+def test_equation_4_as_printed_brakes_the_mass(made: tuple[Path, dict]) -> None:
+    """By hand, Table 4: sin 1.7931 + sin 3.0453 = 1.071, sin 0.3726 + sin 1.3736 = 1.345."""
+    tables = {t["name"]: t for part in made[1]["parts"] for t in part["tables"]}
+    low, high = tables["equation_4"]["rows"]
+    assert high[1:5] == pytest.approx([1.0713, 1.3447, 47.3242 - 1.0713 * 37.5031, 1.3447 * 8.9972], rel=3e-3)
+    assert low[5] > 50  # speed lost as printed, and with t
+    assert low[6] < 10
 
 
 def test_ours_recovers_table_1(made: tuple[Path, dict]) -> None:
@@ -362,7 +432,7 @@ def test_numbers_for_people() -> None:
         "36040",
     ]
     table = _small().parts[0].tables[0]
-    assert numeric_columns(table) == {1}
+    assert as_text(table)["numeric"] == {1}
     assert table.rows[1][1] is None  # no NaN in JSON
 
 

@@ -11,7 +11,18 @@ import pytest
 from scipy.optimize import brentq
 
 from frictrack.errors import FrictrackError
-from frictrack.search import METHODS, SearchResult, code_length, code_length_as_printed, minimise
+from frictrack.search import (
+    DE,
+    GA,
+    METHODS,
+    MGA,
+    SGA,
+    SearchResult,
+    code_length,
+    code_length_as_printed,
+    minimise,
+    search_method,
+)
 from frictrack.search.evaluator import distinct_optima
 from frictrack.search.mga import crossover_probability, mutation_as_printed, mutation_probability
 from frictrack.search.operators import (
@@ -23,6 +34,8 @@ from frictrack.search.operators import (
     one_point_crossover,
     random_genes,
     rank_fitness,
+    roulette,
+    tournament,
     universal_sampling,
 )
 
@@ -367,9 +380,20 @@ def test_distinct_optima_of_a_valley_and_an_island() -> None:
     ("change", "message"),
     [
         ({"method": "gaa"}, 'expected a search among ga, mga, sa, sga, de, da, cmaes but got "gaa"'),
-        ({"poulation": 3}, 'search ga: expected a setting among population, bits, .* but got "poulation"'),
-        ({"population": 2, "gap": 1.5, "bits": 99}, r"at least 4 but got 2; .* got 1.5; .* 60 bits but got 99"),
-        ({"method": "mga", "l_const": 40}, "genetic search: expected a code length of 1 to 60 bits but got"),
+        ({"poulation": 3}, 'search ga: expected a setting among generations, .* mutation but got "poulation"'),
+        ({"population": 2, "gap": 1.5, "bits": 99}, r"at least 4 .* but got 2; .* got 1.5; .* 60 but got 99"),
+        ({"method": "mga", "l_const": 40}, "l_const as a whole number of at least 1 and at most 30 but got 40"),
+        (
+            {"method": "mga", "as_printed": True, "d": 0.1},
+            "expected at most 60 bits but Eq. 7 as printed begins with 105",
+        ),
+        ({"selection": "best"}, "expected selection as one of universal, roulette, tournament but got 'best'"),
+        ({"mutation": "often"}, "expected mutation as a number of at least 0 and at most 1 but got 'often'"),
+        (
+            {"method": "mga", "as_printed": 1, "restarts": 1.5},
+            "restarts as a whole .* got 1.5; expected as_printed as true",
+        ),
+        ({"P_m": 0.1, "mutation": 0.2}, "expected mutation once but got it twice"),
         ({"bounds": [0, 1]}, r"expected bounds of shape \(d, 2\) but got shape \(2,\)"),
         ({"bounds": [[0, 1], [2, 2]]}, r"expected finite lower < upper but got \[2, 2\] in row 1"),
         ({"max_evaluations": 0}, "expected max_evaluations of at least 1 but got 0"),
@@ -386,6 +410,77 @@ def test_missing_cma_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "cma", None)
     with pytest.raises(FrictrackError, match="package cma but it is not installed; run: pip install cma"):
         minimise(sphere, [[0, 1]], method="cmaes", rng=rng())
+
+
+def test_settings_come_as_texts_and_as_the_papers_write_them() -> None:
+    """One record for Python, command line and study file."""
+    typed = search_method("mga", {"generations": "500", "P_const": "0.05", "L_const": "8", "as_printed": "false"})
+    assert typed == MGA(generations=500, p_const=0.05, l_const=8)
+    assert search_method("ga", {"P_c": 0.9, "P_m": "none", "L": 16}) == GA(crossover=0.9, bits=16)
+    assert search_method("de", {"mutation": "0.4, 0.9"}) == DE(mutation=(0.4, 0.9))
+    assert search_method(SGA(population=20), {"cooling": "linear"}) == SGA(population=20, cooling="linear")
+
+
+def test_generations_count_whatever_they_cost(method: str) -> None:
+    found = minimise(rastrigin, [[-5, 4]] * 2, method=method, rng=rng(), max_evaluations=50, generations=7)
+    assert (found.generations, found.reason) == (7, "generations")
+    assert found.settings["generations"] == 7
+
+
+def test_chosen_settings_are_told() -> None:
+    """G_max 200: a = 10/G_max and s = G_max/4; two parameters of 2 L_const bits: P_const = 4/40."""
+    told = minimise(sphere, [[-1, 1]] * 2, method=MGA(generations=200), rng=rng()).settings
+    assert (told["a"], told["s"], told["p_const"], told["c"]) == pytest.approx((0.05, 50.0, 0.1, 0.1))
+    assert told["method"] == "mga"
+
+
+def test_restarts_spend_the_budget_again_and_keep_the_best() -> None:
+    def search(restarts: int) -> SearchResult:
+        return minimise(rastrigin, [[-5, 4]] * 3, method=GA(restarts=restarts), rng=rng(4), max_evaluations=760)
+
+    one, three = search(0), search(2)
+    assert three.evaluations == 3 * one.evaluations == 3 * 760
+    assert np.bincount(three.convergence.start).tolist() == [21, 21, 21]
+    np.testing.assert_array_equal(three.history[:21], one.history)
+    assert three.cost == three.history[-1] <= one.cost
+    assert three.generation_of_last_improvement == np.argmax(three.history == three.cost)
+
+
+@pytest.mark.parametrize("select", [roulette, tournament])
+def test_selections_draw_in_proportion(select: Callable[..., Any]) -> None:
+    """Linear ranking from 0 to 2, and a tournament of two: individual k of P is drawn (2 k + 1)/P^2 of all times."""
+    n, fitness = 5, np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    share = np.bincount(select(fitness, 100_000, rng()), minlength=n) / 100_000
+    np.testing.assert_allclose(share, fitness / 5 if select is roulette else (2 * np.arange(n) + 1) / n**2, atol=0.008)
+
+
+def test_convergence_of_copies_and_of_a_uniform_spread() -> None:
+    """Copying: the diversity begins at that of uniform points, 1, and ends at 0; the mean ends at the best."""
+    found = minimise(
+        sphere, [[-1, 1]] * 2, method=GA(population=400, crossover=0, mutation=0, generations=60), rng=rng()
+    ).convergence
+    assert found.diversity[0] == pytest.approx(1.0, abs=0.1)
+    assert found.diversity[-1] < 1e-12
+    assert found.mean[0] == pytest.approx(2 * (1 / 3 + 0.09), rel=0.1)  # of (x - 0.3)^2 + (y - 0.3)^2 over the box
+    assert found.mean[-1] == pytest.approx(found.best[-1], rel=1e-12)
+    assert found.best[-1] == sphere(found.x[-1:])[0]
+    assert np.all(found.mean >= found.best - 1e-12)
+    np.testing.assert_array_equal(found.bounds, [[-1, 1]] * 2)
+
+
+def test_an_interrupted_search_keeps_its_best_where_this_is_wanted() -> None:
+    def until(x: Array) -> Array:
+        calls.append(len(x))
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return sphere(x)
+
+    calls: list[int] = []
+    found = minimise(until, [[-1, 1]] * 2, method=GA(restarts=3), rng=rng(), keep_interrupted=True)
+    assert (found.reason, found.generations, len(calls)) == ("interrupted", 4, 6)
+    calls.clear()
+    with pytest.raises(KeyboardInterrupt):
+        minimise(until, [[-1, 1]] * 2, method="ga", rng=rng())
 
 
 # ---- the paper's tables

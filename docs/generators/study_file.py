@@ -20,6 +20,7 @@ from frictrack.study.schema import (
     EffectTable,
     Keys,
     RunTable,
+    SearchTable,
     StudyTable,
 )
 from frictrack.study.writing import CAMERA
@@ -30,6 +31,7 @@ SECTIONS: dict[str, type[Keys]] = {
     "[[run]]": RunTable,
     "[[effect]]": EffectTable,
     "[costs]": CostsTable,
+    "[search]": SearchTable,
 }
 # Types of the schema: what a study file writes, the unit, and an example.
 TYPES = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -175,6 +175,12 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     over: Annotated[
         Literal["all", "nonlinear"] | None, typer.Option(help="parameters of a global search (default: all)")
     ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="setting of a global search: generations=500; may be repeated"
+        ),
+    ] = None,
     domain: Annotated[
         Literal["displacement", "force"] | None,
         typer.Option(help="quantity that is fitted (default: displacement; force if friction was measured)"),
@@ -189,12 +195,27 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
 ) -> None:
     """Fit the current model, or make another one current.
 
-    Reads the measured runs; missing stages are computed first. Writes the model into study.h5.
+    Reads the measured runs; missing stages are computed first. Writes the model into study.h5. Ctrl-C ends a global
+    search: the best values so far are kept.
     """
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
+        how["settings"] = _settings(settings or ())
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
     print_result(result, as_json, "fit", session.path, after_fit(result, study))
+
+
+def _settings(pairs: Iterable[str]) -> dict[str, str] | None:
+    """Split the texts NAME=VALUE; None without any."""
+    found = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not (name.strip() and equals):
+            raise FrictrackError(
+                f'expected --set NAME=VALUE, such as --set generations=500, but got "{pair}"', usage=True
+            )
+        found[name.strip()] = value.strip()
+    return found or None
 
 
 @command()

@@ -4,7 +4,7 @@
 makes one from a text, `EffectSettings` holds what a study file changes of one.
 """
 
-from frictrack.effects.atm2 import atm2
+from frictrack.effects.atm2 import PRINTED_TIME_UNIT_S, atm2, atm2_printed
 from frictrack.effects.definition import Effect, Parameter, RelaxedPart, TestDraw
 from frictrack.effects.formula import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, formula
 from frictrack.effects.in_study import (
@@ -30,6 +30,7 @@ __all__ = [
     "LIBRARY",
     "OPERATORS",
     "PLANNED_SHARE",
+    "PRINTED_TIME_UNIT_S",
     "VARIABLES",
     "DirectCheck",
     "Effect",
@@ -45,6 +46,7 @@ __all__ = [
     "Tie",
     "Within",
     "atm2",
+    "atm2_printed",
     "carries_over",
     "catalogue",
     "check_ties",

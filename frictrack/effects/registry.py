@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from frictrack.effects.atm2 import atm2
+from frictrack.effects.atm2 import atm2, atm2_printed
 from frictrack.effects.definition import Effect
 from frictrack.effects.library import load_library
 from frictrack.effects.path import NEEDS
@@ -17,12 +17,13 @@ MAX_INSTANCES = 99  # of one effect in a model
 MAX_ORDER = 20  # sines of ATM1 and ATM2: 60 parameters and more; the papers stop at 4
 
 LIBRARY = load_library()
+OF_AN_ORDER = {"atm2": atm2, "atm2_printed": atm2_printed}  # effects whose colon is an order
 DECLARED: dict[str, Effect] = {}  # effects declared in Python by `effect`, in the order of declaration
 
 
 def is_library(name: str) -> bool:
     """Return whether a name is taken by the library."""
-    return name in LIBRARY or name in ("atm2", "mass", "level")
+    return name in LIBRARY or name in (*OF_AN_ORDER, "mass", "level")
 
 
 def known(extra: Iterable[Effect] = ()) -> dict[str, Effect]:
@@ -77,8 +78,8 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
         if parameter in {p.name for p in effect.parameters}:
             return effect.freed(parameter)
     kind, colon, suffix = name.partition(":")
-    if kind == "atm2":
-        return atm2(order(name) if colon else 2)
+    if kind in OF_AN_ORDER:
+        return OF_AN_ORDER[kind](order(name) if colon else 2)
     number = _parse_count(suffix, MAX_INSTANCES)
     if suffix and number is None:
         raise FrictrackError(f'expected a number up to {MAX_INSTANCES} after the colon but got "{name}"', usage=True)
@@ -86,8 +87,8 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     if name in table:
         return table[name]
     if kind not in table:
-        near = difflib.get_close_matches(kind, [*table, "atm2"], 1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(table)}, atm2"
+        near = difflib.get_close_matches(kind, [*table, *OF_AN_ORDER], 1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join([*table, *OF_AN_ORDER])}"
         raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
     return table[kind].called(name) if number is not None and number > 1 else table[kind]
 

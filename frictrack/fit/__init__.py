@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,7 +14,7 @@ from frictrack import models
 from frictrack.effects import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, fit_by_search, outcome_of, unfitted_problem
+from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.observations import (
     check_effects,
@@ -47,17 +48,17 @@ from frictrack.fit.pieces import (
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
-from frictrack.fit.routes import FitOutcome, Route, check_route
+from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
 from frictrack.priors import Prior
 from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array, Run
+from frictrack.search import Convergence, SearchMethod
 from frictrack.threads import one_thread
 
 __all__ = [
-    "MAX_SEARCH_GENERATIONS",
     "PRIOR_NEEDS_NOISE",
     "Bootstrap",
     "Fit",
@@ -68,6 +69,7 @@ __all__ = [
     "analyse_uncertainty",
     "bootstrap",
     "fit",
+    "generation_limit",
     "profile",
     "remove_effect",
     "restore",
@@ -83,7 +85,7 @@ class FitSettings(TypedDict, total=False):
     """Settings of `fit` by name, for type checkers."""
 
     domain: str | None
-    search: str
+    search: str | SearchMethod
     rng: RNG
     reference_mass: float | None
     prior: Prior | None
@@ -110,7 +112,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     runs: Sequence[Run],
     *,
     domain: str | None = None,
-    search: str = "varpro",
+    search: str | SearchMethod = "varpro",
     rng: RNG = 0,
     reference_mass: float | None = None,
     prior: Prior | None = None,
@@ -129,8 +131,9 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     domain : {"displacement", "force"}, optional
         What is compared: displacement, the default, or acceleration after low-pass and double difference, as in the
         papers. Where friction itself was measured, the default is "force", compared with that series without a mass.
-    search : str
-        ``"varpro"`` (variable projection) or a global search, one of `frictrack.search.METHODS`.
+    search : str or SearchMethod
+        ``"varpro"`` (variable projection) or a global search: one of `frictrack.search.METHODS`, or one with settings,
+        such as ``ft.search.MGA(generations=500)``. Ctrl-C ends a global search with the best values so far.
     rng : numpy.random.Generator or int or None
         Random numbers of a global search: a generator, a seed, or None for other numbers in every call.
     reference_mass : float, optional
@@ -170,7 +173,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     (0.9, 'N')
 
     """
-    check_route(domain or "force", search, per, over)
+    check_route(domain or "force", search if isinstance(search, str) else search.name, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     _check_runs(runs)
@@ -178,10 +181,12 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         check_effects(law)
         reference = Reference(1.0, reference_load(runs))
         law = law if prior is None else apply_prior(law, prior, reference.load)
-        fit_group = partial(_fit_friction, law, route=Route("force", search, rng, over), reference=reference)
+        fit_group = partial(
+            _fit_friction, law, route=Route.of("force", search, rng, over), reference=reference, callback=callback
+        )
     else:
         mass = reference_mass if per is None else reference_mass or runs[0].mass  # the same for all groups
-        route = Route(domain or "displacement", search, rng, over)
+        route = Route.of(domain or "displacement", search, rng, over)
         fit_group = partial(_fit_motion, law, route=route, mass=mass, prior=prior, callback=callback)
     return fit_group(runs) if per is None else GroupFits({g: fit_group(own) for g, own in by_group(runs).items()})
 
@@ -207,14 +212,16 @@ def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float
     return fitted, names, float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in fitted])))
 
 
-def _fit_friction(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
+def _fit_friction(
+    law: Model, runs: Sequence[Run], route: Route, reference: Reference, callback: Callback | None
+) -> Fit:
     """The fit of runs whose friction a load cell measured, in newtons at the load of the reference."""
     fitted, names, fps = _runs_to_fit(runs)
     pieces = friction_pieces(fitted, reference.load)
     if route.search == "varpro":
         found = FitOutcome(fit_measured_friction(law, pieces, names, fps))
     else:
-        found = fit_by_search(friction_problem(law, pieces, names, fps), fitted, route)
+        found = fit_by_search(friction_problem(law, pieces, names, fps), fitted, route, callback)
     return _finish(found, runs, reference, route, (0,) * len(fitted))
 
 
@@ -254,19 +261,21 @@ def _in_kilograms(found: FitOutcome, runs: Sequence[Run], route: Route) -> FitOu
         return found
     pieces = [p.in_mass_units(p.mass / q) for p in solution.problem.pieces]
     problem = LeastSquaresProblem(solution.problem.model, layout, pieces)
-    optima = np.array([rescale_to_mass(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
+    searched = found.searched
+    if searched is not None:
+        searched = replace(searched, points=np.array([rescale_to_mass(layout, o, q) for o in searched.points]))
     where = rescale_to_mass(layout, solution.p, q), solution.starts, solution.tau
-    return _outcome_at(problem, where, runs, route, (optima, found.costs))
+    return _outcome_at(problem, where, runs, route, searched)
 
 
 def _outcome_at(
-    problem: LeastSquaresProblem, where: _Unknowns, runs: Sequence[Run], route: Route, optima: tuple[Array, Array]
+    problem: LeastSquaresProblem, where: _Unknowns, runs: Sequence[Run], route: Route, searched: SearchedOptima | None
 ) -> FitOutcome:
     """The outcome at known unknowns."""
     p, starts, tau = where
     if route.is_default:
         return FitOutcome(refine(problem, p, starts, tau=tau, max_steps=1))
-    return outcome_of(fit_starts(problem, p, starts, tau), runs, route, optima)
+    return outcome_of(fit_starts(problem, p, starts, tau), runs, route, searched)
 
 
 def _finish(
@@ -291,8 +300,11 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
     """Return what `restore` needs to rebuild a fit without searching: arrays, numbers and strings."""
     if isinstance(result, GroupFits):
         return {"groups": {name: state(f) for name, f in result.fits.items()}}
-    layout = result.solution.problem.layout
-    return {
+    layout, searched = result.solution.problem.layout, result.found.searched
+    found: dict[str, Any] = {} if searched is None else {"optima": searched.points, "costs": searched.costs}
+    if searched is not None and searched.convergence is not None:
+        found |= {"searched": json.dumps(searched.summary), "convergence": searched.convergence}
+    return found | {
         "law": without_mass(layout.model).to_toml(),
         "weighed": MASS_EFFECT.name not in layout.model,
         "absent": [list(pair) for pair in sorted(layout.absent)],
@@ -308,8 +320,6 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "search": result.search,
         "over": result.route.over,
         "seed": result.seed,
-        "optima": result.found.optima,
-        "costs": result.found.costs,
     }
 
 
@@ -342,7 +352,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     p, tau = np.asarray(saved["p"]), float(saved["tau"])
-    optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
+    searched = _searched(saved)
     if saved.get("measured", False):
         reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
         first = friction_problem(law, friction_pieces(fitted, reference.load), names, fps)
@@ -356,8 +366,18 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         fine = max(e.fine for e in law.effects)
         cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
         problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
-    found = _outcome_at(problem, (p, starts, tau), fitted, route, optima)
+        found = _outcome_at(problem, (p, starts, tau), fitted, route, searched)
     return _finish(found, runs, reference, route, lengths)
+
+
+def _searched(saved: dict[str, Any]) -> SearchedOptima | None:
+    """What a global search found, from the state of a fit."""
+    if len(saved.get("optima", ())) == 0:
+        return None
+    of = saved.get("convergence")
+    parts = of if of is None or isinstance(of, Convergence) else Convergence(**of)
+    summary = json.loads(saved.get("searched", "{}"))
+    return SearchedOptima(np.asarray(saved["optima"]), np.asarray(saved["costs"]), parts, summary)
 
 
 def _law(text: str, weighed: bool) -> Model:

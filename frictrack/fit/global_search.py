@@ -7,6 +7,7 @@ The result is reported as found, without hidden refinement; standard deviations 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
 from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains, acceleration_noise, spans_of
-from frictrack.fit.routes import FitOutcome, Route
+from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
 from frictrack.fit.separable import (
     DataBlock,
     PopulationMisfit,
@@ -27,11 +28,10 @@ from frictrack.fit.separable import (
 )
 from frictrack.models import Model
 from frictrack.records import Array, Run
-from frictrack.search import minimise
+from frictrack.search import SearchMethod, minimise, search_method
 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
-MAX_SEARCH_GENERATIONS = 1000  # of the first paper
-MAX_EVALUATIONS = 36 * MAX_SEARCH_GENERATIONS  # population 40, generation gap 0.9
+MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
 FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
 MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
@@ -63,28 +63,29 @@ def fit_by_search(
         The best point and the distinct optima.
 
     """
+    assert route.method is not None
     chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" and problem.simulates else None
     misfit = population_misfit(problem, chains, route.over)
-    optima, costs = search_parameters(misfit, route.search, np.random.default_rng(route.rng), callback)
-    tau = searched_scatter(problem.layout, optima[0])
-    law = fit_starts(problem, optima[0], problem.first_starts(), tau)
+    found = search_parameters(misfit, route.method, np.random.default_rng(route.rng), callback)
+    tau = searched_scatter(problem.layout, found.points[0])
+    law = fit_starts(problem, found.points[0], problem.first_starts(), tau)
     law = refit_until_stop(law, np.zeros(len(law.p), dtype=bool))
-    return outcome_of(law, runs, route, (optima, costs))
+    return outcome_of(law, runs, route, found)
 
 
-def outcome_of(solution: Solution, runs: Sequence[Run], route: Route, optima: tuple[Array, Array]) -> FitOutcome:
+def outcome_of(solution: Solution, runs: Sequence[Run], route: Route, found: SearchedOptima | None) -> FitOutcome:
     """Create the outcome of known unknowns whose starts have been fitted."""
     filtered = route.domain == "force" and solution.problem.simulates
-    return FitOutcome(solution, linearise_accelerations(solution, runs) if filtered else None, *optima)
+    return FitOutcome(solution, linearise_accelerations(solution, runs) if filtered else None, found)
 
 
 def search_parameters(
     misfit: PopulationMisfit | ReducedPopulationMisfit,
-    method: str,
+    method: str | SearchMethod,
     rng: np.random.Generator,
     callback: Callback | None = None,
-) -> tuple[Array, Array]:
-    """Search parameters by a global method.
+) -> SearchedOptima:
+    """Search parameters by a global method; Ctrl-C ends the search with the best point so far.
 
     The friction levels of several runs are not searched: each has its least-squares value, held about one to within 3
     %.
@@ -93,8 +94,8 @@ def search_parameters(
     ----------
     misfit : PopulationMisfit or ReducedPopulationMisfit
         What is minimised.
-    method : str
-        A key of `frictrack.search.METHODS`.
+    method : str or SearchMethod
+        A key of `frictrack.search.METHODS`, or a record with settings.
     rng : numpy.random.Generator
         Source of random numbers.
     callback : callable, optional
@@ -102,10 +103,8 @@ def search_parameters(
 
     Returns
     -------
-    points : array of shape (k, P)
-        The "group of feasible solutions", best first.
-    misfits : array of shape (k,)
-        Their misfits.
+    SearchedOptima
+        The "group of feasible solutions", best first, their misfits, and the search generation by generation.
 
     """
     layout = misfit.layout
@@ -114,14 +113,17 @@ def search_parameters(
     def report_best(generation: int, x: Array, cost: float) -> bool | None:
         return callback(generation, dict(zip(names, map(float, x), strict=True)), cost) if callback else None
 
+    search = search_method(method)
+    if isinstance(misfit, ReducedPopulationMisfit):
+        search = search.filled(**search_settings(search.name, len(names)))
     result = minimise(
         misfit,
         search_bounds(misfit),
-        method=method,
+        method=search,
         rng=rng,
         max_evaluations=MAX_EVALUATIONS,
         callback=report_best if callback else None,
-        **(search_settings(method, len(misfit.searched)) if isinstance(misfit, ReducedPopulationMisfit) else {}),
+        keep_interrupted=True,
     )
     full_misfit = PopulationMisfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
     candidates = misfit.law(result.optima)
@@ -131,7 +133,27 @@ def search_parameters(
     for run, i in enumerate(layout.levels):
         points[:, i] = levels[:, run]
     order = np.argsort(costs, kind="stable")
-    return np.array([normalise_levels(layout, canonical_form(layout, p)) for p in points[order]]), costs[order]
+    return SearchedOptima(
+        np.array([normalise_levels(layout, canonical_form(layout, p)) for p in points[order]]),
+        costs[order],
+        replace(result.convergence, parameters=tuple(names)),
+        {
+            "method": search.name,
+            "settings": {name: value for name, value in result.settings.items() if name != "method"},
+            "generations": result.generations,
+            "generation_limit": generation_limit(search),
+            "last_improvement": result.generation_of_last_improvement,
+            "evaluations": result.evaluations,
+            "ended": result.reason,
+        },
+    )
+
+
+def generation_limit(search: str | SearchMethod) -> int | None:
+    """Return the generations of a search, those of all restarts together; None where they are not known before."""
+    method = search_method(search)
+    limit = method.generation_limit(MAX_EVALUATIONS)
+    return None if limit is None else (limit + 1) * (1 + method.restarts) - 1
 
 
 def search_settings(method: str, d: int) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.pieces import noise_free_remark
 from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
-from frictrack.fit.routes import FittedRuns
+from frictrack.fit.routes import FittedRuns, SearchedOptima
 from frictrack.fit.uncertainty import (
     Estimate,
     Estimates,
@@ -38,12 +38,13 @@ from frictrack.priors import Prior
 from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
+from frictrack.search import Convergence
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-FIGURES = {"force": "fit", "law": "law"}  # kind of figure -> function of `plots`
+FIGURES = {"force": "fit", "law": "law", "convergence": "convergence"}  # kind of figure -> function of `plots`
 MAX_REPR_EQUATION = 400  # characters of the equation in a printed fit
 
 
@@ -94,7 +95,15 @@ class StorableFit(NotebookView):
         """
         fitted: Any = self  # a Fit or GroupFits
         named, model = name or f"1_{'+'.join(fitted.model.names)}", str(fitted.model)
-        return ModelResults(named, model, fitted.summary(), fitted.curves, current=True, motion=fitted.motion)
+        return ModelResults(
+            named,
+            model,
+            fitted.summary(),
+            fitted.curves,
+            current=True,
+            motion=fitted.motion,
+            convergence=fitted.convergence,
+        )
 
     def plot(self, kind: str = "force") -> Figure:
         """Draw the fit.
@@ -103,7 +112,8 @@ class StorableFit(NotebookView):
         ----------
         kind
             "force": modelled and measured friction force of every run over time, with the residual. "law": friction
-            force and coefficient of friction over the speed, direction by direction.
+            force and coefficient of friction over the speed, direction by direction. "convergence": a global search
+            generation by generation.
 
         """
         if kind not in FIGURES:
@@ -318,6 +328,12 @@ class Fit(FittedRuns, StorableFit):
         """
         return self.observation.motion(self, lambda: self.estimates.covariance)
 
+    @property
+    def convergence(self) -> dict[str, Convergence]:
+        """The global search generation by generation, under the name "all"; empty for variable projection."""
+        searched = self.found.searched
+        return {} if searched is None or searched.convergence is None else {"all": searched.convergence}
+
     @cached_property
     def law(self) -> list[dict[str, Any]]:
         """The law over the speed with its standard deviation, one entry per direction; see `law_branches`."""
@@ -351,7 +367,7 @@ class Fit(FittedRuns, StorableFit):
 
     def summary(self) -> FitSummary:
         """Return the JSON of `frictrack fit`, a dictionary that prints itself as a table."""
-        agreement = self.prior_agreement
+        agreement, searched = self.prior_agreement, self.found.searched
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return FitSummary(
             {
@@ -367,6 +383,7 @@ class Fit(FittedRuns, StorableFit):
                 "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": [
                     *(() if self.measured else noise_free_remark(self.runs)),
+                    *([searched.remark] if searched is not None and searched.remark else []),
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
                     *(() if agreement is None else agreement.remarks()),
@@ -376,7 +393,7 @@ class Fit(FittedRuns, StorableFit):
                 "per_run": self.observation.per_run(self, self.curves, self.motion, self.free_runs),
                 "collisions": self.collisions,
             }
-            | ({"optima": self._optima()} if len(self.found.optima) else {})
+            | ({} if searched is None else {"searched": searched.summary, "optima": self._optima(searched)})
             | ({} if agreement is None else {"prior": agreement.summary()})
             | self.uncertainty.summary()
         )
@@ -397,9 +414,9 @@ class Fit(FittedRuns, StorableFit):
         std = found.reported_std
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
-    def _optima(self) -> list[dict[str, Any]]:
+    def _optima(self, searched: SearchedOptima) -> list[dict[str, Any]]:
         """The distinct optima of a search within 1 % of the best, best first."""
-        optima = zip(self.found.optima, self.found.costs, strict=True)
+        optima = zip(searched.points, searched.costs, strict=True)
         return [{"misfit": float(cost), "parameters": reported_by_address(self.solution, p)} for p, cost in optima]
 
 
@@ -460,6 +477,11 @@ class GroupFits(StorableFit):
         return tuple(chain.from_iterable(f.motion for f in self.fits.values()))
 
     @property
+    def convergence(self) -> dict[str, Convergence]:
+        """The global search of every group; empty for variable projection."""
+        return {name: one for name, f in self.fits.items() for one in f.convergence.values()}
+
+    @property
     def errors(self) -> dict[str, Any]:
         """Errors over all fitted runs. The held-out error is the root mean square over the frames of all groups."""
         group_fits = list(self.fits.values())
@@ -496,7 +518,7 @@ class GroupFits(StorableFit):
                     collision | {"group": g} for g, s in group_fits.items() for collision in s["collisions"]
                 ],
             }
-            | ({"prior": {g: s["prior"] for g, s in group_fits.items()}} if "prior" in first else {})
+            | {key: {g: s[key] for g, s in group_fits.items()} for key in ("prior", "searched") if key in first}
         )
 
 

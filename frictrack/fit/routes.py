@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-
-import numpy as np
+from typing import Any
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -13,7 +12,7 @@ from frictrack.fit.parameters import with_fitted_mass
 from frictrack.fit.pieces import Reference
 from frictrack.randomness import RNG
 from frictrack.records import Array, Run
-from frictrack.search import METHODS
+from frictrack.search import METHODS, Convergence, SearchMethod, search_method
 
 DOMAINS = ("displacement", "force")
 SEARCHES = ("varpro", *METHODS)
@@ -22,17 +21,61 @@ SEARCH_SPACES = ("all", "nonlinear")
 
 @dataclass(frozen=True)
 class Route:
-    """How a model is fitted: domain, search, source of random numbers, and what a global search varies."""
+    """How a model is fitted: domain, search, source of random numbers, and what a global search varies.
+
+    `method` holds the settings of a global search; it is None for variable projection.
+    """
 
     domain: str = "displacement"
     search: str = "varpro"
     rng: RNG = 0
     over: str = "all"
+    method: SearchMethod | None = None
+
+    @classmethod
+    def of(cls, domain: str, search: str | SearchMethod, rng: RNG, over: str) -> Route:
+        """Return the route of a search given by its name or with its settings, whose seed wins over `rng`."""
+        if search == "varpro":
+            return cls(domain, "varpro", rng, over)
+        method = search_method(search)
+        return cls(domain, method.name, rng if method.seed is None else method.seed, over, method)
 
     @property
     def is_default(self) -> bool:
         """Whether the displacement is fitted by variable projection, the default."""
         return (self.domain, self.search) == ("displacement", "varpro")
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedOptima:
+    """What a global search found.
+
+    Attributes
+    ----------
+    points : array of shape (k, P)
+        The "group of feasible solutions", best first.
+    costs : array of shape (k,)
+        Their misfits: squared acceleration residuals, m^2/s^4, or chi-squared of the displacement.
+    convergence : Convergence or None
+        The search generation by generation; None for fits that were stored by an early version.
+    summary : dict
+        JSON: the method and all its settings, generations, evaluations, why it ended.
+
+    """
+
+    points: Array
+    costs: Array
+    convergence: Convergence | None = None
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def remark(self) -> str:
+        """A sentence if the search was stopped before its end; else empty."""
+        if self.summary.get("ended") != "interrupted":
+            return ""
+        done, limit = self.summary["generations"], self.summary["generation_limit"]
+        planned = "" if limit is None else f" of {limit}"
+        return f"the search was stopped by hand after generation {done}{planned}; these are its best values until then"
 
 
 @dataclass(frozen=True)
@@ -45,17 +88,14 @@ class FitOutcome:
         In the displacement domain.
     force : Solution or None
         In the force domain.
-    optima : array of shape (k, P)
-        The "group of feasible solutions" of a search, best first.
-    costs : array of shape (k,)
-        Their misfits: squared acceleration residuals, m^2/s^4, or chi-squared of the displacement.
+    searched : SearchedOptima or None
+        What a global search found.
 
     """
 
     solution: Solution
     force: Solution | None = None
-    optima: Array = field(default_factory=lambda: np.empty((0, 0)))
-    costs: Array = field(default_factory=lambda: np.empty(0))
+    searched: SearchedOptima | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 from frictrack import effects, models
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions
+from frictrack.errors import FrictrackError
 from frictrack.models import Model
+from frictrack.search import METHODS, SearchMethod, search_method
 from frictrack.study import EffectTable
 
 
@@ -25,6 +28,8 @@ class FitRequest:
         Effects that were added ("+texture") or removed ("-viscous") since.
     domain, search, seed, per, over
         See `frictrack.fit`.
+    settings
+        Settings of a global search that were asked for, by name.
 
     Examples
     --------
@@ -43,6 +48,25 @@ class FitRequest:
     seed: int = 0
     per: str | None = None
     over: str = "all"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def method(self) -> str | SearchMethod:
+        """The search for `frictrack.fit`: its name, or with settings its record.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) For settings that the search does not have, or that are out of range.
+
+        """
+        if self.search == "varpro" and self.settings:
+            raise FrictrackError(
+                f"expected settings ({', '.join(self.settings)}) with a global search ({', '.join(METHODS)}) but the "
+                "search is varpro; add --search mga, for example",
+                usage=True,
+            )
+        return search_method(self.search, self.settings) if self.settings else self.search
 
     def edited(self, edit: str) -> FitRequest:
         """Return the request with one more edit (``"+texture"``, ``"-viscous"``); opposite edits cancel."""
@@ -82,7 +106,10 @@ class FitRequest:
 
     def to_json(self) -> str:
         """Return the request as JSON; equal requests give equal texts."""
-        return json.dumps(asdict(self), sort_keys=True)
+        content = asdict(self)
+        if not self.settings:  # as early versions wrote it: a fit without settings is not outdated
+            del content["settings"]
+        return json.dumps(content, sort_keys=True)
 
 
 def apply_effect_tables(model: Model, tables: Iterable[EffectTable]) -> Model:

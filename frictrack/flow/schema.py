@@ -31,6 +31,7 @@ MODEL_MEMBERS = {
     "state": ("group", "what restores the fit without a new search"),
     "curves": ("group", "a group per run, `<number>_<run>`: measurement and model, table below"),
     "motion": ("group", "a group per run: the motion by the model, table below"),
+    "convergence": ("group", "of a global search: a group per group of runs, or `all`, with one value per generation"),
     "certainty": ("group", "profiles and bootstrap, if they were asked for: `summary`, JSON text"),
     "diagnosis": (
         "group",
@@ -39,11 +40,12 @@ MODEL_MEMBERS = {
 }
 STUDY_GROUPS = {
     "runs": "a link per run to its file",
-    "models": "a group per model in the order tried, `<number>_<name>`; `study_model` is the study file's (JSON)",
+    "models": "a group per model in the order tried, `<number>_<name>`; `study_model` and `study_search` are the study "
+    "file's (JSON)",
     "comparison": "`summary`: JSON of `frictrack compare`",
     "diagnosis": "a link to the diagnosis of the current model",
     "findings": "`warnings`: the implausible numbers, as in the JSON of `frictrack run`",
-    "papers": "a group like a model's: the papers' route, force domain and SGA",
+    "papers": "a group like a model's: the papers' route, force domain and SGA or the study file's search",
 }
 _COMMENT = re.compile(r"^    (\w+): .*?  # (.*)$", re.MULTILINE)
 _KINDS = {"f": "float64", "b": "bool", "i": "int64", "U": "text"}

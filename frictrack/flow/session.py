@@ -7,7 +7,7 @@ measure, fit and diagnose are imported by the methods that use them: reading wha
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
@@ -28,6 +28,7 @@ from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
+from frictrack.search import METHODS, read_settings
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import Study, suggest
 from frictrack.verdicts import describe_no_run, describe_tests
@@ -205,7 +206,8 @@ class Session:
         draws
             Number of parametric bootstrap draws for 95 % intervals; 0 for none.
         **how
-            `domain`, `search`, `over`, `seed`, `per`; None keeps the setting of the current model.
+            `domain`, `search`, `over`, `seed`, `per`; None keeps the setting of the current model. `settings` of a
+            global search by name; they are added to those of the study file for the same search.
 
         Returns
         -------
@@ -224,13 +226,15 @@ class Session:
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
             asked.setdefault("over", "all")
+        if not asked.keys().isdisjoint(("search", "settings", "seed")):
+            asked["settings"] = self._search_settings(asked)
         if model is not None:
             base = tuple(part.strip() for part in model.split(",")) if "," in model else model
             asked |= {"base": base, "edits": ()}
             FitRequest(base).model(self.study.effects)
         self.bring_up_to("friction")
         group, request = self._append_first_model(asked) if not self.models.groups else self.models.current()
-        if replace(request, **asked) != request:
+        if replace(request, **asked) != request or ("search" in asked and self.models.was_interrupted(group)):
             group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:
             self._add_uncertainty(group, profiles, draws, request.seed)
@@ -243,6 +247,22 @@ class Session:
         }
         uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
         return {**result, "remarks": [*result["remarks"], *twice, *uneven], **more}
+
+    def _search_settings(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the settings of a global search: those asked for, and the study file's for the same search."""
+        group, own = self.models.current_group, self.study.search
+        before = self.models.first_request() if group is None else self.models.request(group)
+        search, given = asked.get("search", before.search), asked.get("settings", {})
+        if "search" in asked or given:
+            settings = dict(own.request["settings"]) if own is not None and own.method == search else {}
+        else:
+            settings = dict(before.settings)
+        if "seed" in asked:
+            settings.pop("seed", None)
+        if given and search != "varpro":
+            settings |= read_settings(METHODS[search], given)
+        FitRequest("tustin", search=search, settings=settings or given).method  # noqa: B018 - checked before any work
+        return settings
 
     def _add_uncertainty(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
@@ -267,7 +287,7 @@ class Session:
     def _append_first_model(self, asked: dict[str, Any]) -> tuple[str, FitRequest]:
         """Fit the study file's model first, even if another one is asked for."""
         how = {} if "base" in asked else asked
-        return self.models.append(replace(FitRequest(self.study.model, domain=self.models.domain()), **how))
+        return self.models.append(replace(self.models.first_request(), **how))
 
     @exclusive
     def compare(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.priors import Prior
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
+from frictrack.search import Convergence
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
-RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion}  # groups in that of a model, with one record per run
+RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion, "convergence": Convergence}  # groups in that of a model
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
@@ -92,23 +93,42 @@ class TriedModels:
         """
         group = self.current_group
         if group is None:
-            return self.append(FitRequest(self.study.model, domain=self.domain()))
-        request = self.request(group)
-        if store.attributes(self.path, "models")["study_model"] != self._study_model:
-            return self.append(replace(request, base=self.study.model, edits=()))
+            return self.append(self.first_request())
+        request, before = self.request(group), store.attributes(self.path, "models")
+        if before["study_model"] != self._study_model:
+            return self.append(replace(request, base=self.study.model, edits=(), **self._study_search))
+        if before.get("study_search", "{}") != json.dumps(self._study_search) and self._study_search:
+            return self.append(replace(request, **self._study_search))
         return group, request
+
+    def first_request(self) -> FitRequest:
+        """Return the request of the study file's model, fitted by the search of the study file."""
+        return FitRequest(self.study.model, domain=self.domain(), **self._study_search)
+
+    @property
+    def _study_search(self) -> dict[str, Any]:
+        """The study file's search as arguments of `FitRequest`; empty without a table [search]."""
+        return {} if self.study.search is None else self.study.search.request
 
     def is_current_outdated(self) -> bool:
         """Return whether the current model belongs to other runs or settings than today's, or another study model."""
         group = self.current_group
         if group is None:
             return False
-        same = store.attributes(self.path, "models")["study_model"] == self._study_model
+        before = store.attributes(self.path, "models")
+        same = before["study_model"] == self._study_model
+        same &= not self._study_search or before.get("study_search", "{}") == json.dumps(self._study_search)
         return not same or self.is_outdated(group)
 
     def is_outdated(self, group: str) -> bool:
         """Return whether a model was fitted to other runs, or with other settings, than today's."""
         return self._provenance(group).key != self.fit_key(self.request(group))
+
+    def was_interrupted(self, group: str) -> bool:
+        """Return whether the search of a fit was stopped by hand: asked for again, it is searched again."""
+        summary = json.loads(store.read(self.path, f"models/{group}", without=("state", *RECORDS_OF_FIT))["summary"])
+        searched = summary.get("searched", {})
+        return any(one.get("ended") == "interrupted" for one in (searched, *searched.values()) if isinstance(one, dict))
 
     def select(self, group: str) -> None:
         """Make a model current that was tried before."""
@@ -148,7 +168,10 @@ class TriedModels:
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
-            flags = {"models": {"study_model": self._study_model}} | self._current_flags(group)
+            of_study = {"study_model": self._study_model}
+            if self._study_search:
+                of_study["study_search"] = json.dumps(self._study_search)
+            flags = {"models": of_study} | self._current_flags(group)
             store.write(
                 self.path,
                 {f"models/{group}": entry},
@@ -264,12 +287,12 @@ class TriedModels:
 
     def _fit(self, request: FitRequest) -> Any:
         """Fit a model; return the fit as it will be restored, so that one process or several give the same bits."""
-        from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state  # noqa: PLC0415
+        from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
 
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
         how: dict[str, Any] = {
             "domain": request.domain,
-            "search": request.search,
+            "search": request.method,
             "rng": request.seed,
             "over": request.over,
         }
@@ -277,26 +300,22 @@ class TriedModels:
             how["per"] = request.per
         if self.study.mass is not None:
             how["reference_mass"] = self.study.mass[0]
-        callback = self._search_callback(request.search)
-        prior = self._prior(request)
-        fitted = fit(request.model(self.study.effects), self.runs, callback=callback, prior=prior, **how)
-        self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, request.search)
-        return restore(self.runs, state(fitted))
-
-    def _search_callback(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
-        """Return a callback that reports the progress of a global search, generation by generation."""
-        from frictrack.fit import MAX_SEARCH_GENERATIONS  # noqa: PLC0415
+        limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
 
         def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
-            self.progress(
-                min(generation, MAX_SEARCH_GENERATIONS - 1), MAX_SEARCH_GENERATIONS, f"{search}: misfit {misfit:.4g}"
-            )
+            done = min(generation, limit - 1)
+            self.progress(done, limit, f"{request.search}: misfit {misfit:.4g}, generation")
 
-        return report
+        prior = self._prior(request)
+        fitted = fit(request.model(self.study.effects), self.runs, callback=report, prior=prior, **how)
+        self.progress(limit, limit, request.search)
+        return restore(self.runs, state(fitted))
 
     def fit_papers_route(self) -> Any:
-        """Fit the current model by the papers' route (force domain, SGA) and store it beside the other models."""
-        request = replace(self.current()[1], domain="force", search="sga", over="all")
+        """Fit the current model in the force domain by SGA or the study's search, and store it beside the others."""
+        search = self.study.search
+        own = {"search": "sga", "settings": {}} if search is None or search.method == "varpro" else search.request
+        request = replace(self.current()[1], domain="force", over="all", **own)
         provenance = store.provenance(self.path, "papers")
         if provenance is None or provenance.key != self.fit_key(request):
             entry = self._group_content(request, self._fit(request), current=False)
@@ -307,7 +326,7 @@ class TriedModels:
         """Return the JSON of a fit; a model that is outdated is fitted again."""
         self.bring_up_to_date(group)
         inside = f"models/{group}"
-        return _summary_of(store.read(self.path, inside, without=("state", "curves", "motion", "diagnosis")))
+        return _summary_of(store.read(self.path, inside, without=("state", *RECORDS_OF_FIT, "diagnosis")))
 
     def results(self, group: str) -> ModelResults:
         """Return a stored model for the report; `group` may be ``papers``."""
@@ -319,13 +338,14 @@ class TriedModels:
     def _group_content(self, request: FitRequest, fitted: Any, *, current: bool) -> GroupContent:
         from frictrack.fit import state  # noqa: PLC0415
 
-        content = {
+        content: dict[str, Any] = {
             "current": current,
             "equation": str(fitted.model),
             "summary": json.dumps(to_builtins(fitted.summary())),
             "state": state(fitted),
             "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
             "motion": {motion.run: motion for motion in fitted.motion},
+            **({"convergence": fitted.convergence} if fitted.convergence else {}),
         }
         return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
 
@@ -343,14 +363,21 @@ def model_results(path: Path, group: str) -> ModelResults:
     """
     inside = group if group == "papers" else f"models/{group}"
     with store.snapshot(path):
-        stored = store.read(path, inside, without=("state", "curves", "motion"))
-        curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
+        stored = store.read(path, inside, without=("state", *RECORDS_OF_FIT))
+        records = {
+            part: {
+                name: store.read(path, f"{inside}/{part}/{name}", kind)
+                for name in store.names(path, f"{inside}/{part}")
+            }
+            for part, kind in RECORDS_OF_FIT.items()
+        }
         return ModelResults(
             name=group,
             equation=stored["equation"],
             summary=_summary_of(stored),
-            curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
-            motion=tuple(store.read(path, f"{inside}/motion/{name}", ModelledMotion) for name in motion),
+            curves=tuple(records["curves"].values()),
+            motion=tuple(records["motion"].values()),
+            convergence=records["convergence"],
             current=bool(stored["current"]),
             diagnosis=json.loads(stored["diagnosis"]["summary"]) if "diagnosis" in stored else None,
             figures=stored.get("diagnosis", {}).get("figures", {}),

@@ -7,6 +7,7 @@ from frictrack.candidates import passes
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates
+from frictrack.plots.convergence import convergence
 from frictrack.plots.cutoff import cutoff, cutoffs
 from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, limits, scan
@@ -38,6 +39,7 @@ __all__ = [
     "budgets",
     "budgets_title",
     "candidates",
+    "convergence",
     "correlated_signal",
     "cutoff",
     "cutoffs",
@@ -67,6 +69,7 @@ __all__ = [
     "next_experiments",
     "noise_um",
     "numbered_name",
+    "of_fit",
     "pair_separation",
     "passes",
     "pdf",

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from frictrack.plots.budget import budgets
 from frictrack.plots.candidates import candidates
+from frictrack.plots.convergence import convergence
 from frictrack.plots.cutoff import cutoff
 from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.held_out import history
@@ -57,6 +58,8 @@ def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
     yield f"model {model.name}", partial(fit, model, results.runs)
     if has_law(model):
         yield f"law {model.name}", partial(law, model, results.runs)
+    if model.convergence:
+        yield f"convergence {model.name}", partial(convergence, model)
     found = model.diagnosis
     if not found:
         return
@@ -99,5 +102,7 @@ def _of_current_model(model: ModelResults, results: Results) -> Iterator[NamedFi
     if results.papers is not None:
         both = {c.run for c in results.papers.curves} & {c.run for c in model.curves}
         run = next((one for one in results.runs if one.name in both and one.friction is not None), None)
+        if results.papers.convergence:
+            yield "convergence papers", partial(convergence, results.papers)
         if run is not None:
             yield "routes", partial(routes, model, results.papers, run)

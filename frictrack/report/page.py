@@ -152,6 +152,9 @@ def _model_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
         "model_motion": _model_motion(results, draw),
         "model_motion_sentences": fit_text.model_motion_sentences(model) if model else [],
         "routes": _routes(results, draw),
+        "searches": [
+            draw(plots.convergence(m)) if m is not None and m.convergence else None for m in (model, results.papers)
+        ],
         "remarks": _remarks(model),
         "profiles": _profiles(model, draw),
         "bootstrap": fit_text.bootstrap_sentence(model) if model else "",

@@ -45,5 +45,9 @@ class SvgEmbedder:
 
     def __call__(self, figure: Figure) -> Markup:
         """Convert a figure to an `<svg>` element."""
+        return self.embed(plots.svg(figure))
+
+    def embed(self, svg: str) -> Markup:
+        """Give an `<svg>` element its own ids."""
         prefix = f"f{next(self._numbers)}-"
-        return Markup(ID_ATTRIBUTES.sub(rf"\g<1>{prefix}", plots.svg(figure)))
+        return Markup(ID_ATTRIBUTES.sub(rf"\g<1>{prefix}", svg))

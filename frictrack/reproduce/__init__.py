@@ -11,15 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from time import process_time
 from typing import Any
 
-from frictrack.reproduce.augmented_models import orders, two_models
-from frictrack.reproduce.eq8 import eq8_trials
-from frictrack.reproduce.friction_search import genetic_searches
-from frictrack.reproduce.page import Reproduction, tables_html, write_reproduction
+from frictrack.reproduce.augmented_models import equation_4, orders, two_models
+from frictrack.reproduce.page import Reproduction, SectionStore, cannot_write, tables_html, write_reproduction
+from frictrack.reproduce.search_trials import eq8_trials, genetic_searches
 from frictrack.reproduce.second_paper import sine_filter
 from frictrack.reproduce.sections import FULL, QUICK, Claim, Effort, Progress, ResultTable, Section, silent
 from frictrack.reproduce.tustin_model import time_units, tustin_groups
+from frictrack.threads import processors
+from frictrack.version import __version__
 from frictrack.workers import run_parallel
 
 __all__ = [
@@ -31,6 +33,7 @@ __all__ = [
     "ResultTable",
     "Section",
     "eq8_trials",
+    "equation_4",
     "genetic_searches",
     "orders",
     "reproduce",
@@ -43,8 +46,22 @@ __all__ = [
 ]
 
 
+SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
+    "time_units": (time_units, (), 2),
+    "tustin_groups": (tustin_groups, ("effort", "seed"), 6),
+    "two_models": (two_models, ("effort", "seed"), 50),
+    "orders": (orders, ("effort", "seed"), 75),
+    "equation_4": (equation_4, ("effort", "seed"), 40),
+    "test_function": (eq8_trials, ("effort",), 20),
+    "friction_problem": (genetic_searches, ("effort", "seed"), 155),
+    "sine_filter": (sine_filter, ("effort", "seed"), 3),
+}  # function, its arguments, and processor time in full (s, on a machine of 2024)
+
+
 def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
     """Reproduce both papers and write page, figures, tables and JSON.
+
+    Sections that are in the folder already are kept, so that a call that was interrupted goes on.
 
     Parameters
     ----------
@@ -68,50 +85,48 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
         If the folder cannot be written.
 
     """
-    return write_reproduction(run_sections(quick=quick, seed=seed, progress=progress), folder)
+    return write_reproduction(run_sections(folder, quick=quick, seed=seed, progress=progress), folder)
 
 
-def run_sections(*, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
-    """Run all sections without writing them.
+def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
+    """Run all sections that are not done, and keep each in the folder as soon as it is; see `reproduce`."""
+    known = {"effort": QUICK if quick else FULL, "seed": seed}
+    store = SectionStore(folder, f"{__version__} {known}")
+    done = {name: kept for name in SECTIONS if (kept := store.read(name)) is not None}
+    left = sorted(SECTIONS.keys() - done.keys(), key=lambda name: -SECTIONS[name][2])  # the longest first
+    progress(0, 0, describe_work(len(done), left, quick=quick))
+    work = {name: partial(_timed, name, {key: known[key] for key in SECTIONS[name][1]}) for name in left}
+    try:
+        for name, (part, seconds) in run_parallel(work, 1 if quick else None):
+            store.write(part, seconds)
+            done[name] = part, seconds
+            progress(len(done), len(SECTIONS), "reproduce")
+    except OSError as e:
+        raise cannot_write(e, folder) from e
+    parts = tuple(done[name][0] for name in SECTIONS)
+    return Reproduction(parts, seed, quick, {name: done[name][1] for name in SECTIONS})
 
-    Parameters
-    ----------
-    quick, seed, progress
-        As in `reproduce`. Without `quick` the sections run in parallel.
 
-    Returns
-    -------
-    Reproduction
-        All sections.
+def describe_work(kept: int, left: Sequence[str], *, quick: bool = False) -> str:
+    """Say how many sections are done, and how long the others take.
+
+    Examples
+    --------
+    >>> describe_work(7, ["orders"], quick=True)
+    'reproduce: 7 of 8 sections are done and kept; the others take less than a minute'
 
     """
-    effort = QUICK if quick else FULL
-    steps: tuple[Callable[[], Section], ...] = (
-        time_units,
-        partial(tustin_groups, effort, seed),
-        partial(two_models, effort, seed),
-        partial(orders, effort, seed),
-        partial(eq8_trials, effort),
-        partial(genetic_searches, effort, seed),
-        partial(sine_filter, effort, seed),
-    )
-    parts = _one_by_one(steps, progress) if quick else _in_parallel(steps, progress)
-    return Reproduction(parts, seed, quick)
+    seconds, n = sum(SECTIONS[name][2] for name in left), processors()
+    workers = "processor" if n == 1 else f"{n} processors in parallel"
+    long = f"about {max(seconds / 60, 1):.0f} min of processor time, on {workers}"
+    head = f"{kept} of {len(SECTIONS)} sections are done and kept" if kept else f"{len(SECTIONS)} sections"
+    if not left:
+        return f"reproduce: {head}"
+    return f"reproduce: {head}; {'the others take' if kept else 'they take'} {'less than a minute' if quick else long}"
 
 
-def _one_by_one(steps: Sequence[Callable[[], Section]], progress: Progress) -> tuple[Section, ...]:
-    """Run sections one after the other."""
-    finished = []
-    for i, step in enumerate(steps):
-        finished.append(step())
-        progress(i + 1, len(steps), "reproduce")
-    return tuple(finished)
-
-
-def _in_parallel(steps: Sequence[Callable[[], Section]], progress: Progress) -> tuple[Section, ...]:
-    """Run sections in several processes; return them in their order."""
-    finished: dict[str, Section] = {}
-    for name, part in run_parallel({str(i): step for i, step in enumerate(steps)}):
-        finished[name] = part
-        progress(len(finished), len(steps), "reproduce")
-    return tuple(finished[str(i)] for i in range(len(steps)))
+def _timed(name: str, arguments: dict[str, Any]) -> tuple[Section, float]:
+    """Run one section; return it with its processor time, s."""
+    begin = process_time()
+    part = SECTIONS[name][0](**arguments)
+    return part, process_time() - begin

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,12 @@ from frictrack.records import Array
 from frictrack.reproduce.papers_method import AccelerationSeries
 from frictrack.reproduce.recordings import SyntheticRecording
 
-CURVE_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": style.VERMILION, "linestyle": "-"},
-    {"color": style.BLUE, "linestyle": (0, (5, 1.5))},
-    {"color": style.GREEN, "linestyle": (0, (1, 1))},
-)
-MEASURED_STYLE: dict[str, Any] = {"color": "#999999", "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (9, 2)))
-Curve = tuple[str, Array]  # label, values along a series
+COLOURS = (style.VERMILION, style.BLUE, style.GREEN)
+CURVE_STYLES: list[dict[str, Any]] = [{"color": c, "linestyle": d} for c, d in zip(COLOURS, DASHES, strict=False)]
+MEASURED_STYLE: dict[str, Any] = {"color": "#999999", "linewidth": 1.0}
+BAR_FILLS, BAR_HATCHES = (style.VERMILION, "#FFFFFF", style.SKY, "#BBBBBB"), ("", "///", "", "...")
+Curve = tuple[str, Array, Array]  # label, x, y
 
 
 def _place_legend(ax: Axes) -> None:
@@ -31,23 +29,43 @@ def _place_legend(ax: Axes) -> None:
     ax.set_ylim(low, high + 0.22 * (high - low))
 
 
-@style.styled
-def traces(
-    title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]], *, as_force: bool = False
+def _panels(
+    title: str, panels: Mapping[str, tuple[Array, Array, Sequence[Curve]]], measured: Mapping[str, Any], **labels: str
 ) -> Figure:
-    """Acceleration a over time, or the friction force -m a: measured in grey, laws over it, one panel per recording."""
+    """One panel per recording: what was measured in grey, and curves over it."""
     figure = style.new_figure(3.3, title)
-    for ax, (name, (series, curves)) in zip(
-        figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
-    ):
-        factor = -series.mass if as_force else 1.0
-        ax.plot(1e3 * series.t, factor * series.a, label="measured", **MEASURED_STYLE)
-        for (label, a), curve_style in zip(curves, CURVE_STYLES, strict=False):
-            ax.plot(1e3 * series.t, factor * a, label=label, **curve_style)
-        label = "friction force F / N" if as_force else "acceleration a / (m/s²)"
-        ax.set(title=name, xlabel="time t / ms", ylabel=label)
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, (name, (x, y, curves)) in zip(axes, panels.items(), strict=True):
+        ax.plot(x, y, label="measured", **measured)
+        for (label, *points), look in zip(curves, CURVE_STYLES, strict=False):
+            ax.plot(*points, label=label, **look)
+        ax.set(title=name, **labels)
         _place_legend(ax)
     return figure
+
+
+@style.styled
+def traces(
+    title: str,
+    panels: Mapping[str, tuple[AccelerationSeries, Sequence[tuple[str, Array]]]],
+    *,
+    as_force: bool = False,
+) -> Figure:
+    """Acceleration a over time, or the friction force -m a: measured in grey, laws over it, one panel per recording."""
+    drawn = {}
+    for name, (series, curves) in panels.items():
+        t, factor = 1e3 * series.t, -series.mass if as_force else 1.0
+        drawn[name] = (t, factor * series.a, [(label, t, factor * a) for label, a in curves])
+    label = "friction force F / N" if as_force else "acceleration a / (m/s²)"
+    return _panels(title, drawn, MEASURED_STYLE, xlabel="time t / ms", ylabel=label)
+
+
+@style.styled
+def forces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]]) -> Figure:
+    """Friction force over speed: measured points, and laws as (label, v, F)."""
+    drawn = {name: (series.v, series.force, curves) for name, (series, curves) in panels.items()}
+    dots = style.DOT_STYLE | {"color": "#999999"}
+    return _panels(title, drawn, dots, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
 
 
 @style.styled
@@ -55,29 +73,13 @@ def motions(title: str, recordings: Mapping[str, Sequence[SyntheticRecording]]) 
     """True velocity and acceleration of recordings over time, one column per group."""
     figure = style.new_figure(4.6, title)
     axes = figure.subplots(2, len(recordings), squeeze=False, sharex="col")
-    for column, (name, group) in zip(axes.T, recordings.items(), strict=True):
-        for recording, curve_style in zip(group, style.RUN_STYLES, strict=False):
-            t = 1e3 * recording.truth.t
-            column[0].plot(t, recording.truth.v, label=recording.run.name, **curve_style)
-            column[1].plot(t, recording.truth.a, **curve_style)
-        column[0].set(title=name, ylabel="velocity v / (m/s)", ylim=(0, None))
-        column[0].legend(ncols=3, loc="lower left")
-        column[1].set(xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
-    return figure
-
-
-@style.styled
-def forces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[tuple[str, Array, Array]]]]) -> Figure:
-    """Friction force over speed: measured points, and laws as (label, v, F)."""
-    figure = style.new_figure(3.3, title)
-    for ax, (name, (series, curves)) in zip(
-        figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
-    ):
-        ax.plot(series.v, series.force, label="measured", **(style.DOT_STYLE | {"color": "#999999"}))
-        for (label, v, F), curve_style in zip(curves, CURVE_STYLES, strict=False):
-            ax.plot(v, F, label=label, **curve_style)
-        ax.set(title=name, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
-        _place_legend(ax)
+    for (above, below), (name, group) in zip(axes.T, recordings.items(), strict=True):
+        for recording, look in zip(group, style.RUN_STYLES, strict=False):
+            above.plot(1e3 * recording.truth.t, recording.truth.v, label=recording.run.name, **look)
+            below.plot(1e3 * recording.truth.t, recording.truth.a, **look)
+        above.set(title=name, ylabel="velocity v / (m/s)", ylim=(0, None))
+        above.legend(ncols=3, loc="lower left")
+        below.set(xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
     return figure
 
 
@@ -85,23 +87,12 @@ def forces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[t
 def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Sequence[float]]) -> Figure:
     """Errors on a logarithmic axis: one cluster per group, one bar per method."""
     figure = style.new_figure(3.6, title)
-    ax = figure.subplots()
-    width = 0.8 / len(series)
-    fills = (style.VERMILION, "#FFFFFF", style.SKY, "#BBBBBB", style.BLUE, "#FFFFFF")
-    hatches = ("", "///", "", "...", "", "xx")
+    ax, width, places = figure.subplots(), 0.8 / len(series), np.arange(len(groups))
+    look: dict[str, Any] = {"edgecolor": "#333333", "linewidth": 0.7}
     for i, (name, values) in enumerate(series.items()):
-        place = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
-        ax.bar(
-            place,
-            values,
-            0.92 * width,
-            label=name,
-            color=fills[i],
-            hatch=hatches[i],
-            edgecolor="#333333",
-            linewidth=0.7,
-        )
-    ax.set_xticks(range(len(groups)), groups)
+        x = places + (i - (len(series) - 1) / 2) * width
+        ax.bar(x, values, 0.92 * width, label=name, color=BAR_FILLS[i], hatch=BAR_HATCHES[i], **look)
+    ax.set_xticks(places, groups)
     ax.set(yscale="log", ylabel=label)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * (high / low) ** 0.25)
@@ -110,11 +101,11 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
 
 
 @style.styled
-def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
-    """Fig. 17: the test function with its maximum."""
-    figure = style.new_figure(2.9, "Fig. 17  Test function, Eq. 8")
+def humps(title: str, cost: Callable[[Array], Array], place: tuple[float, float]) -> Figure:
+    """Fig. 17: the test function, whose sign `cost` turns, with its maximum."""
+    figure, x = style.new_figure(2.9, title), np.linspace(-1, 2, 3001)
     ax = figure.subplots()
-    ax.plot(x, y, color=style.BLUE, linewidth=1.2)
+    ax.plot(x, -cost(x[:, None]), color=style.BLUE, linewidth=1.2)
     ax.plot(*place, "o", color=style.VERMILION, markersize=6)
     ax.annotate(f"{place[1]:.6f} at x = {place[0]:.6f}", place, (-8, 6), textcoords="offset points", ha="right")
     ax.set(xlabel="x", ylabel="f = x sin(10 π x) + 2", ylim=(0, 4.3))
@@ -122,14 +113,14 @@ def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
 
 
 @style.styled
-def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
+def generations(title: str, runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
     """Figs. 18 and 19: generation of the last improvement of each run, with our mean and the printed one."""
-    figure = style.new_figure(3.0, "Figs. 18, 19  Generation of the last improvement")
+    figure = style.new_figure(3.0, title)
     axes = figure.subplots(1, len(runs), sharey=True)
     for ax, (name, last) in zip(axes, runs.items(), strict=True):
         ax.plot(np.arange(1, len(last) + 1), last, **(style.DOT_STYLE | {"color": style.BLUE, "markersize": 4}))
         ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
-        ax.axhline(printed[name], color=style.VERMILION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
+        ax.axhline(printed[name], color=style.VERMILION, linestyle=DASHES[1], label=f"printed {printed[name]:g}")
         ax.set(title=name, xlabel="seed")
         _place_legend(ax)
     axes[0].set_ylabel("generations")
@@ -137,12 +128,12 @@ def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figu
 
 
 @style.styled
-def lengths(curves: Mapping[str, Array]) -> Figure:
+def lengths(title: str, curves: Mapping[str, Array]) -> Figure:
     """Code length over the generations, Eq. 7 as read and as printed."""
-    figure = style.new_figure(2.7, "Eq. 7  Code length", width=6.0)
+    figure = style.new_figure(2.7, title, width=6.0)
     ax = figure.subplots()
-    for (name, bits), curve_style in zip(curves.items(), CURVE_STYLES, strict=False):
-        ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **curve_style)
+    for (name, bits), look in zip(curves.items(), CURVE_STYLES, strict=False):
+        ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)
     ax.set(xlabel="generation G", ylabel="code length L / bits", ylim=(0, 62))
     ax.legend(loc="upper right")
     return figure
@@ -153,25 +144,12 @@ def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
     """Cumulative shares of the final errors over the lowest error known, for each setting."""
     figure = style.new_figure(3.2, title, width=7.5)
     ax = figure.subplots()
-    for (name, ratio), curve_style in zip(finals.items(), style.RUN_STYLES, strict=False):
-        steps = np.sort(ratio)
-        dash = DASHES[list(finals).index(name) % len(DASHES)]
-        ax.step(
-            steps,
-            np.arange(1, len(steps) + 1) / len(steps),
-            where="post",
-            label=name,
-            color=curve_style["color"],
-            linestyle=dash,
-        )
+    for (name, ratio), run, dash in zip(finals.items(), style.RUN_STYLES, DASHES, strict=False):
+        share = np.arange(1, len(ratio) + 1) / len(ratio)
+        ax.step(np.sort(ratio), share, where="post", label=name, color=run["color"], linestyle=dash)
     ax.axvline(local, color="#666666", linewidth=0.8)
     ax.annotate("local optimum beyond", (local, 0.03), (4, 0), textcoords="offset points", fontsize=9)
-    ax.set(
-        xscale="log",
-        xlabel="final error / lowest error known",
-        ylabel="share of runs",
-        ylim=(0, 1.02),
-        xlim=(0.99, None),
-    )
+    ax.set(xscale="log", xlabel="final error / lowest error known", ylabel="share of runs")
+    ax.set(ylim=(0, 1.02), xlim=(0.99, None))
     ax.legend(loc="lower center")
     return figure

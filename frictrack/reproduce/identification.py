@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from frictrack import models
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit
+from frictrack.fit import Fit, fit
 from frictrack.records import Array, Run
 from frictrack.reproduce import laws, papers_method, printed, recordings
 from frictrack.reproduce.laws import PaperLaw
@@ -24,6 +23,7 @@ from frictrack.reproduce.recordings import BEAM, SyntheticRecording
 from frictrack.reproduce.sections import Effort
 
 TIME_UNITS = {"ATM1": "sample", "ATM2": "millisecond"}  # of the printed frequencies, as `time_units` finds
+ADDRESSES = {"F_c": "coulomb.F_c", "F_s": "stribeck.F_s", "F_v": "viscous.F_v", "v_s": "stribeck.v_s"}
 GROUPS = {"low": "low speed, 5 m/s", "high": "high speed, 8 m/s"}
 
 
@@ -156,23 +156,26 @@ def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, Syntheti
     }
 
 
-def fit_with_frictrack(law: str, run: Run) -> Any:
-    """Fit a law to one run in the displacement domain.
-
-    Parameters
-    ----------
-    law
-        Name of the law, such as "atm1:2".
-    run
-        The run.
-
-    Returns
-    -------
-    Fit or None
-        None if the fit fails.
-
-    """
+def fit_with_frictrack(law: str, run: Run) -> Fit | None:
+    """Fit a law to one run in the displacement domain; None if the fit fails."""
     try:
         return fit(law, [replace(run, name="r")])
     except FrictrackError:
         return None
+
+
+def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:
+    """An estimate of frictrack as text, with its standard deviation; `address` may be F_c, F_s, F_v or v_s."""
+    if found is None:
+        return "no fit"
+    estimate = found.parameters[ADDRESSES.get(address, address)]
+    if estimate.value is None:
+        return "not determined"
+    spread = "" if estimate.std is None else f" ± {estimate.std:{'.2g' if form.endswith('g') else form}}"
+    return f"{estimate.value:{form}}{spread}"
+
+
+def range_over_seeds(result: Identification, i: int) -> str:
+    """Smallest and largest value of a parameter over the seeds, as text."""
+    seeds = np.array(result.found)[:, i]
+    return f"{seeds.min():.3g} to {seeds.max():.3g}"

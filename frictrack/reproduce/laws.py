@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack import models
+from frictrack import effects, models
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import Array
@@ -94,6 +94,25 @@ def atm2(n: int) -> PaperLaw:
     return PaperLaw(f"atm2:{n}", names, _atm2, (with_phases, free_amplitudes))
 
 
+def atm2_printed(n: int) -> PaperLaw:
+    """Second augmented Tustin model, Eq. 4 as printed: t in the first sum only; frequencies in Hz.
+
+    f_v stands for f_v times the viscous sum, which is one number.
+    """
+    names = ("f_c", "f_s", "f_v", "v_s", *(f"{k}_{i}" for i in range(1, n + 1) for k in ("f", "phi")))
+    with_phases = Reduction(tuple(range(3, 4 + 2 * n)), _printed_columns, lambda q, c: np.concatenate([c, q]))
+    return PaperLaw(f"atm2_printed:{n}", names, _atm2_printed, (with_phases,))
+
+
+def read_as_printed(source: PrintedLaw) -> Array:
+    """Convert the printed parameters of ATM2 for `atm2_printed`: the viscous sum without t goes into f_v."""
+    values = np.array(source.values)
+    static, (sliding, viscous) = values[:4].copy(), np.split(values[4:], 2)
+    static[2] *= np.sin(viscous[::2] + viscous[1::2]).sum()
+    sliding[::2] *= PER_MILLISECOND / (2 * np.pi)
+    return np.concatenate([static, sliding])
+
+
 def law_by_name(name: str) -> PaperLaw:
     """Get a law by name.
 
@@ -109,7 +128,7 @@ def law_by_name(name: str) -> PaperLaw:
 
     """
     kind, _, order = name.partition(":")
-    makers: dict[str, Callable[[int], PaperLaw]] = {"atm1": atm1, "atm2": atm2}
+    makers: dict[str, Callable[[int], PaperLaw]] = {"atm1": atm1, "atm2": atm2, "atm2_printed": atm2_printed}
     if name == "tustin":
         return tustin()
     if kind not in makers or not order.isdigit():
@@ -157,12 +176,9 @@ def to_effects(law: PaperLaw, p: Array) -> tuple[Model, Values]:
     kind, _, order = law.name.partition(":")
     q = dict(zip(law.names, map(float, p), strict=True))
     n = int(order or 0)
-    if kind == "atm2":
-        parameters = {k: q[k] for k in ("f_c", "f_s", "f_v", "v_s")}
-        for i in range(1, n + 1):
-            parameters |= {f"sliding_frequency_{i}": q[f"f_{i}"], f"sliding_phase_{i}": q[f"phi_{i}"]}
-            parameters |= {f"viscous_frequency_{i}": q[f"fv_{i}"], f"viscous_phase_{i}": q[f"phiv_{i}"]}
-        return models.atm2(n), {law.name: parameters}
+    if kind.startswith("atm2"):
+        own = models.parse(law.name)
+        return own, {law.name: dict(zip((e.name for e in own.effects[0].parameters), map(float, p), strict=True))}
     values = {
         "coulomb": {"F_c": q["F_c"]},
         "stribeck": {"F_s": q["F_s"] - q["F_c"], "v_s": q["v_s"], "delta": 1.0},
@@ -194,6 +210,12 @@ def _atm2(p: Real, v: Real, t: Real) -> Real:
     return sliding + (f_s - sliding) * np.exp(-v / v_s) + viscous * f_v * v
 
 
+def _atm2_printed(p: Real, v: Real, t: Real) -> Real:
+    q = np.concatenate([p[:, 3:4], p[:, 4:]], axis=1)
+    columns = _printed_columns(q, v, t)
+    return np.einsum("pc,pcn->pn", p[:, :3], columns)
+
+
 def _sine(p: Real, i: int, t: Real) -> Real:
     """sin(2 pi f t + phi) with f, phi = p[:, i], p[:, i + 1], (P, n)."""
     return np.sin((2 * np.pi) * p[:, i, None] * t + p[:, i + 1, None])
@@ -215,6 +237,14 @@ def _atm2_columns(q: Real, v: Real, t: Real) -> Real:
     sliding = sum(_sine(q, i, t) for i in range(1, middle, 2))
     viscous = sum(_sine(q, i, t) for i in range(middle, q.shape[1], 2))
     return np.stack([sliding * (1 - decay), decay, viscous * v], axis=1)
+
+
+def _printed_columns(q: Real, v: Real, t: Real) -> Real:
+    """Columns of f_c, f_s and f_v as printed: the exponential's sum is that after one unit of time, 1 ms."""
+    decay = np.exp(-v / q[:, :1])
+    unit = np.full(1, effects.PRINTED_TIME_UNIT_S, dtype=t.dtype)
+    with_t, constant = (sum(_sine(q, i, at) for i in range(1, q.shape[1], 2)) for at in (t, unit))
+    return np.stack([with_t - constant * decay, decay, np.broadcast_to(v, decay.shape)], axis=1)
 
 
 def _free_amplitude_columns(q: Real, v: Real, t: Real) -> Real:

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from frictrack.effects import Path
 from frictrack.models import Model, Values
 from frictrack.motion import differentiate, low_pass
-from frictrack.records import Array, Displacement, Run
+from frictrack.records import Displacement, Run
 from frictrack.reproduce import laws, printed
 from frictrack.reproduce.printed import PrintedLaw
 from frictrack.simulate import Conditions, Trajectory, simulate
@@ -48,9 +46,7 @@ class SyntheticRecording:
     truth: Trajectory
 
 
-def record_printed(
-    source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator, speed: float | None = None
-) -> SyntheticRecording:
+def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator) -> SyntheticRecording:
     """Simulate a recording of a printed law.
 
     Parameters
@@ -63,8 +59,6 @@ def record_printed(
         Mass and field of view.
     rng
         Source of the noise.
-    speed
-        Start speed, m/s; by default the printed one, or that of the printed impact energy.
 
     Returns
     -------
@@ -73,10 +67,12 @@ def record_printed(
 
     """
     law = laws.law_by_name(source.law)
-    speed = source.speed if speed is None else speed
-    if speed is None:
-        speed = float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
-    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, speed, rng)
+    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, start_speed(source, bench), rng)
+
+
+def start_speed(source: PrintedLaw, bench: TestRig) -> float:
+    """The printed start speed, m/s, or that of the printed impact energy."""
+    return source.speed or float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
 
 
 def record_with_dither(
@@ -147,31 +143,12 @@ def record_law(
 
 def _simulate_in_view(model: Model, values: Values, bench: TestRig, speed: float) -> Trajectory:
     """True motion while the mass is in view and moves, at most `MAX_DURATION_S`."""
-    frames = int(_end_time(model, values, bench, speed) * FPS) + 1
-    t = np.arange(frames) / FPS
-    return simulate(model, values, Conditions(bench.mass, pixel_pitch=PIXEL_PITCH), t, (0.0, speed))
-
-
-def _end_time(model: Model, values: Values, bench: TestRig, speed: float) -> float:
-    """Time at which the mass leaves the view or becomes slow, s."""
-
-    def motion(t: float, state: Array) -> Array:
-        x, v = (np.array([value]) for value in state)
-        path = Path(np.array([t]), x, v, np.ones(1), pixel_pitch=PIXEL_PITCH)
-        return np.array([state[1], -model.force(path, values)[0] / bench.mass])
-
-    def slowed_down(t: float, state: Array) -> float:
-        return float(state[1] - MIN_SPEED)
-
-    def out_of_view(t: float, state: Array) -> float:
-        return float(bench.view - state[0])
-
-    slowed_down.terminal = out_of_view.terminal = True  # type: ignore[attr-defined]
-    step = 2 / FPS  # shorter than any pulse
-    solved = solve_ivp(
-        motion, (0.0, MAX_DURATION_S), [0.0, speed], events=[slowed_down, out_of_view], max_step=step, rtol=1e-5
-    )
-    return float(solved.t[-1])
+    conditions = Conditions(bench.mass, pixel_pitch=PIXEL_PITCH)
+    t = np.arange(round(MAX_DURATION_S * FPS) + 1) / FPS
+    whole = simulate(model, values, conditions, t, (0.0, speed))
+    over = (whole.v < MIN_SPEED) | (whole.x > bench.view)
+    frames = int(np.argmax(over)) if over.any() else len(t)
+    return simulate(model, values, conditions, t[:frames], (0.0, speed))
 
 
 def group_runs(recordings: list[SyntheticRecording], group: str) -> list[Run]:
@@ -202,7 +179,7 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
     """
     law = laws.law_by_name(source.law)
     p = laws.read_printed(source, unit)
-    speed = source.speed or float(np.sqrt(2 * printed.IMPACT_ENERGY / bench.mass))
+    speed = start_speed(source, bench)
     trajectory = _simulate_in_view(*laws.to_effects(law, p), replace(bench, view=1e3), speed)
     lines = np.array([x for x, name in zip(p, law.names, strict=True) if name.startswith("f") and name[-1].isdigit()])
     duration = float(trajectory.t[-1])

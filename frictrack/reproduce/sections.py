@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import tomllib
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+
+from frictrack.reproduce.printed import RUNS
 
 Progress = Callable[[int, int, str], None]
 Cell = str | float | None
@@ -72,7 +78,7 @@ class Section:
     tables
         Tables.
     figures
-        Caption and figure by file name.
+        Caption and figure by file name; a figure that was drawn before is its SVG.
     claims
         Claims that the section tests.
 
@@ -82,7 +88,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[ResultTable, ...] = ()
-    figures: dict[str, tuple[str, Figure]] = field(default_factory=dict)
+    figures: dict[str, tuple[str, Figure | str]] = field(default_factory=dict)
     claims: tuple[Claim, ...] = ()
 
     def summary(self) -> dict[str, Any]:
@@ -121,6 +127,51 @@ class Effort:
 
 
 FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=2000, lowest=450)
+
+
+@cache
+def _texts() -> dict[str, dict[str, dict[str, Any]]]:
+    """The texts of all sections, tables, figures and claims by name."""
+    return tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))
+
+
+def claim(name: str, verdict: str, ours: str, **values: Any) -> Claim:
+    """Build a claim: its texts from ``texts.toml``, filled in with values, and what came out here."""
+    texts = _texts()["claims"][name]
+    printed, why = (texts[key].format(**values) for key in ("printed", "why"))
+    return Claim(texts["where"], texts["claim"], printed, ours, verdict, why)
+
+
+def table(name: str, rows: Sequence[Sequence[Cell]], **values: Any) -> ResultTable:
+    """Build a table: its title, heads and note from ``texts.toml``, filled in with values."""
+    texts = _texts()["tables"][name]
+    title, note = (texts[key].format(**values) for key in ("title", "note"))
+    return ResultTable(name, title, tuple(texts["heads"].split(" | ")), [list(row) for row in rows], note)
+
+
+def figure(name: str, draw: Callable[..., Figure], *arguments: Any) -> dict[str, tuple[str, Figure | str]]:
+    """Draw a figure with the title from ``texts.toml``; return it with its caption, by its name."""
+    texts = _texts()["figures"][name]
+    return {name: (texts["caption"], draw(texts["title"], *arguments))}
+
+
+def section(
+    name: str, tables: Sequence[ResultTable], figures: Sequence[Mapping[str, Any]], *claims: Claim, **values: Any
+) -> Section:
+    """Build a section: its title and text from ``texts.toml``, filled in with values."""
+    texts = _texts()["sections"][name]
+    text = tuple(line.format(**values) for line in texts["text"])
+    return Section(name, texts["title"], text, tuple(tables), dict(ChainMap(*reversed(figures))), claims)
+
+
+def decided(verdict: str, seeds: int) -> str:
+    """The verdict, or `OPEN` with fewer seeds than the 50 runs of the papers."""
+    return verdict if seeds >= RUNS else OPEN
+
+
+def verdict(holds: bool, fails: bool = True) -> str:
+    """The verdict on a claim: `OPEN` where it neither holds nor fails."""
+    return HOLDS if holds else FAILS if fails else OPEN
 
 
 def silent(done: int, total: int, what: str) -> None:

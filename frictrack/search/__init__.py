@@ -1,18 +1,33 @@
 """Minimise a cost function over a box by a global search: `minimise(cost, bounds, method=..., rng=...)`.
 
 The methods of the two papers are ``ga``, ``mga``, ``sa`` and ``sga``. ``de``, ``da`` and ``cmaes`` are established
-methods to compare them with. The genetic methods share one loop, `evolve.evolve`, and differ in their operators only.
+methods to compare them with. Each is a record of its settings, such as ``MGA(generations=500)``. The genetic methods
+share one loop, `evolve.GeneticMethod`, and differ in their operators only.
 """
 
-from frictrack.search.driver import METHODS, SearchMethod, minimise
-from frictrack.search.evaluator import SearchResult
-from frictrack.search.mga import code_length, code_length_as_printed
+from frictrack.search.adapters import CMAES, DA, DE
+from frictrack.search.driver import METHODS, minimise, search_method
+from frictrack.search.evaluator import Convergence, SearchResult
+from frictrack.search.ga import GA, SGA
+from frictrack.search.method import SearchMethod, read_settings
+from frictrack.search.mga import MGA, code_length, code_length_as_printed
+from frictrack.search.sa import SA
 
 __all__ = [
+    "CMAES",
+    "DA",
+    "DE",
+    "GA",
     "METHODS",
+    "MGA",
+    "SA",
+    "SGA",
+    "Convergence",
     "SearchMethod",
     "SearchResult",
     "code_length",
     "code_length_as_printed",
     "minimise",
+    "read_settings",
+    "search_method",
 ]

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from scipy.optimize import Bounds, differential_evolution, dual_annealing
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.search.evaluator import CostEvaluator
+from frictrack.search.method import SearchMethod, setting
 
 UNLIMITED_ITERATIONS = 10**9  # iterations: the evaluator's budget decides
 DIFFERENCE_STEP = 1e-8  # of the box, the step of a forward difference
@@ -22,7 +22,7 @@ MAX_FINITE_COST = 1e100  # stands for an infinite cost where differences are tak
 
 
 @dataclass(frozen=True)
-class DE:
+class DE(SearchMethod):
     """Differential evolution by SciPy: strategy best1bin, the whole population in one call of the cost.
 
     References
@@ -31,13 +31,17 @@ class DE:
 
     """
 
-    population: int = 15  # individuals per parameter, but never fewer than 40 in all
-    mutation: tuple[float, float] = (0.5, 1.0)  # differential weight, drawn anew each generation
-    recombination: float = 0.7
-    tolerance: float = 1e-8  # converged when the population's costs scatter by less than this share of their mean
+    name: ClassVar[str] = "de"
+    population: int = setting(15, low=1, high=10**6)  # individuals per parameter, but never fewer than 40 in all
+    mutation: tuple[float, float] = setting((0.5, 1.0), low=0, high=2)  # differential weight, drawn each generation
+    recombination: float = setting(0.7, low=0, high=1)
+    tolerance: float = setting(
+        1e-8, low=0
+    )  # converged when the population's costs scatter by less than this share of their mean
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until converged or until the evaluator stops it."""
+        from scipy.optimize import differential_evolution  # noqa: PLC0415 - settings are read without it
 
         def generation(unit: Array) -> Any:  # SciPy's stubs know only the scalar form
             evaluator.end_generation()
@@ -60,7 +64,7 @@ class DE:
 
 
 @dataclass(frozen=True)
-class DA:
+class DA(SearchMethod):
     """Dual annealing by SciPy, with local searches by L-BFGS-B.
 
     SciPy asks for single points. Only the finite differences of the local searches are evaluated in one vectorised
@@ -73,11 +77,14 @@ class DA:
 
     """
 
-    temperature: float = 5230.0
-    visit: float = 2.62
+    name: ClassVar[str] = "da"
+    temperature: float = setting(5230.0, above=0.01, high=5e4)
+    visit: float = setting(2.62, above=1, high=3)
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until the evaluator stops it."""
+        from scipy.optimize import dual_annealing  # noqa: PLC0415
+
         box = _unit_box(evaluator)
         chain, closed = 2 * evaluator.dimension, 0
 
@@ -112,7 +119,7 @@ class DA:
 
 
 @dataclass(frozen=True)
-class CMAES:
+class CMAES(SearchMethod):
     """Covariance matrix adaptation (CMA-ES) by the optional package cma; every restart doubles the population (IPOP).
 
     The package cannot search along a single parameter. There a second parameter without effect is added.
@@ -126,8 +133,9 @@ class CMAES:
 
     """
 
-    sigma: float = 0.3  # first step length, share of the box
-    population: int | None = None  # None: 4 + 3 ln d
+    name: ClassVar[str] = "cmaes"
+    sigma: float = setting(0.3, above=0, high=10)  # first step length, share of the box
+    population: int | None = setting(None, low=4, high=10**6)  # None: 4 + 3 ln d
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search, restarting from random points, until the evaluator stops it."""
@@ -153,7 +161,9 @@ class CMAES:
             population *= 2
 
 
-def _unit_box(evaluator: CostEvaluator) -> Bounds:
+def _unit_box(evaluator: CostEvaluator) -> Any:
+    from scipy.optimize import Bounds  # noqa: PLC0415
+
     return Bounds(np.zeros(evaluator.dimension), np.ones(evaluator.dimension))
 
 

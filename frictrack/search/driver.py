@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,40 +14,51 @@ from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch
 from frictrack.search.ga import GA, SGA
+from frictrack.search.method import SearchMethod, read_settings
 from frictrack.search.mga import MGA
 from frictrack.search.sa import SA
 
+METHODS: dict[str, type[SearchMethod]] = {kind.name: kind for kind in (GA, MGA, SA, SGA, DE, DA, CMAES)}
 
-class SearchMethod(Protocol):
-    """The interface of a search method: a callable object whose fields are its settings.
 
-    It asks the evaluator for the costs of points in the unit box until the evaluator stops it or it has converged.
+def search_method(method: str | SearchMethod, settings: Mapping[str, Any] | None = None) -> SearchMethod:
+    """Return a search method with settings: from its name, or a record that is complete.
+
+    Parameters
+    ----------
+    method : str or SearchMethod
+        A key of `METHODS`, or a record such as ``MGA(generations=500)``.
+    settings : mapping, optional
+        Settings by name. Texts, as the command line has them, are read as numbers.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For an unknown method, unknown settings and values out of range, with what is known.
+
+    Examples
+    --------
+    >>> search_method("mga", {"generations": "500", "P_const": 0.05}).p_const
+    0.05
+
     """
-
-    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
-        """Search; return when converged."""
-
-
-METHODS: dict[str, Callable[..., SearchMethod]] = {
-    "ga": GA,
-    "mga": MGA,
-    "sa": SA,
-    "sga": SGA,
-    "de": DE,
-    "da": DA,
-    "cmaes": CMAES,
-}
+    if isinstance(method, SearchMethod):
+        return replace(method, **read_settings(type(method), settings or {}))
+    if method not in METHODS:
+        raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"', usage=True)
+    return METHODS[method](**read_settings(METHODS[method], settings or {}))
 
 
 def minimise(  # noqa: PLR0913 - the one public function of the searches; all but two settings are optional
     cost: Cost,
     bounds: ArrayLike,
     *,
-    method: str,
+    method: str | SearchMethod,
     rng: np.random.Generator,
     max_evaluations: int = 20_000,
     callback: Callback | None = None,
     stagnation: int | None = None,
+    keep_interrupted: bool = False,
     **settings: Any,
 ) -> SearchResult:
     """Minimise a cost function over a box.
@@ -60,19 +71,23 @@ def minimise(  # noqa: PLR0913 - the one public function of the searches; all bu
         Maps a population (P, d) to its costs (P,). NaN counts as infinite.
     bounds : array_like of shape (d, 2)
         Lower and upper bound of every parameter.
-    method : str
-        A key of `METHODS`: ``"ga"``, ``"mga"``, ``"sa"``, ``"sga"``, ``"de"``, ``"da"`` or ``"cmaes"``.
+    method : str or SearchMethod
+        A key of `METHODS`: ``"ga"``, ``"mga"``, ``"sa"``, ``"sga"``, ``"de"``, ``"da"`` or ``"cmaes"``; or a record
+        such as ``MGA(generations=500)``.
     rng : numpy.random.Generator
         Source of all random numbers of the search.
     max_evaluations : int
-        Number of points whose cost may be evaluated. It is never exceeded; the papers' G_max follows from it.
+        Number of points whose cost may be evaluated in each start. It is never exceeded; the papers' G_max follows from
+        it. It does not count where the method has the setting ``generations``.
     callback : callable, optional
         ``callback(generation, best_x, best_cost)`` is called after every generation. A true return value stops the
         search.
     stagnation : int, optional
         Stop after this number of generations without improvement.
+    keep_interrupted : bool
+        Whether Ctrl-C ends the search with the best point so far instead of an error.
     **settings
-        Fields of the method's class, for example ``population=80`` or ``as_printed=True``.
+        Settings of a method given by name, for example ``population=80`` or ``as_printed=True``.
 
     Returns
     -------
@@ -94,29 +109,26 @@ def minimise(  # noqa: PLR0913 - the one public function of the searches; all bu
 
     """
     box = _box(bounds)
-    search = _search(method, settings)
+    search = search_method(method, settings)
     if max_evaluations < 1:
         raise FrictrackError(f"expected max_evaluations of at least 1 but got {max_evaluations}")
     evaluator = CostEvaluator(cost, box, max_evaluations, callback, stagnation)
-    reason = "converged"
-    try:
-        search(evaluator, rng)
-        evaluator.end_generation()
-    except StopSearch as stop:
-        reason = str(stop)
-    return evaluator.result(reason)
-
-
-def _search(method: str, settings: dict[str, Any]) -> SearchMethod:
-    """Create the search method of a name with its settings."""
-    if method not in METHODS:
-        raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"')
-    known = [f.name for f in fields(METHODS[method])]  # type: ignore[arg-type]
-    raise_faults(
-        [f'expected a setting among {", ".join(known)} but got "{name}"' for name in settings if name not in known],
-        f"search {method}",
-    )
-    return METHODS[method](**settings)
+    search, rng = search.resolved(evaluator), rng if search.seed is None else np.random.default_rng(search.seed)
+    for _ in range(1 + search.restarts):
+        evaluator.begin(search.generations)
+        reason = "converged"
+        try:
+            search(evaluator, rng)
+            evaluator.end_generation()
+        except StopSearch as stop:
+            reason = str(stop)
+        except KeyboardInterrupt:
+            if not keep_interrupted or not evaluator.generations_done:
+                raise
+            reason = "interrupted"
+        if reason in ("callback", "interrupted"):
+            break
+    return evaluator.result(reason, search.summary())
 
 
 def _box(bounds: ArrayLike) -> Array:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from sys import maxsize
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
@@ -15,6 +18,39 @@ Callback = Callable[[int, Array, float], "bool | None"]
 MAX_EXCESS_COST_SHARE = 0.01  # of the best cost's size
 MIN_OPTIMA_DISTANCE = 0.02  # of the box, in every direction: nearer points are one optimum
 MAX_CELLS = 2000  # cells compared pairwise
+UNIFORM_DEVIATION = 12**-0.5  # standard deviation of points spread evenly over the unit box
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """A search generation by generation, G in all; restarts follow each other.
+
+    Attributes
+    ----------
+    best : array of shape (G,)
+        Lowest cost so far.
+    mean : array of shape (G,)
+        Mean cost of the population; of the points tried in that generation where a method has no population.
+    diversity : array of shape (G,)
+        Standard deviation of the population in the box, mean over the parameters; 1 for a uniform spread, 0 for copies.
+    x : array of shape (G, d)
+        Best point so far.
+    start : array of int, shape (G,)
+        0 for the first start, then the number of the restart.
+    bounds : array of shape (d, 2)
+        The box.
+    parameters : tuple of str
+        Names of the parameters.
+
+    """
+
+    best: Array
+    mean: Array
+    diversity: Array
+    x: Array
+    start: NDArray[np.int_]
+    bounds: Array
+    parameters: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +62,16 @@ class SearchResult:
     evaluations: int  # points whose cost was asked for
     generations: int  # generations after the initial one
     generation_of_last_improvement: int  # the papers' "generations to find the optimum"
-    history: Array  # (generations + 1,) best cost so far
+    convergence: Convergence  # generation by generation
     optima: Array  # (k, d) distinct optima within 1 % of the best, best first: "a group of feasible solutions"
     optima_costs: Array  # (k,)
-    reason: str  # why it stopped: "evaluations", "callback", "stagnation" or "converged"
+    reason: str  # why it stopped: evaluations, generations, callback, stagnation, converged or interrupted
+    settings: dict[str, Any] = field(default_factory=dict)  # method and all settings, those chosen here included
+
+    @property
+    def history(self) -> Array:
+        """Best cost so far (generations + 1,)."""
+        return self.convergence.best
 
 
 class StopSearch(Exception):
@@ -46,7 +88,7 @@ class CostEvaluator:
     bounds : array of shape (d, 2)
         Lower and upper bounds, already checked.
     max_evaluations : int
-        Number of points that may be evaluated.
+        Number of points that may be evaluated in each start; it does not count where the method sets its generations.
     callback : callable, optional
         Called after every generation with generation, best point and best cost. A true return value stops the search.
     stagnation : int, optional
@@ -58,6 +100,8 @@ class CostEvaluator:
         Points evaluated so far.
     initial_spread : float
         Median minus minimum of the costs of the first population. Annealing scales its temperature by it.
+    population : tuple of (array, array) or None
+        Points (P, d) of the unit box and costs (P,) after a generation, set by methods that keep a population.
 
     """
 
@@ -72,33 +116,45 @@ class CostEvaluator:
         self.lower, self.width = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
         self.max_evaluations = max_evaluations
         self.evaluations = 0
-        self.initial_spread = 0.0  # median minus minimum of the first population's costs: scale of the temperature
+        self.initial_spread = 0.0
+        self.population: tuple[Array, Array] | None = None
         self._cost, self._callback, self._stagnation = cost, callback, stagnation
         self._best_x, self._best = bounds[:, 0], np.inf
-        self._history: list[float] = []
+        self._rows: list[tuple[float, float, float, int]] = []  # best, mean, diversity, start of every generation
+        self._path: list[Array] = []
         self._last_improvement = 0
-        self._generation_open = False
+        self._tried: list[tuple[Array, Array]] = []  # points of the open generation in the unit box, and their costs
         self._near_optimal: list[tuple[Array, Array]] = []  # within 1 % of the best cost so far
+        self._start, self._begun, self._last_evaluation = -1, 0, max_evaluations
+        self._last_generation: int | None = None
 
     @property
     def dimension(self) -> int:
         """Number of parameters d."""
         return len(self.lower)
 
-    def generation_limit(self, first: int, each: int) -> int:
-        """Compute G_max: generations of ``each`` points that the budget allows after ``first`` points; at least 1."""
-        return max(1, -(-(self.max_evaluations - first) // each))
+    @property
+    def generations_done(self) -> int:
+        """Generations that have ended, the first included."""
+        return len(self._rows)
+
+    def begin(self, generations: int | None) -> None:
+        """Begin the next start: with its own budget of evaluations, or with a number of generations in its place."""
+        self._start, self._begun, self.initial_spread, self.population = self._start + 1, len(self._rows), -1.0, None
+        self._last_generation = None if generations is None else self._begun + generations
+        self._last_evaluation = maxsize if generations is not None else self.evaluations + self.max_evaluations
 
     def __call__(self, unit: Array) -> Array:
         """Evaluate the points ``unit`` (P, d) of the unit box and return their costs (P,).
 
         Raises `StopSearch` when the budget is used up.
         """
-        points = self.lower + self.width * unit[: self.max_evaluations - self.evaluations]
+        unit = unit[: self._last_evaluation - self.evaluations]
+        points = self.lower + self.width * unit
         costs = self._checked(self._cost(points), len(points))
         self.evaluations += len(points)
-        self._record(points, costs)
-        if self.evaluations >= self.max_evaluations:
+        self._record(unit, points, costs)
+        if self.evaluations >= self._last_evaluation:
             self.end_generation()
             raise StopSearch("evaluations")
         return costs
@@ -107,47 +163,56 @@ class CostEvaluator:
         """Yield 1, 2, ... without end. Each step ends the previous generation."""
         while True:
             self.end_generation()
-            yield len(self._history)
+            yield len(self._rows) - self._begun
 
     def end_generation(self) -> None:
-        """End the current generation: extend the history, call the callback, check for stagnation."""
-        if not self._generation_open:
+        """End the current generation: extend the history, call the callback, check whether the search is over."""
+        if not self._tried:
             return
-        self._generation_open = False
-        generation = len(self._history)
-        self._history.append(self._best)
+        generation = len(self._rows)
+        unit, costs = self.population or tuple(np.concatenate(part) for part in zip(*self._tried, strict=True))
+        self._tried, self.population, finite = [], None, costs[np.isfinite(costs)]
+        mean = float(finite.mean()) if len(finite) else np.inf
+        self._rows.append((self._best, mean, float(unit.std(axis=0).mean()) / UNIFORM_DEVIATION, self._start))
+        self._path.append(self._best_x)
         if self._callback and self._callback(generation, self._best_x.copy(), self._best):
             raise StopSearch("callback")
-        if self._stagnation and generation - self._last_improvement >= self._stagnation:
+        if self._stagnation and generation - max(self._last_improvement, self._begun) >= self._stagnation:
             raise StopSearch("stagnation")
+        if self._last_generation is not None and generation >= self._last_generation:
+            raise StopSearch("generations")
 
-    def result(self, reason: str) -> SearchResult:
+    def result(self, reason: str, settings: dict[str, Any]) -> SearchResult:
         """Return the result of the search, with the reason why it ended."""
         points = np.concatenate([p for p, _ in self._near_optimal])
         costs = np.concatenate([c for _, c in self._near_optimal])
         optima, optima_costs = distinct_optima(points, costs, self.lower, self.width)
+        best, mean, diversity, start = np.array(self._rows).T
+        bounds = np.column_stack([self.lower, self.lower + self.width])
+        names = tuple(f"x_{i}" for i in range(1, self.dimension + 1))
         return SearchResult(
             x=self._best_x,
             cost=self._best,
             evaluations=self.evaluations,
-            generations=len(self._history) - 1,
+            generations=len(self._rows) - 1,
             generation_of_last_improvement=self._last_improvement,
-            history=np.array(self._history),
+            convergence=Convergence(best, mean, diversity, np.array(self._path), start.astype(int), bounds, names),
             optima=optima,
             optima_costs=optima_costs,
             reason=reason,
+            settings=settings,
         )
 
-    def _record(self, points: Array, costs: Array) -> None:
+    def _record(self, unit: Array, points: Array, costs: Array) -> None:
         """Update the best point and the list of nearly optimal points."""
-        if not self._near_optimal:
+        if self.initial_spread < 0:  # the first population of a start
             finite = costs[np.isfinite(costs)]
             self.initial_spread = float(np.median(finite) - finite.min()) if len(finite) else 0.0
-        self._generation_open = True
+        self._tried.append((unit, costs))
         best = int(np.argmin(costs))
         if costs[best] < self._best or not self._near_optimal:
             self._best, self._best_x = float(costs[best]), points[best].copy()
-            self._last_improvement = len(self._history)
+            self._last_improvement = len(self._rows)
         near = costs <= self._best + MAX_EXCESS_COST_SHARE * abs(self._best)
         if near.any():
             self._near_optimal.append((points[near], costs[near]))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from frictrack.records import Array, Mask
 from frictrack.search.evaluator import CostEvaluator
-from frictrack.search.evolve import Operators, evolve, offspring_count
-from frictrack.search.operators import geometric_cooling, metropolis
+from frictrack.search.evolve import MAX_BITS, GeneticMethod, Operators
+from frictrack.search.method import setting
+from frictrack.search.operators import COOLING, metropolis
 
 
 @dataclass(frozen=True)
-class GA:
+class GA(GeneticMethod):
     """Genetic algorithm: Gray code, linear ranking, stochastic universal sampling, one-point crossover, bit mutation.
 
     The paper gives 40 individuals, 20 bits and 200 generations for its Eq. 8. It does not specify crossover 0.7,
@@ -25,35 +27,37 @@ class GA:
     ----------
     Research on parameter identification of nonlinear friction on cantilever beam (2014), sections 2.4, 4.1, Table 5.
 
+    Examples
+    --------
+    >>> GA(population=60, generations=500).mutation is None
+    True
+
     """
 
-    population: int = 40
-    bits: int = 20  # code length L per parameter
-    crossover: float = 0.7  # P_c, per pair
-    mutation: float | None = None  # P_m, per bit; None: 0.7 / chromosome length
-    gap: float = 0.9  # children per generation over population
+    name: ClassVar[str] = "ga"
+    bits: int = setting(20, low=1, high=MAX_BITS)  # code length L per parameter
+    crossover: float = setting(0.7, low=0, high=1)  # P_c, per pair
+    mutation: float | None = setting(None, low=0, high=1)  # P_m, per bit; None: 0.7 / chromosome length
 
-    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
-        """Search until the evaluator stops it."""
-        rate = 0.7 / (evaluator.dimension * self.bits) if self.mutation is None else self.mutation
-        rates = np.full(self.population, rate)
-        operators = Operators(
-            bits=lambda _: self.bits,
-            crossover=lambda _: self.crossover,
-            mutation=lambda *_: rates,
-        )
-        evolve(evaluator, rng, operators, population=self.population, gap=self.gap)
+    def resolved(self, evaluator: CostEvaluator) -> Self:
+        """Return the settings with the mutation probability of this number of parameters."""
+        return self.filled(mutation=0.7 / (evaluator.dimension * self.bits))
+
+    def operators(self, evaluator: CostEvaluator, rng: np.random.Generator) -> Operators:
+        """Return the operators: all probabilities and the code length are constant."""
+        rates = np.full(self.population, self.mutation)
+        return Operators(bits=lambda _: self.bits, crossover=lambda _: self.crossover, mutation=lambda *_: rates)
 
 
 @dataclass(frozen=True)
-class SGA:
+class SGA(GA):
     """Simulated annealing genetic algorithm: the GA in which a child replaces its parent by Metropolis' rule.
 
     "Hybrid algorithm introduces ideas of simulated annealing while sets genetic algorithm as basic framework": the
     paper says no more, and its flowchart is lost. Not specified by the paper, and chosen here: each child is compared
     with its parent after crossover and mutation; elites are not subject to the rule; the first temperature, the
-    geometric cooling and all settings of the GA. Mutation is four bits per chromosome, because acceptance needs more
-    novelty than the 0.7 of the plain GA.
+    cooling and all settings of the GA. Mutation is four bits per chromosome, because acceptance needs more novelty
+    than the 0.7 of the plain GA.
 
     References
     ----------
@@ -61,28 +65,21 @@ class SGA:
 
     """
 
-    population: int = 40
-    bits: int = 20  # code length L per parameter
-    crossover: float = 0.7  # P_c, per pair
-    mutation: float | None = None  # P_m, per bit; None: 4 / chromosome length
-    gap: float = 0.9  # children per generation over population
-    temperature: float = 0.3  # T_0 over (median - minimum) of the first population's costs
-    final: float = 1e-4  # T at the end of the budget over T_0
+    name: ClassVar[str] = "sga"
+    temperature: float | None = setting(None, above=0)  # T_0 over (median - minimum) of the first costs; None: 0.3
+    final: float = setting(1e-4, above=0, high=1)  # T at the end of the budget over T_0
+    cooling: str = setting("geometric", choices=tuple(COOLING))
 
-    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
-        """Search until the evaluator stops it."""
-        rate = 4 / (evaluator.dimension * self.bits) if self.mutation is None else self.mutation
-        rates = np.full(self.population, min(0.5, rate))
-        limit = evaluator.generation_limit(self.population, offspring_count(self.population, self.gap))
+    def resolved(self, evaluator: CostEvaluator) -> Self:
+        """Return the settings with the mutation probability of this number of parameters."""
+        return self.filled(mutation=min(0.5, 4 / (evaluator.dimension * self.bits)), temperature=0.3)
+
+    def operators(self, evaluator: CostEvaluator, rng: np.random.Generator) -> Operators:
+        """Return the operators of the GA with Metropolis' rule."""
+        limit, first, cool = self.limit(evaluator), self.temperature or 0.0, COOLING[self.cooling]
 
         def accept(generation: int, child: Array, parent: Array) -> Mask:
-            T = evaluator.initial_spread * geometric_cooling(generation, limit, self.temperature, self.final)
+            T = evaluator.initial_spread * cool(generation, limit, first, self.final)
             return metropolis(child, parent, T, rng)
 
-        operators = Operators(
-            bits=lambda _: self.bits,
-            crossover=lambda _: self.crossover,
-            mutation=lambda *_: rates,
-            accept=accept,
-        )
-        evolve(evaluator, rng, operators, population=self.population, gap=self.gap)
+        return replace(super().operators(evaluator, rng), accept=accept)

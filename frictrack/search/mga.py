@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from typing import ClassVar, Self
 
 import numpy as np
 
 from frictrack.records import Array
 from frictrack.search.evaluator import CostEvaluator
-from frictrack.search.evolve import Operators, evolve, offspring_count
+from frictrack.search.evolve import MAX_BITS, GeneticMethod, Operators
+from frictrack.search.method import refuse, setting
 
 
 def crossover_probability(generation: int, a: float, b: float) -> float:
@@ -123,56 +123,69 @@ def code_length_as_printed(generation: int, limit: int, l_const: int, d: float, 
 
 
 @dataclass(frozen=True)
-class MGA:
+class MGA(GeneticMethod):
     """Modified genetic algorithm: the GA with the adaptive probabilities and code length of Eqs. 5, 6 and 7.
 
-    G_max is the number of generations that the budget of evaluations allows. The paper gives L_const 10, d 0.2,
-    population 40 and s = G_max/4 (its "critical point at 1/4 of the maximum number of iterations" agrees with s = 50
-    of 200). It does not specify a, b, c and P_const; they are chosen here. A child has the P_m of its parent.
-    ``as_printed`` uses Eqs. 6 and 7 as printed.
+    G_max is the number of generations. The paper gives L_const 10, d 0.2, population 40 and s = G_max/4 (its "critical
+    point at 1/4 of the maximum number of iterations" agrees with s = 50 of 200). It does not specify a, b, c and
+    P_const; they are chosen here. A child has the P_m of its parent. ``as_printed`` uses Eqs. 6 and 7 as printed.
 
     References
     ----------
     Research on parameter identification of nonlinear friction on cantilever beam (2014), section 4.
 
+    Examples
+    --------
+    >>> MGA(generations=500, l_const=8).generation_limit(36_000)
+    500
+
     """
 
-    population: int = 40
-    gap: float = 0.9  # children per generation over population
-    a: float | None = None  # Eq. 5; None: 10/G_max
-    b: float = 0.4  # Eq. 5
-    c: float | None = None  # Eq. 6; None: 20/G_max, as printed 2/G_max
-    p_const: float | None = None  # Eq. 6; None: four bits of the longest chromosome, as printed 0.05
-    l_const: int = 10  # Eq. 7
-    d: float = 0.2  # Eq. 7
-    s: float | None = None  # Eq. 7; None: G_max/4
-    bits: int | None = None  # a fixed code length in place of Eq. 7 (Table 5 has 20)
-    as_printed: bool = False
+    name: ClassVar[str] = "mga"
+    a: float | None = setting(None, low=0)  # Eq. 5; None: 10/G_max
+    b: float = setting(0.4, low=0, high=1)  # Eq. 5
+    c: float | None = setting(None, low=0)  # Eq. 6; None: 20/G_max, as printed 2/G_max
+    p_const: float | None = setting(
+        None, low=0, high=1
+    )  # Eq. 6; None: four bits of the longest chromosome, printed 0.05
+    l_const: int = setting(10, low=1, high=MAX_BITS // 2)  # Eq. 7
+    d: float = setting(0.2, above=0)  # Eq. 7
+    s: float | None = setting(None, above=0)  # Eq. 7; None: G_max/4
+    bits: int | None = setting(None, low=1, high=MAX_BITS)  # a fixed code length in place of Eq. 7 (Table 5 has 20)
+    as_printed: bool = setting(False)
 
-    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
-        """Search until the evaluator stops it."""
-        limit = evaluator.generation_limit(self.population, offspring_count(self.population, self.gap))
-        a = 10 / limit if self.a is None else self.a
-        operators = Operators(
-            bits=self._bits(limit),
-            crossover=lambda generation: crossover_probability(generation, a, self.b),
-            mutation=self._mutation(limit, evaluator.dimension),
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.as_printed and not self.bits and (longest := self._length(0, 1, 1.0)) > MAX_BITS:
+            refuse(
+                self.name,
+                f"expected at most {MAX_BITS} bits but Eq. 7 as printed begins with {longest} for l_const = "
+                f"{self.l_const} and d = {self.d:g}; take a smaller l_const or a larger d",
+            )
+
+    def resolved(self, evaluator: CostEvaluator) -> Self:
+        """Return the settings with the constants of this number of parameters and generations."""
+        limit, longest = self.limit(evaluator), evaluator.dimension * (self.bits or 2 * self.l_const)
+        return self.filled(
+            a=10 / limit,
+            c=(2 if self.as_printed else 20) / limit,
+            p_const=min(0.5, 0.05 if self.as_printed else 4 / longest),
+            s=limit / 4,
         )
-        evolve(evaluator, rng, operators, population=self.population, gap=self.gap)
 
-    def _bits(self, limit: int) -> Callable[[int], int]:
-        """Code length as a function of the generation."""
-        if (fixed := self.bits) is not None:
-            return lambda _: fixed
-        law = code_length_as_printed if self.as_printed else code_length
-        s = limit / 4 if self.s is None else self.s
-        return partial(law, limit=limit, l_const=self.l_const, d=self.d, s=s)
+    def operators(self, evaluator: CostEvaluator, rng: np.random.Generator) -> Operators:
+        """Return the operators of Eqs. 5, 6 and 7."""
+        limit, a, b, c, p, s = self.limit(evaluator), self.a, self.b, self.c, self.p_const, self.s
+        assert a is not None and c is not None and p is not None and s is not None  # noqa: PT018 - by `resolved`
+        return Operators(
+            bits=lambda G: self.bits or self._length(G, limit, s),
+            crossover=lambda G: crossover_probability(G, a, b),
+            mutation=(lambda G, costs, _: mutation_as_printed(G, -costs, c, p))
+            if self.as_printed
+            else (lambda G, _, fitness: mutation_probability(G, fitness, c, p)),
+        )
 
-    def _mutation(self, limit: int, dimension: int) -> Callable[[int, Array, Array], Array]:
-        """Mutation probability as a function of generation, costs and rank fitness."""
-        longest = dimension * (self.bits or 2 * self.l_const)
-        p = min(0.5, 0.05 if self.as_printed else 4 / longest) if self.p_const is None else self.p_const
-        c = (2 if self.as_printed else 20) / limit if self.c is None else self.c
-        if self.as_printed:
-            return lambda generation, costs, _: mutation_as_printed(generation, -costs, c, p)
-        return lambda generation, _, fitness: mutation_probability(generation, fitness, c, p)
+    def _length(self, generation: int, limit: int, s: float) -> int:
+        """Code length of Eq. 7, as mended or as printed."""
+        length = code_length_as_printed if self.as_printed else code_length
+        return length(generation, limit, self.l_const, self.d, s)

@@ -124,6 +124,21 @@ def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDAr
     return rng.permutation(edges[:-1].searchsorted(pointers, "right"))
 
 
+def roulette(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw n parents (n,) independently, each with a probability proportional to its fitness (P,)."""
+    edges = np.cumsum(fitness)
+    return edges[:-1].searchsorted(rng.random(n) * edges[-1], "right")
+
+
+def tournament(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw n parents (n,): each is the fitter of two individuals drawn at random."""
+    first, second = rng.integers(len(fitness), size=(2, n))
+    return np.where(fitness[first] >= fitness[second], first, second)
+
+
+SELECTIONS = {"universal": universal_sampling, "roulette": roulette, "tournament": tournament}
+
+
 def one_point_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
     """Swap the tails of neighbouring rows (0, 1), (2, 3), ... behind one random cut, each pair with `probability`."""
     pairs, length = len(genes) // 2, genes.shape[1]
@@ -185,3 +200,11 @@ def geometric_cooling(generation: int, limit: int, first: float, final: float) -
 
     """
     return first * final ** (generation / limit)
+
+
+def linear_cooling(generation: int, limit: int, first: float, final: float) -> float:
+    """Compute the temperature that falls by the same step in each generation, from ``first`` to ``first * final``."""
+    return first * (1 + (final - 1) * generation / limit)
+
+
+COOLING = {"geometric": geometric_cooling, "linear": linear_cooling}

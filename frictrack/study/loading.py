@@ -23,6 +23,7 @@ from frictrack.study.schema import (
     EffectTable,
     Keys,
     RunTable,
+    SearchTable,
     StudyTable,
     Value,
     needs_film,
@@ -35,6 +36,7 @@ TABLES: dict[str, type[Keys]] = {
     "run": RunTable,
     "effect": EffectTable,
     "costs": CostsTable,
+    "search": SearchTable,
 }
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = ("run", "effect")  # written with two brackets
@@ -73,6 +75,8 @@ class Study:
         Functions of z in ``[study]``, for formulas.
     costs
         Costs of the next experiment.
+    search
+        How models are fitted; None without a table ``[search]``.
     incomplete
         What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
 
@@ -92,6 +96,7 @@ class Study:
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     functions: tuple[str, ...] = ()
     costs: Costs = DEFAULT_COSTS
+    search: SearchTable | None = None
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -253,6 +258,7 @@ class _Reader:
         camera = self._table("camera", 0, raw.get("camera", {}))
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         costs = self._table("costs", 0, raw.get("costs", {}))
+        search = self._table("search", 0, raw["search"]) if "search" in raw else None
         effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
         if not raw.get("run") and not self.allow_no_runs:
             self.faults.append(
@@ -288,6 +294,7 @@ class _Reader:
             conditions=head.conditions,
             functions=head.functions,
             costs=Costs(**costs.model_dump()),
+            search=search,
             incomplete=tuple(self.lacks),
         )
 

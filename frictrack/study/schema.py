@@ -10,9 +10,9 @@ import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
@@ -20,6 +20,7 @@ from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.priors import Prior
 from frictrack.remote import RemoteFile, is_address, locate
 from frictrack.repairs import Repair, read_repairs
+from frictrack.search import METHODS, read_settings
 from frictrack.units import parse_quantity
 
 Value = tuple[float, float]  # in SI units, with its standard deviation
@@ -591,6 +592,48 @@ class CostsTable(Keys):
     speeds: Speeds = DEFAULT_COSTS.speeds
     masses: Masses = DEFAULT_COSTS.masses
     frames: FrameLimit | None = DEFAULT_COSTS.frames
+
+
+class SearchTable(Keys):
+    """The keys of ``[search]``: how models are fitted, where it is not by variable projection.
+
+    All other keys are settings of the method, by name: `generations`, `restarts` and `seed` of any; `population`,
+    `selection`, `bits` (code length L), `crossover` (P_c), `mutation` (P_m), `a`, `b`, `c`, `p_const`, `l_const`, `d`,
+    `s`, `as_printed`, `temperature`, `final`, `cooling` and more of the papers' algorithms. A message lists those of a
+    method.
+
+    Attributes
+    ----------
+    method
+        Search method.
+    over
+        Parameters that a global search varies; "nonlinear": the coefficients are solved for every trial.
+
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    method: Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
+    over: Literal["all", "nonlinear"] = "all"
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.method != "varpro":
+            read_settings(METHODS[self.method], self.settings)
+        elif self.settings or self.over != "all":
+            raise ValueError(f"expected no settings with varpro but got {', '.join(self.settings) or 'over'}")
+        return self
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the method, as they are written."""
+        return dict(self.model_extra or {})
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """What is asked of a fit."""
+        settings = read_settings(METHODS[self.method], self.settings) if self.settings else {}
+        return {"search": self.method, "over": self.over, "settings": settings}
 
 
 class RunTable(Keys):

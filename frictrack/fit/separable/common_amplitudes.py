@@ -249,7 +249,7 @@ class _RunSearch:
         return self._searches[key]
 
     def periods(self, p: Array, chosen: Sequence[Wave] = ()) -> list[Array]:
-        """Periods per run of the waves of both sums; default all."""
+        """Periods per run of the waves of every sum; default all."""
         return [
             np.array([self.duration * self._value(p, w.frequency) for w in waves if w in chosen or not chosen])
             for waves in self.sums
@@ -257,7 +257,7 @@ class _RunSearch:
 
     def _is_ambiguous(self, state: SeparableSolution) -> bool:
         """Whether fast waves of two sums are close enough to be confused, or a wave is neither slow nor fast."""
-        one, other = self.periods(state.nonlinear_values)
+        one, other = (*self.periods(state.nonlinear_values), np.empty(0))[:2]
         both = np.concatenate([one, other])
         close = np.abs(one[:, None] - other) < MAX_CONFUSED_PERIODS
         fast = np.minimum(one[:, None], other) > MIN_FAST_PERIODS
@@ -327,10 +327,11 @@ class _RunSearch:
 
     def _slow_starts(self, p: Array, data: Array) -> Iterator[Array]:
         """Parameter vectors (P,) with the fast waves of p, at the best minima over slow waves and shared parameter."""
-        grid = np.pad(self._misfits(p, data), [(1, 1), (1, 1), (0, 0), (1, 1), (0, 0)], constant_values=np.inf)
+        margins = [1, *([1, 0] * len(self.slow))]  # phases close on themselves
+        grid = np.pad(self._misfits(p, data), [(m, m) for m in margins], constant_values=np.inf)
         sides = [grid <= np.roll(grid, step, axis) for axis in range(grid.ndim) for step in (-1, 1)]
         places = np.argwhere(np.all(sides, axis=0) & np.isfinite(grid))
-        best = places[np.argsort(grid[tuple(places.T)])[:MAX_STARTS]] - [1, 1, 0, 1, 0]
+        best = places[np.argsort(grid[tuple(places.T)])[:MAX_STARTS]] - margins
         for s, *pairs in best:
             values = {self.shared: self.scanned[s]}
             for w, own, i, k in zip(self.slow, self.frequencies, pairs[::2], pairs[1::2], strict=True):
@@ -338,22 +339,26 @@ class _RunSearch:
             yield self._with_values(p, values)
 
     def _misfits(self, p: Array, data: Array) -> Array:
-        """Misfits over shared parameter, and frequency and phase of both slow waves, (S, F, 8, F', 8).
+        """Misfits over shared parameter, and frequency and phase of every slow wave, (S, F, 8) or (S, F, 8, F', 8).
 
         Of two sums a and b, other rows projected out, the amplitudes solve (aa ab; ab bb) c = (ay by).
         """
         others = [*self.other_rows, *(self._rows(g, {}, p) for g in self.other_effects)]
         basis = np.linalg.qr(np.concatenate(others, axis=1).transpose(0, 2, 1))[0]  # (S, M, k)
         y = data - (basis @ (data @ basis)[:, :, None])[:, :, 0]
-        (a, one), (b, other) = (self._trial_sums(p, i, basis) for i in (0, 1))
-        aa, bb = (np.einsum("ti,sij,tj->st", w, r @ r.transpose(0, 2, 1), w) for r, w in ((a, one), (b, other)))
-        ay, by = (np.einsum("ti,sim,sm->st", w, r, y, optimize=True) for r, w in ((a, one), (b, other)))
-        ab = one @ (a @ b.transpose(0, 2, 1)) @ other.T
-        aa, ay, bb, by = aa[:, :, None], ay[:, :, None], bb[:, None], by[:, None]
-        det = np.maximum(aa * bb - ab * ab, MIN_DIFFERENCE_SHARE * aa * bb)
-        c, d = bb * ay - ab * by, aa * by - ab * ay
-        gain = np.where((c > 0) & (d > 0), (c * ay + d * by) / det, 0.0)  # the phases cover negative amplitudes
-        misfit = np.einsum("sm,sm->s", y, y)[:, None, None] - gain
+        sums = [self._trial_sums(p, i, basis) for i in range(len(self.sums))]
+        squares = [np.einsum("ti,sij,tj->st", w, rows @ rows.transpose(0, 2, 1), w) for rows, w in sums]
+        products = [np.einsum("ti,sim,sm->st", w, rows, y, optimize=True) for rows, w in sums]
+        if len(sums) == 1:  # the phases cover negative amplitudes
+            gain = np.maximum(products[0], 0.0) ** 2 / squares[0]
+        else:
+            (a, one), (b, other) = sums
+            ab = one @ (a @ b.transpose(0, 2, 1)) @ other.T
+            aa, ay, bb, by = squares[0][:, :, None], products[0][:, :, None], squares[1][:, None], products[1][:, None]
+            det = np.maximum(aa * bb - ab * ab, MIN_DIFFERENCE_SHARE * aa * bb)
+            c, d = bb * ay - ab * by, aa * by - ab * ay
+            gain = np.where((c > 0) & (d > 0), (c * ay + d * by) / det, 0.0)
+        misfit = np.einsum("sm,sm->s", y, y).reshape(-1, *[1] * len(sums)) - gain
         sizes = chain(*((len(own), len(PHASES)) for own in self.frequencies))
         return misfit.reshape(len(self.scanned), *sizes)
 
