@@ -26,9 +26,9 @@ from frictrack.fit.separable.blocks import (
 )
 from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
-from frictrack.fit.separable.scan_tables import is_scannable
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.scan import is_scannable
 from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path, tiled_path
 from frictrack.fit.separable.varpro import VariableProjection
 

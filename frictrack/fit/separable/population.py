@@ -205,7 +205,8 @@ class ReducedPopulationMisfit(_SearchMisfit):
         for g in groups:
             for b, block in enumerate(self.blocks):
                 at = self.separable.column_positions[g][block.run]
-                rows[:, at[at >= 0], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, at >= 0]
+                own = at < rows.shape[1]
+                rows[:, at[own], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, own]
 
 
 def _values_in_run(layout: ParameterLayout, run: int, vectors: Array) -> dict[str, dict[str, Any]]:
