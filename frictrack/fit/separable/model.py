@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie, is_library
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
-from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.stacks import BlockStack
+from frictrack.fit.separable.blocks import BlockStack, DataBlock
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
