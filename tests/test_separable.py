@@ -348,6 +348,16 @@ class TestRefinement:
         assert promised > 0
 
 
+def test_an_effect_of_single_runs_without_a_grid_is_removed_and_placed_again():
+    made = along(models.of(["coulomb", "viscous", "clock_rate"]), tustin(8, 8, 1.2, 0.4))
+    search = VariableProjection(made)
+    assert [(i.effect.name, i.run, len(i.grid.values)) for i in search.items] == [("clock_rate", 0, 1)]
+    problem = search.problem(made.data)
+    state = search.restart_effect(problem, search(), "clock_rate")
+    assert state.misfit < 1e-9 * np.sum(made.data**2)
+    assert not state.excluded.any()
+
+
 @pytest.mark.parametrize("size", [1.0, 1e40])
 def test_products_of_a_table_with_rows_of_any_size_are_finite_and_right(size):
     rng = np.random.default_rng(1)

@@ -168,7 +168,8 @@ def scan_items(separable: SeparableModel) -> list[ScanItem]:
     """Return the effects of a model that are scanned, in its order."""
     out, kinds = [], dict[tuple[object, ...], int]()
     for effect in separable.layout.model.effects:
-        scanned = not effect.relaxed and is_scannable(effect) and _scanned_parameters(effect) and effect.linear
+        is_placed = effect.single or (_scanned_parameters(effect) and effect.linear)
+        scanned = is_scannable(effect) and not effect.relaxed and is_placed
         present = [r for r in separable.runs if (effect.name, r) not in separable.layout.absent]
         for run in (present if effect.single else [None]) if scanned else ():
             kind = kinds.setdefault((effect.columns, effect.parameters, run), len(kinds))
