@@ -236,7 +236,7 @@ class ScanTable:
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class ScanGains:
     """How much every grid point (G,) lowers the misfit of a solution, the parameters that are not scanned following it.
 
     `loss` is the rise of the misfit where an effect leaves its position, which is included.
@@ -297,17 +297,17 @@ class SolutionScan:
         owners = [*self.separable.coefficients, *(self.separable.layout.slots[i] for i in tangent.positions)]
         self._owners = [(owner.effect, owner.run) for owner, is_free in zip(owners, free, strict=True) if is_free]
         self._projected: dict[int, tuple[Array, Array, Array]] = {}
-        self._one_more: dict[int, Scan] = {}
+        self._one_more: dict[int, ScanGains] = {}
 
-    def one_more(self, item: ScanItem, table: ScanTable) -> Scan:
+    def one_more(self, item: ScanItem, table: ScanTable) -> ScanGains:
         """Return the gains of one more effect like an item."""
         if item.kind not in self._one_more:
             _, schur, right = self._without_solution(table)
             gains = _gains(schur, right, table, self._box(item)) + self._gain
-            self._one_more[item.kind] = Scan(item.grid, gains)
+            self._one_more[item.kind] = ScanGains(item.grid, gains)
         return self._one_more[item.kind]
 
-    def moved(self, item: ScanItem, table: ScanTable) -> Scan:
+    def moved(self, item: ScanItem, table: ScanTable) -> ScanGains:
         """Return the gains of an item of the solution at every grid point, where it leaves its own position."""
         dual, schur, right = self._without_solution(table)
         own = [
@@ -317,7 +317,7 @@ class SolutionScan:
         lift, coefficients = _times(precision, dual[own]), self._coefficients[own]
         gains = _gains(schur + _outer_sum(dual[own], lift), right + _times(coefficients, lift), table, self._box(item))
         loss = float(coefficients @ precision @ coefficients) - self._gain
-        return Scan(item.grid, gains - loss, loss)
+        return ScanGains(item.grid, gains - loss, loss)
 
     def _without_solution(self, table: ScanTable) -> tuple[Array, Array, Array]:
         """Coordinates (k, G, C) of a table in the solution's rows; Gram matrix and products with data without these."""

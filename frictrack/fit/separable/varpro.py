@@ -21,7 +21,7 @@ import numpy as np
 
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan import Scan, ScanItem, ScanTable, SolutionScan, scan_items
+from frictrack.fit.separable.scan import ScanGains, ScanItem, ScanTable, SolutionScan, scan_items
 from frictrack.records import Array
 
 MAX_PLACES = 3  # grid points of one scan that are refined
@@ -128,12 +128,12 @@ class VariableProjection:
             self._tables[item.kind] = others, ScanTable.of(self.separable, item, state.nonlinear_values)
         return self._last, self._tables[item.kind][1]
 
-    def _one_more(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> Scan:
+    def _one_more(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
         """The gain of every grid point of one more effect like an item."""
         scans, table = self._scan(problem, state, item)
         return scans.one_more(item, table)
 
-    def _moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> Scan:
+    def _moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
         """The gain of every grid point of an item that leaves its own position."""
         scans, table = self._scan(problem, state, item)
         return scans.moved(item, table)
