@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.optimize import least_squares
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -32,11 +31,11 @@ from frictrack.simulate import Conditions, Start, simulate_displacement
 
 FIRST_FRAMES = (20, 200)  # frames of a driven record to which its first state is fitted: least, most
 FIRST_SHARE = 0.025  # share of the record, between these limits
-MAX_STEPS = 6  # steps; the motion depends smoothly on the first state
-MIN_RELATIVE_FALL = 1e-3  # of the misfit, below which they end
+MAX_STEPS = 4  # Gauss-Newton steps; the motion depends smoothly on the first state
 DIFFERENCE_STEP = 1e-4  # of a first state, share of the travel and speed in the first frames
 RELATIVE_TOLERANCE = 5e-4  # accuracy of a free run, share of the rms displacement
 PATH_ARRAYS = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
+MIN_SINGULAR_VALUE = 1e-6  # relative; smaller ones are not determined
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ def _initial_states(model: Model, values: Values, piece: Piece, level: float) ->
 
 
 def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Start, int], Array]) -> Start:
-    """The first state, fitted to the first frames; from rest only the position is fitted."""
+    """The first state, fitted to the first frames by Gauss-Newton; from rest only the position is fitted."""
     frames = min(int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES)), len(piece.t))
     first, rests = piece.first(frames), piece.path.s[0] == 0
     names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
@@ -128,17 +127,25 @@ def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Sta
             own[name][0, k] = value
         return Start(float(theta[0]), float(theta[1]), own)
 
-    first_guess = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
+    def residual(theta: Array) -> Array:
+        return first.whitened(first.y - simulate(start(theta), frames))
 
-    def state(z: Array) -> Array:
-        return first_guess + (z - 1) @ directions  # scaled, from one on: steps of differences are relative
-
-    def residual(z: Array) -> Array:
-        return first.whitened(first.y - simulate(start(state(z)), frames))
-
-    ones = np.ones(len(directions))
-    found = least_squares(residual, ones, diff_step=DIFFERENCE_STEP, ftol=MIN_RELATIVE_FALL, max_nfev=MAX_STEPS)
-    return start(state(found.x))
+    theta = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
+    r = residual(theta)
+    for _ in range(MAX_STEPS):
+        changes = [(residual(theta + DIFFERENCE_STEP * d) - r) / DIFFERENCE_STEP for d in directions]
+        step = -np.linalg.lstsq(np.stack(changes, axis=1), r, rcond=MIN_SINGULAR_VALUE)[0] @ directions
+        for _ in range(MAX_STEPS):  # a step that does not help is halved
+            trial = residual(theta + step)
+            if trial @ trial <= r @ r:
+                break
+            step /= 2
+        gain, before = float(r @ r - trial @ trial), float(r @ r)
+        if gain > 0:
+            theta, r = theta + step, trial
+        if gain <= 1e-3 * before:
+            break
+    return start(theta)
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:

@@ -49,6 +49,10 @@ class ScanGrid:
         """Values of the parameters at the G points, (G, d)."""
         return np.array(list(product(*self.axes)))
 
+    def _steps(self, g: int) -> tuple[int, ...]:
+        """Index of a point on every axis."""
+        return tuple(map(int, np.unravel_index(g, self.shape)))
+
     def place(self, values: Array) -> Indices:
         """Return the index on every axis that is nearest to values (d,)."""
         return np.array([np.argmin(np.abs(axis - v)) for axis, v in zip(self.axes, values, strict=True)])
@@ -66,7 +70,7 @@ class ScanGrid:
 
     def summit(self, heights: Array, g: int) -> Array:
         """Return the values (d,) of the vertex of parabolas through a peak (G,) at a point and its neighbours."""
-        out, cube, at = self.values[g].copy(), heights.reshape(self.shape), np.unravel_index(g, self.shape)
+        out, cube, at = self.values[g].copy(), heights.reshape(self.shape), self._steps(g)
         for i, (axis, step) in enumerate(zip(self.axes, at, strict=True)):
             if 0 < step < len(axis) - 1:
                 around = slice(step - 1, step + 2)
@@ -215,7 +219,7 @@ class ScanTable:
             if len(kept):
                 own = np.concatenate([separable.rows(item.g, b, part)[:, kept] for part in chunks])
             at.append(np.searchsorted(mine, place[kept]))
-            gram[np.ix_(range(len(gram)), at[-1], at[-1])] += own @ own.transpose(0, 2, 1)
+            gram[np.ix_(np.arange(len(gram)), at[-1], at[-1])] += own @ own.transpose(0, 2, 1)
             columns.append(own)
         scale = max(1e-300, *(float(np.abs(own).max(initial=0.0)) for own in columns))
         return cls([(own / scale).astype(np.float32) for own in columns], at, gram, scale)
@@ -230,7 +234,7 @@ class ScanTable:
                 shown = np.flatnonzero(single[:, cut].any(axis=1))  # most rows belong to one run
                 flat = columns.reshape(-1, columns.shape[2])
                 own = (single[shown, cut] @ flat.T).reshape(len(shown), *columns.shape[:2])
-                out[np.ix_(shown, range(out.shape[1]), at)] += own
+                out[np.ix_(shown, np.arange(out.shape[1]), at)] += own
         out *= (self.scale * size)[:, None, None]
         return out
 

@@ -90,7 +90,9 @@ class VariableProjection:
         The best run of every effect is kept in any case.
         """
         problem, gains = self._problem, dict[tuple[str, int], float]()
-        for item in (i for i in self.items if i.run is not None):
+        for item in self.items:
+            if item.run is None:
+                continue
             left = problem.without(state, item.coefficients)
             if problem.levels:  # friction levels may explain part of it
                 left = problem.refine(left, (), steps=ROUGH_STEPS)
