@@ -49,10 +49,6 @@ class ScanGrid:
         """Values of the parameters at the G points, (G, d)."""
         return np.array(list(product(*self.axes)))
 
-    def _steps(self, g: int) -> tuple[int, ...]:
-        """Index of a point on every axis."""
-        return tuple(map(int, np.unravel_index(g, self.shape)))
-
     def place(self, values: Array) -> Indices:
         """Return the index on every axis that is nearest to values (d,)."""
         return np.array([np.argmin(np.abs(axis - v)) for axis, v in zip(self.axes, values, strict=True)])
@@ -70,8 +66,9 @@ class ScanGrid:
 
     def summit(self, heights: Array, g: int) -> Array:
         """Return the values (d,) of the vertex of parabolas through a peak (G,) at a point and its neighbours."""
-        out, cube, at = self.values[g].copy(), heights.reshape(self.shape), self._steps(g)
-        for i, (axis, step) in enumerate(zip(self.axes, at, strict=True)):
+        out, cube = self.values[g].copy(), heights.reshape(self.shape)
+        at: tuple[int | slice, ...] = tuple(map(int, np.unravel_index(g, self.shape)))
+        for i, (axis, step) in enumerate(zip(self.axes, np.unravel_index(g, self.shape), strict=True)):
             if 0 < step < len(axis) - 1:
                 around = slice(step - 1, step + 2)
                 out[i] = _vertex(axis[around], cube[(*at[:i], around, *at[i + 1 :])])
