@@ -16,7 +16,6 @@ from frictrack.fit.least_squares import (
     displacement_response,
     fit_with_scatter,
     predicted_objective,
-    refine_further,
     refit_with_scatter,
 )
 from frictrack.fit.linearised import candidate_grids, linearise
@@ -67,10 +66,6 @@ def test_a_law_that_remembers_keeps_its_whole_path():
 
 
 def test_a_law_continued_is_the_law_refined_again(slide):
-    again = refine(slide.problem, slide.p, slide.starts, tau=0.05)
-    on = refine_further(slide, 0.05)
-    np.testing.assert_allclose(on.p, again.p, rtol=1e-6)
-    assert on.objective == pytest.approx(again.objective, rel=1e-9)
     whole = fit_with_scatter(slide.problem, slide.p, slide.starts, 0.05)
     assert refit_with_scatter(slide, 0.05).objective == pytest.approx(whole.objective, rel=1e-9)
 

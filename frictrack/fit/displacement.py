@@ -15,7 +15,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, refine
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.pieces import MIN_FRAMES, Piece, cut_into_pieces, spans_of
+from frictrack.fit.pieces import MIN_FRAMES, Piece, cut_into_pieces, displacement_rows, spans_of, without_starts
 from frictrack.fit.separable import (
     ProjectedProblem,
     SeparableModel,
@@ -397,33 +397,23 @@ def _solve_coefficients(problem: LeastSquaresProblem, p: Array, columns: Array, 
 
 def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
     """Yield, for every window length, columns (n, K) per unit coefficient and data (n,), starts projected out."""
-    linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
-    rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
+    rows = [(piece, displacement_rows(piece, _forces(problem, piece, p))) for piece in problem.pieces]
     for n in lengths:
-        cut = np.concatenate([window for piece, white in rows for window in _unstarted(piece, white, n)])
+        cut = np.concatenate([window for piece, own in rows for window in without_starts(piece, own, n)])
         yield n, cut[:, :-1], cut[:, -1]
 
 
-def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
-    """Windows of about n frames of columns (n, k), start position and speed projected out."""
-    out = []
-    start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t[0]]))
-    for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
-        q, _ = np.linalg.qr(start[rows])
-        out.append(white[rows] - q @ (q.T @ white[rows]))
-    return out
-
-
-def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list[int]) -> Array:
-    """Displacement (n, K) per unit coefficient, then the measured one, in units of sigma."""
+def _forces(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
+    """Forces (3 p, K) per unit coefficient along the smoothed motion of one piece; zero for those of other runs."""
     values, level = problem.layout.values(p, piece.run)
-    force_columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
-    inputs, effects = [piece.known], {e.name: e for e in problem.model.effects}
-    for slot in (problem.layout.slots[i] for i in linear):
-        column = np.zeros_like(piece.known)
-        if slot.effect in force_columns and slot.run in (None, piece.run):
-            place = [q.name for q in effects[slot.effect].linear].index(slot.parameter)
-            column = force_columns[slot.effect][:, place]
-        inputs.append(-column / piece.mass)
-    displacement = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
-    return piece.whitened(np.column_stack([displacement[:, 1:], piece.y - displacement[:, 0]]))
+    columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
+    places = {(e.name, q.name): k for e in problem.model.effects for k, q in enumerate(e.linear)}
+    return np.column_stack(
+        [
+            columns[s.effect][:, places[s.effect, s.parameter]]
+            if s.effect in columns and s.run in (None, piece.run)
+            else np.zeros_like(piece.known)
+            for s in problem.layout.slots
+            if s.linear
+        ]
+    )

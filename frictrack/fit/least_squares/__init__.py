@@ -18,7 +18,6 @@ from frictrack.fit.least_squares.gauss_newton import (
     hold,
     predicted_objective,
     refine,
-    refine_further,
     refit_with_scatter,
 )
 from frictrack.fit.least_squares.heldout import heldout_rms
@@ -51,7 +50,6 @@ __all__ = [
     "position_and_velocity",
     "predicted_objective",
     "refine",
-    "refine_further",
     "refit_with_scatter",
     "white_noise_covariance",
 ]

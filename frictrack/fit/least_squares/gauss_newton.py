@@ -86,34 +86,7 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
 
 def hold(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
     """Return the solution at given unknowns and starts: nothing is refined."""
-    return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool), max_steps=0)
-
-
-def refine_further(
-    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, min_fall: float = MIN_CHI2_FALL
-) -> Solution:
-    """Continue the refinement of a solution at another scatter of the levels, without simulating it again.
-
-    Parameters
-    ----------
-    solution : Solution
-        Where to start.
-    tau : float
-        Relative standard deviation of the friction levels.
-    free : array of bool, shape (P,), optional
-        Unknowns that may change; default all.
-    max_steps : int
-        Largest number of steps.
-    min_fall : float
-        See `refine`.
-
-    Returns
-    -------
-    Solution
-        The refined unknowns.
-
-    """
-    return _Refinement.of(solution.problem, solution.p, free).run(solution.with_scatter(tau), max_steps, min_fall)
+    return Solution.at(problem, canonical_form(problem.layout, p), starts, tau)
 
 
 def predicted_objective(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -176,12 +177,12 @@ class ParameterLayout:
         runs = range(len(self.run_names))
         return [[i for i, s in enumerate(self.slots) if s.run in (None, run)] for run in runs]
 
-    def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
+    def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, Any]], Any]:
         """Compute the internal parameter values of one run.
 
         Parameters
         ----------
-        p : array of shape (P,)
+        p : array of shape (P,), or (Q, P) for a population
             The unknowns.
         run : int
             Index of the run.
@@ -189,7 +190,7 @@ class ParameterLayout:
         Returns
         -------
         values : dict
-            Effect name to parameter name to value, constraints applied.
+            Effect name to parameter name to value, (Q,) for a population, constraints applied.
         level : float
             Friction level of the run, 1 where it has none.
 
@@ -197,13 +198,13 @@ class ParameterLayout:
         out: dict[str, dict[str, float]] = {e.name: {} for e in self.model.effects}
         for (effect, name), value in self.fixed.items():
             out[effect][name] = value
-        level = 1.0
+        level, values = 1.0, p.T if p.ndim > 1 else p.tolist()
         for i in self._active[run]:
             slot = self.slots[i]
             if slot.effect == LEVEL:
-                level = float(p[i])
+                level = values[i]
             else:
-                out[slot.effect][slot.parameter] = float(p[i])
+                out[slot.effect][slot.parameter] = values[i]
         for e in self.model.effects:  # an event that this run does not show
             if (e.name, run) in self.absent:
                 out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}

@@ -18,10 +18,12 @@ from frictrack.fit.pieces.piece import (
     JoinedPieces,
     Piece,
     Rows,
+    displacement_rows,
     group_by_size,
     joined_whitening,
     spans_of,
     split_motions,
+    without_starts,
 )
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "acceleration_chains",
     "acceleration_noise",
     "cut_into_pieces",
+    "displacement_rows",
     "group_by_size",
     "guess_mass",
     "has_known_history",
@@ -48,4 +51,5 @@ __all__ = [
     "spans_of",
     "split_motions",
     "whole_piece",
+    "without_starts",
 ]

@@ -23,7 +23,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Span
 from frictrack.fit.pieces.cutting import MIN_FRAMES
-from frictrack.fit.pieces.piece import Piece, Rows, spans_of
+from frictrack.fit.pieces.piece import Piece, cut_rows, displacement_rows, spans_of, without_starts
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run
@@ -60,7 +60,7 @@ def cut_into_pieces(pieces: Sequence[Piece], n: int) -> list[Piece]:
     out = []
     for piece in pieces:
         first = MIN_HISTORY_FRAMES if piece.turns and not piece.slack and _history_is_unknown(piece) else 0
-        cuts = [c + first for c in _cut_rows(len(piece.t) - first, n)]
+        cuts = [c + first for c in cut_rows(len(piece.t) - first, n)]
         out += [replace(piece.part(int(c[0]), int(c[-1]) + 1), cut=True) for c in cuts]
     return out
 
@@ -77,10 +77,6 @@ def _history_is_unknown(piece: Piece) -> bool:
     return bool(piece.path.s[0] != 0 and (before is None or before.shape[1] < 2))
 
 
-def _cut_rows(frames: int, n: int) -> list[Rows]:
-    return np.array_split(np.arange(frames), max(1, round(frames / n)) if n else 1)
-
-
 def _linear_model(model: Model, piece: Piece) -> Array:
     """Displacement per unit coefficient, and measured minus known displacement last, (n, K + 1), in units of sigma."""
     nodes = piece.path_at_nodes(piece.x_hat, piece.v_hat, 1.0)
@@ -88,9 +84,7 @@ def _linear_model(model: Model, piece: Piece) -> Array:
     forces = [
         e.columns(nodes, held) for e in model.effects if _is_known_before_fit(e) for held in _values_before_fit(e, span)
     ]
-    inputs = np.column_stack([*forces, piece.known])
-    twice = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
-    return piece.whitened(np.column_stack([twice[:, :-1] / piece.mass, piece.y - twice[:, -1]]))
+    return displacement_rows(piece, np.column_stack(forces))
 
 
 def _is_known_before_fit(effect: Effect) -> bool:
@@ -109,27 +103,16 @@ def _values_before_fit(effect: Effect, span: Span) -> list[dict[str, float]]:
 
 def _distinguishable_directions(rows: Sequence[Array], pieces: Sequence[Piece]) -> Array:
     """Combinations (K, K') of the coefficients that the run can distinguish."""
-    jac = np.concatenate(_without_starts([r[:, :-1] for r in rows], pieces, 0))
+    jac = np.concatenate([without_starts(p, r[:, :-1])[0] for p, r in zip(pieces, rows, strict=True)])
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
     return np.asarray(vt[s > MIN_SINGULAR_VALUE * s[0]].T / norm[:, None])
 
 
-def _without_starts(rows: Sequence[Array], pieces: Sequence[Piece], n: int) -> list[Array]:
-    """Rows cut into pieces of n frames, each without the part that its own start position and speed explain."""
-    blocks = []
-    for columns, piece in zip(rows, pieces, strict=True):
-        for cut in _cut_rows(len(piece.t), n):
-            t = piece.t - piece.t[cut].mean()
-            q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(t), t]))[cut])
-            blocks.append(columns[cut] - q @ (q.T @ columns[cut]))
-    return blocks
-
-
 def _log_covariance(rows: Sequence[Array], pieces: Sequence[Piece], n: int, relative_noise_error: float) -> float:
     """Logarithm of the determinant of the coefficients' covariance with pieces of n frames."""
-    blocks = _without_starts(rows, pieces, n)
+    blocks = [window for own, piece in zip(rows, pieces, strict=True) for window in without_starts(piece, own, n)]
     # QR, because normal equations lose chi-squared to rounding where the displacement is large
     upper = np.abs(np.diag(np.linalg.qr(np.concatenate(blocks), mode="r")))
     k = len(upper) - 1  # the last column is the data: what is left of it is chi-squared

@@ -200,6 +200,30 @@ class Piece:
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
 
 
+def cut_rows(frames: int, n: int) -> list[Rows]:
+    """Cut the rows of some frames into parts of about n; 0 leaves them whole."""
+    return np.array_split(np.arange(frames), max(1, round(frames / n)) if n else 1)
+
+
+def displacement_rows(piece: Piece, forces: Array) -> Array:
+    """Compute displacements per unit of forces (3 p, K) at the nodes, then the measured less the known one, (n, K + 1).
+
+    They are whitened: in standard deviations. The start is still in them.
+    """
+    inputs = np.column_stack([-forces / piece.mass, piece.known])
+    x = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
+    return piece.whitened(np.column_stack([x[:, :-1], piece.y - x[:, -1]]))
+
+
+def without_starts(piece: Piece, rows: Array, n: int = 0) -> list[Array]:
+    """Cut whitened rows (n, k) into windows of about n frames, and project start position and speed of each out."""
+    start, out = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t.mean()])), []
+    for cut in cut_rows(len(rows), n):
+        q, _ = np.linalg.qr(start[cut])
+        out.append(rows[cut] - q @ (q.T @ rows[cut]))
+    return out
+
+
 def panel_edges(t: Array, per_frame: int) -> tuple[Array, Rows]:
     """Panel edges through the frame times t (n,), no panel longer than a frame, and the edge index of each frame."""
     interval = np.diff(t)

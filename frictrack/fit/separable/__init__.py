@@ -17,19 +17,22 @@ variables separate. SIAM J. Numer. Anal. 10, 413-432.
 """
 
 from frictrack.fit.separable.blocks import (
+    BlockStack,
     DataBlock,
+    are_stackable,
     chain_block,
     displacement_block,
     force_block,
+    joined_path,
     path_at_compared,
     rows_at_compared,
+    tiled_path,
 )
 from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
-from frictrack.fit.separable.scan_tables import is_scannable
-from frictrack.fit.separable.stacks import BlockStack, are_stackable, joined_path, tiled_path
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.scan import is_scannable
 from frictrack.fit.separable.varpro import VariableProjection
 
 __all__ = [

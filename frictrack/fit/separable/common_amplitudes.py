@@ -19,7 +19,7 @@ from frictrack.effects import Effect
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array

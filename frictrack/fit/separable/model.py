@@ -8,9 +8,8 @@ every run has its own pair, and their common amplitude is left to the refinement
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import pairwise
+from dataclasses import dataclass
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,13 @@ from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie, is_library
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
-from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.stacks import BlockStack
+from frictrack.fit.separable.blocks import BlockStack, DataBlock
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 Indices = NDArray[np.int_]
 Values = dict[str, dict[str, Any]]
 QUADRATURES = (0.0, np.pi / 2)
-NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 
 @dataclass(frozen=True)
@@ -71,25 +68,6 @@ class EffectGroup:
         return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """A part of a stack with one set of coefficients.
-
-    `at` (k,) are the coefficients of the columns, -1 for none; `inside` is the part among the data of the stack, `cut`
-    the same among all data, `members` its blocks.
-    """
-
-    at: Indices
-    inside: slice
-    cut: slice
-    members: tuple[int, ...]
-
-    @cached_property
-    def kept(self) -> Indices:
-        """Which of the columns have a coefficient."""
-        return np.flatnonzero(self.at >= 0)
-
-
 def coupled_effects(model: Model) -> list[list[Effect]]:
     """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
     kinds = {k for e in model.effects for k in e.modifies}
@@ -115,7 +93,9 @@ class SeparableModel:
     coefficients : list of Coefficient
         The K linear coefficients.
     column_positions : list of dict
-        For every group and run, the coefficient of each column; -1 for none.
+        For every group and run, the coefficient of each column; K for none.
+    at : list of array
+        For every group, the coefficient of each of its k columns: (k,) where it is the same in all data, else (k, M).
     free : list of int
         Positions of the searched non-linear parameters: all but levels and the phases of sinusoids.
 
@@ -124,30 +104,42 @@ class SeparableModel:
     layout: ParameterLayout
     blocks: Sequence[DataBlock]
     stacks: Sequence[BlockStack] = ()
-    groups: list[EffectGroup] = field(init=False)
-    coefficients: list[Coefficient] = field(init=False)
-    column_positions: list[dict[int, Indices]] = field(init=False)
-    free: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
         self.blocks = list(self.blocks)
         self.runs = sorted({b.run for b in self.blocks})
         self.groups = [self._group(effects) for effects in coupled_effects(self.layout.model)]
-        self.coefficients = []
-        self.column_positions = [self._column_positions(group) for group in self.groups]
+        self.coefficients: list[Coefficient] = []
+        columns = [self._column_positions(group) for group in self.groups]
+        none = len(self.coefficients)
+        self.column_positions = [{r: np.where(at < 0, none, at) for r, at in own.items()} for own in columns]
         self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
+        self.loaded = np.array([c.loaded for c in self.coefficients], dtype=bool)
         edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
         self.data = np.concatenate([b.data for b in self.blocks])
-        self._mine = [
-            np.unique([i for at in column_positions.values() for i in at if i >= 0])
-            for column_positions in self.column_positions
-        ]
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
+        self._mine = [
+            np.array([i for i, c in enumerate(self.coefficients) if c.effect in group.names], dtype=int)
+            for group in self.groups
+        ]
+        self.at = [self._coefficients_of_data(own) for own in self.column_positions]
         self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
-        self._places_cache: dict[tuple[int, tuple[int, ...]], list[tuple[str, str, int, list[int]]]] = {}
+        places = [[self._places(g, g.nonlinear_slots), self._places(g, self._inputs(g))] for g in self.groups]
+        self.places = [np.array(list(own.values()), dtype=int) for own, _ in places]  # (q, runs) each
+        self._sources = [inputs for _, inputs in places]
+        self._fixed = {
+            e.name: {q.name: self.layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters}
+            for e in self.layout.model.effects
+        }
+        self.responses: dict[int, list[tuple[int, int, int | None]]] = {}
+        for g, group in enumerate(self.groups):
+            names = list(places[g][0])
+            for i in group.nonlinear_slots:
+                s = self.layout.slots[i]
+                self.responses.setdefault(i, []).append((g, names.index((s.effect, s.parameter)), s.run))
 
     # --- positions of parameters
 
@@ -173,41 +165,52 @@ class SeparableModel:
                 yield leader
                 yield from self._leaders({leader})
 
+    def _inputs(self, group: EffectGroup) -> Iterable[int]:
+        """Positions of all parameters that the columns of a group depend on; ties may lead to any effect."""
+        if not self.layout.constraints:
+            return (*group.nonlinear_slots, *group.phase_slots)
+        return (i for i, s in enumerate(self.layout.slots) if not s.linear and s.effect != LEVEL)
+
+    def _places(self, group: EffectGroup, slots: Iterable[int]) -> dict[tuple[str, str], Indices]:
+        """Position of every parameter among some slots in each run; -1 where a run has none."""
+        out: dict[tuple[str, str], Indices] = {}
+        for i in slots:
+            s = self.layout.slots[i]
+            own = out.setdefault((s.effect, s.parameter), np.full(len(self.layout.run_names), -1))
+            own[slice(None) if s.run is None else s.run] = i
+        return out
+
     def is_sinusoid(self, effect: Effect) -> bool:
         """Return whether an effect is a free amplitude times a sine of a free phase, so that quadratures are linear."""
         sizes = [p for p in effect.linear if p.role == "amplitude"]
         phases = [p for p in effect.nonlinear if p.role == "phase"]
         if effect.modifies or len(effect.linear) != 1 or len(sizes) != 1 or len(phases) != 1:
             return False
-        own_slots = [
-            i
-            for i, s in enumerate(self.layout.slots)
-            if s.effect == effect.name and s.parameter in (sizes[0].name, phases[0].name)
-        ]
-        free = {self.layout.slots[i].parameter for i in own_slots} == {sizes[0].name, phases[0].name}
-        return free and not self.layout.leaders & set(own_slots)
+        both = {sizes[0].name, phases[0].name}
+        own = {i: s for i, s in enumerate(self.layout.slots) if s.effect == effect.name and s.parameter in both}
+        return {s.parameter for s in own.values()} == both and not self.layout.leaders & own.keys()
 
     def _column_positions(self, group: EffectGroup) -> dict[int, Indices]:
-        """Create the coefficients of a group, and return which of them its columns are in every run."""
+        """Create the coefficients of a group, and return which of them its columns are in every run; -1 for none."""
         column_positions: dict[int, list[int]] = {run: [] for run in self.runs}
         for effect in group.model.effects:
-            for p in effect.linear:
-                own = p.per_run or (group.is_sinusoid and any(q.per_run for q in effect.nonlinear if q.role == "phase"))
-                present_runs = (
-                    [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
-                )
-                for quadrature in (0, 1) if group.is_sinusoid else (None,):
-                    first = len(self.coefficients)
-                    bounds = (-np.inf, np.inf) if group.is_sinusoid else self._bounds(effect.name, p.name)
-                    self.coefficients += [
-                        Coefficient(effect.name, p.name, r, bounds, quadrature, p.loaded)
-                        for r in (present_runs if own else [None])
-                    ]
-                    for run in self.runs:
-                        column_positions[run].append(
-                            (first + present_runs.index(run) if own else first) if run in present_runs else -1
-                        )
+            present = [r for r in self.runs if (effect.name, r) not in self.layout.absent]
+            own_phase = group.is_sinusoid and any(q.per_run for q in effect.nonlinear if q.role == "phase")
+            for p, quadrature in product(effect.linear, (0, 1) if group.is_sinusoid else (None,)):
+                bounds = (-np.inf, np.inf) if group.is_sinusoid else self._bounds(effect.name, p.name)
+                owners: list[int | None] = [*present] if p.per_run or own_phase else [None]
+                first = {r: len(self.coefficients) + i for i, r in enumerate(owners)}
+                self.coefficients += [Coefficient(effect.name, p.name, r, bounds, quadrature, p.loaded) for r in owners]
+                for run in self.runs:
+                    column_positions[run].append(first.get(None, first.get(run, -1)))
         return {run: np.array(at, dtype=int) for run, at in column_positions.items()}
+
+    def _coefficients_of_data(self, own: dict[int, Indices]) -> Indices:
+        """The coefficient of each of k columns: (k,) where all runs agree, else (k, M)."""
+        each = [own[block.run] for block in self.blocks]
+        if all(np.array_equal(each[0], other) for other in each):
+            return each[0]
+        return np.repeat(np.stack(each, axis=1), [len(block.data) for block in self.blocks], axis=1)
 
     def _bounds(self, effect: str, parameter: str) -> tuple[float, float]:
         fixed = self.layout.fixed.get((effect, parameter))
@@ -229,129 +232,95 @@ class SeparableModel:
 
     # --- evaluation
 
-    def is_stackable(self, g: int) -> bool:
-        """Return whether a group consists of effects of the library that do not depend on the motion before."""
-        effects = self.groups[g].model.effects
-        return all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
-
     def stacks_of(self, g: int) -> Sequence[BlockStack]:
-        """Return the blocks as one group is evaluated along them; if it cannot be stacked, each alone."""
-        return self.stacks if self.stacks and self.is_stackable(g) else self._single_blocks
+        """Return the blocks as a group is evaluated along them: each alone if the motion before it may matter."""
+        effects = self.groups[g].model.effects
+        stackable = all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
+        return self.stacks if self.stacks and stackable else self._single_blocks
 
-    def segments(self, g: int, stack: BlockStack) -> list[Segment]:
-        """Return the parts of a stack in which the columns of a group belong to the same coefficients."""
-        at = [self.column_positions[g][run] for run in stack.runs]
-        cuts = [self.slices[b] for b in stack.members]
-        if all(np.array_equal(at[0], other) for other in at):
-            whole = slice(cuts[0].start, cuts[-1].stop)
-            return [Segment(at[0], slice(0, sum(stack.lengths)), whole, tuple(range(len(at))))]
-        parts = zip(at, stack.slices, cuts, range(len(at)), strict=True)
-        return [Segment(own, inside, cut, (m,)) for own, inside, cut, m in parts]
-
-    def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
-        """Compute the forwarded rows of one group in one block.
-
-        Parameters
-        ----------
-        g, b : int
-            Index of the group and of the block.
-        nonlinear_values : array of shape (Q, P)
-            Parameter vectors of Q individuals; only non-linear values are used.
-        level : float
-            Friction level of the run.
-
-        Returns
-        -------
-        array of shape (Q, k, m)
-            Data per unit coefficient, in standard deviations.
-
-        """
-        return self._rows_at_once(g, self._single_blocks[b], nonlinear_values[:, None], level)
-
-    def stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array, levels: Array) -> Array:
-        """Compute the forwarded rows of one group in all blocks of a stack.
+    def columns(self, g: int, nonlinear_values: Array, steps: Array) -> Array:
+        """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters.
 
         Parameters
         ----------
         g : int
             Index of the group.
-        stack : BlockStack
-            B blocks.
-        nonlinear_values : array of shape (Q, B, P)
-            Parameter vectors of Q individuals in every block.
-        levels : array of shape (B,)
-            Friction levels in the blocks.
+        nonlinear_values, steps : array of shape (P,)
+            Parameter vector, of which only non-linear values are used, and the steps of the differences.
 
         Returns
         -------
-        array of shape (Q, k, m)
-            Data per unit coefficient, in standard deviations.
+        array of shape (1 + q, k, M)
+            Data per unit coefficient, in standard deviations; then the same per unit of each parameter.
 
         """
-        if len(levels) == 1:
-            return self._rows_at_once(g, stack, nonlinear_values, float(levels[0]))
-        rows = self._rows_at_once(g, stack, nonlinear_values, 1.0)
-        loaded, scale = self._loaded_columns(g), levels * stack.loads
-        if loaded.any() and np.any(scale != 1.0):
-            rows *= np.where(loaded[:, None], np.repeat(scale, stack.lengths), 1.0)
-        return rows
+        parts = []
+        for stack in self.stacks_of(g):
+            places = self.places[g].reshape(-1, len(self.layout.run_names))[:, list(stack.runs)]
+            own = np.where(places < 0, 1.0, steps[places])
+            moved = np.tile(nonlinear_values, (1 + len(places), len(stack.runs), 1))
+            j, member = np.nonzero(places >= 0)
+            moved[1 + j, member, places[j, member]] += own[j, member]
+            made = self._stacked_rows(g, stack, moved)
+            made[1:] -= made[0]
+            made[1:] /= (np.repeat(own, stack.lengths, axis=1) if len(stack.runs) > 1 else own)[:, None]
+            parts.append(made)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
 
-    def _loaded_columns(self, g: int) -> Mask:
-        """Which columns of a group carry the normal load of the run."""
-        columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
-        return np.array(columns * (2 if self.groups[g].is_sinusoid else 1), dtype=bool)
+    def rows(self, g: int, b: int, nonlinear_values: Array) -> Array:
+        """Compute the rows (Q, k, m) of a group in one block for parameter vectors (Q, P); Q is 1 if all are equal."""
+        return self._stacked_rows(g, self._single_blocks[b], nonlinear_values[:, None])
 
-    def _rows_at_once(self, g: int, stack: BlockStack, nonlinear_values: Array, level: float) -> Array:
-        """Rows (Q, k, m) of a group along a stack, those of a sinusoid at both quadratures."""
+    def _stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Array:
+        """Rows (Q, k, m) of a group along a stack of B blocks for values (Q, B, P); of a sinusoid both quadratures."""
         group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         forward = stack.picture if group.is_measurement else stack.forward
-        if not group.is_sinusoid:
-            columns = group.columns(self._path(g, stack, p, level), self._values(g, stack, nonlinear_values[:p]))
-            return forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
-        effect, path = group.model.effects[0], self._path(g, stack, 2 * p, level)
-        own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
-        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-        own[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
-        return forward(effect.columns(path, own).reshape(p, 2, -1))
+        path = stack.population_path(group.model.memory, (1 + group.is_sinusoid) * p)
+        if group.is_sinusoid:
+            effect = group.model.effects[0]
+            own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
+            phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+            own[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
+            rows = forward(effect.columns(path, own).reshape(p, 2, -1))
+        else:
+            columns = group.columns(path, self._values(g, stack, nonlinear_values[:p]))
+            rows = forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
+        if any(load != 1.0 for load in stack.loads):
+            rows *= np.where(self.loaded_columns(g)[:, None], np.repeat(stack.loads, stack.lengths), 1.0)
+        return rows
 
-    def _path(self, g: int, stack: BlockStack, p: int, level: float) -> Path:
-        path = stack.population_path(self.groups[g].model.memory, p)
-        return path if level == 1.0 else replace(path, load=path.load * level)
+    def loaded_columns(self, g: int) -> Mask:
+        """Return which columns of a group carry the normal load, hence the friction level, of the run."""
+        columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
+        return np.repeat(np.array(columns, dtype=bool), 1 + self.groups[g].is_sinusoid)
 
     def _values(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Values:
         """Non-linear values of a group along a stack: one number, or one per sample where they differ."""
-        layout, model, shape = self.layout, self.groups[g].model, nonlinear_values.shape[:2]
-        known = layout.model if layout.constraints else model  # ties may lead to any effect
-        values: Values = {
-            e.name: {q.name: layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters} for e in known.effects
-        }
-        for effect, name, i, members in self._places(g, stack.runs):
-            if not isinstance(values[effect][name], np.ndarray):
-                values[effect][name] = np.ones(shape)
-            values[effect][name][:, members] = nonlinear_values[:, members, i]
-        apply_constraints(known, tuple(r for r in layout.constraints if not r.parameter.linear), values)
+        layout, model = self.layout, self.groups[g].model
+        values: Values = {effect: dict(own) for effect, own in self._fixed.items()}
+        members = np.arange(nonlinear_values.shape[1])
+        for (effect, name), of_run in self._sources[g].items():
+            places = of_run[np.array(stack.runs)]
+            own = nonlinear_values[:, members, places]
+            values[effect][name] = own if places.min() >= 0 else np.where(places < 0, 1.0, own)
+        if layout.constraints:
+            apply_constraints(layout.model, tuple(r for r in layout.constraints if not r.parameter.linear), values)
         samples = len(stack.evaluation_path(model.memory).t)
         return {
             e.name: {
                 q.name: value
                 if isinstance(value := values[e.name][q.name], float)
-                else stack.repeat_values(np.broadcast_to(value, shape), samples, q.role == "depth")
+                else stack.repeat_values(value, samples, q.role == "depth")
                 for q in e.nonlinear
             }
             for e in model.effects
         }
 
-    def _places(self, g: int, runs: tuple[int, ...]) -> list[tuple[str, str, int, list[int]]]:
-        """Effect, parameter, position and members of the values that a group depends on, for blocks of some runs."""
-        if (g, runs) not in self._places_cache:
-            slots = [(i, s) for i, s in enumerate(self.layout.slots) if not s.linear and s.effect != LEVEL]
-            if not self.layout.constraints:
-                mine = {*self.groups[g].nonlinear_slots, *self.groups[g].phase_slots}
-                slots = [(i, s) for i, s in slots if i in mine]
-            each = [(s, i, [m for m, run in enumerate(runs) if s.run in (None, run)]) for i, s in slots]
-            self._places_cache[g, runs] = [(s.effect, s.parameter, i, members) for s, i, members in each if members]
-        return self._places_cache[g, runs]
+    def weighted(self, g: int, coefficients: Array, columns: Array) -> Array:
+        """Compute the data (..., M) that columns (..., k, M) of a group make with coefficients (K,)."""
+        c, at = np.append(coefficients, 0.0), self.at[g]  # the last one for columns without a coefficient
+        return c[at] @ columns if at.ndim == 1 else np.einsum("km,...km->...m", c[at], columns)
 
     # --- conversion to the unknowns of the layout
 

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
-from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, prior_misfit
-from frictrack.fit.separable.blocks import DataBlock
+from frictrack.fit.parameters import LEVEL, ParameterLayout, prior_misfit
+from frictrack.fit.separable.blocks import BlockStack, DataBlock
 from frictrack.fit.separable.bounded import bounded_population
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.stacks import BlockStack
 from frictrack.records import Array
 
 MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
@@ -38,20 +37,18 @@ class _SearchMisfit(ABC):
     unit : float
         Factor from whitened squares to the unit in which the misfit is reported.
 
-    Attributes
-    ----------
-    searched : list of int
-        Positions of the d unknowns in the layout.
-
     """
-
-    searched: list[int]
 
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
     ) -> None:
         self.layout, self.blocks, self.tau, self.unit = layout, list(blocks), tau, unit
         self.separable = SeparableModel(layout, blocks)
+
+    @property
+    @abstractmethod
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
 
     @abstractmethod
     def _explained(self, points: Array) -> tuple[Array, Array]:
@@ -110,13 +107,11 @@ class _SearchMisfit(ABC):
 class PopulationMisfit(_SearchMisfit):
     """Misfit over all unknowns but the friction levels."""
 
-    def __init__(
-        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
-    ) -> None:
-        super().__init__(layout, blocks, tau=tau, unit=unit)
+    @cached_property
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
         runs = {None, *self.separable.runs}
-        self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
-        self._stacks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
+        return [i for i, s in enumerate(self.layout.slots) if s.effect != LEVEL and s.run in runs]
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Compute misfits (Q,), with those of the priors, and friction levels (Q, R) of points (Q, d)."""
@@ -131,29 +126,30 @@ class PopulationMisfit(_SearchMisfit):
 
     def _explained(self, points: Array) -> tuple[Array, Array]:
         vectors = self.full_vectors(points)
-        parts = [self._explained_in(stack, vectors) for stack in self._stacks]
-        dry, other = np.concatenate(parts, axis=2)
+        stacks = (BlockStack.of_block(i, b) for i, b in enumerate(self.blocks))
+        dry, other = np.concatenate([self._explained_in(stack, vectors) for stack in stacks], axis=2)
         return dry, other
 
     def _explained_in(self, stack: BlockStack, vectors: Array) -> Array:
         """Both parts of the modelled data of one block, (2, Q, m)."""
         model, count = self.layout.model, len(vectors)
         path = stack.population_path(model.memory, count)
-        values = _values_in_run(self.layout, stack.runs[0], vectors)
+        values, n = self.layout.values(vectors, stack.runs[0])[0], len(path.t) // count
         nonlinear = {
             e.name: {
-                q.name: stack.repeat_values(values[e.name][q.name][:, None], len(path.t) // count, q.role == "depth")
+                q.name: stack.repeat_values(np.reshape(values[e.name][q.name], (-1, 1)), n, q.role == "depth")
                 for q in e.nonlinear
             }
             for e in model.effects
         }
         columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
-        force, shift = np.zeros((2, 2, count, len(path.t) // count))
+        force, shift = np.zeros((2, 2, count, n))
         for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
             total = force if e.acts_on == "force" else shift
             for column, q in zip(columns[e.name].T, e.linear, strict=True):
                 follows_level = q.loaded and bool(self.layout.levels)
-                total[0 if follows_level else 1] += values[e.name][q.name][:, None] * column.reshape(count, -1)
+                size = np.reshape(values[e.name][q.name], (-1, 1))
+                total[0 if follows_level else 1] += size * column.reshape(count, -1)
         data = stack.forward(force)
         return data + stack.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
 
@@ -165,17 +161,17 @@ class ReducedPopulationMisfit(_SearchMisfit):
     the amplitude is free in every run here.
     """
 
-    def __init__(
-        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
-    ) -> None:
-        super().__init__(layout, blocks, tau=tau, unit=unit)
-        self.searched = self.separable.free
-        self._loaded = np.array([k.loaded for k in self.separable.coefficients], dtype=float)
-        groups = self.separable.groups
-        self._varying = [g for g, group in enumerate(groups) if group.nonlinear_slots]
-        constant = [g for g in range(len(groups)) if g not in self._varying]
-        self._constant_rows = np.zeros((1, len(self.separable.coefficients), self.separable.size))
-        self._write_rows(constant, np.ones((1, len(layout.slots))), self._constant_rows)
+    @property
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
+        return self.separable.free
+
+    @cached_property
+    def _constant_rows(self) -> Array:
+        """Rows (1, K, M) of the groups without non-linear parameters, the others zero."""
+        rows = np.zeros((1, len(self.separable.coefficients), self.separable.size))
+        self._write_rows(False, np.ones((1, len(self.layout.slots))), rows)
+        return rows
 
     def coefficients(self, points: Array) -> Array:
         """Compute the coefficients (Q, K) of points (Q, d)."""
@@ -190,34 +186,21 @@ class ReducedPopulationMisfit(_SearchMisfit):
         c, rows = self._solved(points)
         if not self.layout.levels:
             return np.zeros((len(points), 1)), (c[:, None] @ rows)[:, 0]
-        dry, other = (np.stack([c * self._loaded, c * (1 - self._loaded)], axis=1) @ rows).transpose(1, 0, 2)
+        loaded = self.separable.loaded
+        dry, other = (np.stack([c * loaded, c * ~loaded], axis=1) @ rows).transpose(1, 0, 2)
         return dry, other
 
     def _solved(self, points: Array) -> tuple[Array, Array]:
         """Coefficients (Q, K) and rows (Q, K, M)."""
         rows = np.repeat(self._constant_rows, len(points), axis=0)
-        self._write_rows(self._varying, self.full_vectors(points), rows)
+        self._write_rows(True, self.full_vectors(points), rows)
         gram, right = rows @ rows.transpose(0, 2, 1), rows @ self.separable.data
         return bounded_population(gram, right, self.separable.low, self.separable.high), rows
 
-    def _write_rows(self, groups: Sequence[int], vectors: Array, rows: Array) -> None:
-        """Write the rows of some groups at parameter vectors (Q, P) into (Q, K, M)."""
-        for g in groups:
+    def _write_rows(self, varying: bool, vectors: Array, rows: Array) -> None:
+        """Write the rows of the groups with or without non-linear parameters at vectors (Q, P) into (Q, K, M)."""
+        for g in (g for g, group in enumerate(self.separable.groups) if bool(group.nonlinear_slots) == varying):
             for b, block in enumerate(self.blocks):
                 at = self.separable.column_positions[g][block.run]
-                rows[:, at[at >= 0], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, at >= 0]
-
-
-def _values_in_run(layout: ParameterLayout, run: int, vectors: Array) -> dict[str, dict[str, Any]]:
-    """Every parameter in one run, (Q,) each, for parameter vectors (Q, P), constraints applied."""
-    values: dict[str, dict[str, Any]] = {
-        e.name: {q.name: 0.0 if q.linear else 1.0 for q in e.parameters} for e in layout.model.effects
-    }
-    for (effect, name), value in layout.fixed.items():
-        values[effect][name] = value
-    for i in layout.active(run):
-        slot = layout.slots[i]
-        if slot.effect != LEVEL:
-            values[slot.effect][slot.parameter] = vectors[:, i]
-    apply_constraints(layout.model, layout.constraints, values)
-    return {e: {name: np.broadcast_to(v, len(vectors)) for name, v in own.items()} for e, own in values.items()}
+                own = at < rows.shape[1]
+                rows[:, at[own], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, own]

@@ -13,26 +13,22 @@ Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 
 from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan_tables import ScanItem, ScanTables, coefficients_of, scanned_effects
-from frictrack.fit.separable.table_scan import ScanGrid
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.scan import ScanGains, ScanItem, ScanTable, SolutionScan, scan_items
 from frictrack.records import Array
 
 MAX_PLACES = 3  # grid points of one scan that are refined
-MAX_PAIR_PLACES = 2  # pairs of neighbouring lines that are refined
 ROUGH_STEPS = 3  # steps while effects are still missing
 MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
 MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
 MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
-MIN_COUPLING = 0.1  # least shared variance of two effects that are searched again together
 LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
 SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
 MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
@@ -53,29 +49,18 @@ class VariableProjection:
 
     def __init__(self, separable: SeparableModel, tau: float = 0.03) -> None:
         self.separable, self.tau = separable, tau
-        self.tables = ScanTables(separable)
-        self.items = scanned_effects(separable)
-        self.item_coefficients = {item: coefficients_of(separable, item) for item in self.items}
-        self.unscanned_groups = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
+        self.items = scan_items(separable)
+        self.unscanned_groups = set(range(len(separable.groups))) - {i.g for i in self.items}
+        self._tables: dict[int, tuple[list[float], ScanTable]] = {}
+        self._last: SolutionScan | None = None
 
-    def __call__(self, data: Array | None = None, nonlinear_values: Array | None = None) -> SeparableSolution:
-        """Fit data.
-
-        Parameters
-        ----------
-        data : array of shape (M,), optional
-            Whitened data; default those of the blocks.
-        nonlinear_values : array of shape (P,), optional
-            First values of parameters that no scan finds.
-
-        Returns
-        -------
-        SeparableSolution
-            The best solution found.
-
-        """
+    def __call__(self, data: Array | None = None) -> SeparableSolution:
+        """Return the best solution found for whitened data (M,); default those of the blocks."""
         problem = self.problem(self.separable.data if data is None else data)
-        return self._exchange_until_no_gain(problem, self.start_solution(problem, nonlinear_values))
+        state = problem.solved_again(self._start)
+        if problem.levels:
+            state = problem.refine(state, self.unscanned_groups, steps=ROUGH_STEPS)
+        return self._exchange_until_no_gain(problem, self._add_items(problem, state, self.items), self.items)
 
     def problem(self, data: Array) -> ProjectedProblem:
         """Return the projected problem of data (M,)."""
@@ -89,91 +74,91 @@ class VariableProjection:
     @cached_property
     def _start(self) -> SeparableSolution:
         """The solution without any scanned effect, for the blocks' own data."""
-        return self._unscanned(self._problem, self.start_values())
-
-    def _unscanned(self, problem: ProjectedProblem, nonlinear_values: Array) -> SeparableSolution:
-        """The solution without any scanned effect."""
-        return problem.at(nonlinear_values, problem.empty_solution(nonlinear_values), self.unscanned_groups)
-
-    def start_solution(self, problem: ProjectedProblem, nonlinear_values: Array | None = None) -> SeparableSolution:
-        """Return the solution with every effect at the position that gained most when it was added, refined."""
-        state = (
-            problem.solved_again(self._start)
-            if nonlinear_values is None
-            else self._unscanned(problem, nonlinear_values)
-        )
-        if problem.levels:
-            state = problem.refine(state, self.unscanned_groups, steps=ROUGH_STEPS)
-        return self._add_items(problem, state)
-
-    def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
-        """Return the events of single runs that gain less than a penalty.
-
-        Parameters
-        ----------
-        state : SeparableSolution
-            The solution.
-        penalty : float
-            Smallest gain of chi-squared. The best run of every effect is kept in any case.
-
-        Returns
-        -------
-        frozenset of (str, int)
-            Pairs (effect, run).
-
-        """
-        problem = self._problem
-        without_item = {i: problem.without(state, self.item_coefficients[i]) for i in self.items if i.run is not None}
-        if problem.levels:  # friction levels may explain part of it
-            without_item = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in without_item.items()}
-        gains = {i: law.misfit - state.misfit for i, law in without_item.items()}
-        best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
-        return frozenset(
-            (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(penalty, best[i.effect])
-        )
-
-    def exchange_positions(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
-        """Exchange the positions of one effect, and of all effects with a short scan, until none helps."""
-        all_items = self.items
-        self.items = [
-            i for i in all_items if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS
-        ]
-        state = self._exchange_until_no_gain(problem, problem.refine(state))
-        self.items = all_items
-        return state
-
-    def restart_effect(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
-        """Remove one effect, find it again run by run, largest gain first, and exchange positions."""
-        all_items = self.items
-        self.items = [i for i in all_items if i.effect == effect]
-        without_item = problem.without(state, np.concatenate([self.item_coefficients[i] for i in self.items]))
-        found = self._add_items(
-            problem, problem.refine(without_item, self._groups_without(self.items), steps=ROUGH_STEPS)
-        )
-        self.items = all_items
-        return self.exchange_positions(problem, found, effect)
+        return self._problem.at(self.start_values(), groups=self.unscanned_groups)
 
     def start_values(self) -> Array:
         """Return first values (P,): levels one, the others inside their bounds."""
         low, high = self.separable.layout.bounds
-        out = np.ones(len(low))
-        for i, s in enumerate(self.separable.layout.slots):
-            if not s.linear and np.isfinite(low[i]) and np.isfinite(high[i]) and not low[i] <= 1.0 <= high[i]:
-                out[i] = 0.5 * (low[i] + high[i])
-        return out
+        is_known = np.array([s.linear for s in self.separable.layout.slots]) | (low <= 1.0) & (high >= 1.0)
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (low + high)
+        return np.where(is_known | ~np.isfinite(middle), 1.0, middle)
 
-    def _add_items(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-        """Add the effects that gain most together, refine them, and go on until none is missing."""
-        remaining = list(self.items)
+    def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
+        """Return the events of single runs, (effect, run), that gain less than a penalty.
+
+        The best run of every effect is kept in any case.
+        """
+        problem, gains = self._problem, dict[tuple[str, int], float]()
+        for item in self.items:
+            if item.run is None:
+                continue
+            left = problem.without(state, item.coefficients)
+            if problem.levels:  # friction levels may explain part of it
+                left = problem.refine(left, (), steps=ROUGH_STEPS)
+            gains[item.effect.name, item.run] = left.misfit - state.misfit
+        best = {effect: max(g for (e, _), g in gains.items() if e == effect) for effect, _ in gains}
+        return frozenset(event for event, g in gains.items() if g < min(penalty, best[event[0]]))
+
+    def exchange_positions(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
+        """Exchange the positions of one effect, and of all effects with a short scan, until none helps."""
+        items = [i for i in self.items if i.effect.name == effect or len(i.grid.values) <= SHORT_SCAN_POINTS]
+        return self._exchange_until_no_gain(problem, problem.refine(state), items)
+
+    def restart_effect(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
+        """Remove one effect, find it again run by run, largest gain first, and exchange positions."""
+        items = [i for i in self.items if i.effect.name == effect]
+        without_effect = problem.without(state, np.concatenate([i.coefficients for i in items]))
+        start = problem.refine(without_effect, self._groups_without(items), steps=ROUGH_STEPS)
+        return self.exchange_positions(problem, self._add_items(problem, start, items), effect)
+
+    def misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
+        """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
+        gains = (self._one_more(problem, state, i).largest for i in self.items)
+        return max(gains, default=0.0) > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
+
+    # --- scans
+
+    def _scan(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
+    ) -> tuple[SolutionScan, ScanTable]:
+        """The scans of a solution, and the table of an item, kept while other parameters of its group are the same."""
+        if self._last is None or self._last.state is not state:
+            self._last = SolutionScan(problem, state)
+        others = state.nonlinear_values[item.others].tolist()
+        if item.kind not in self._tables or self._tables[item.kind][0] != others:
+            self._tables[item.kind] = others, ScanTable.of(self.separable, item, state.nonlinear_values)
+        return self._last, self._tables[item.kind][1]
+
+    def _one_more(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
+        """The gain of every grid point of one more effect like an item."""
+        scans, table = self._scan(problem, state, item)
+        return scans.one_more(item, table)
+
+    def _moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
+        """The gain of every grid point of an item that leaves its own position."""
+        scans, table = self._scan(problem, state, item)
+        return scans.moved(item, table)
+
+    # --- search
+
+    def _add_items(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
+    ) -> SeparableSolution:
+        """Add the effect that gains most, refine, and go on until none is missing; events in all runs at once."""
+        remaining = list(items)
         while remaining:
-            added = self.tables.best_positions(remaining, state, problem.data)
+            scans = {i: self._one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
+            best = max(scans, key=lambda i: scans[i].largest)
+            chosen = {i.run: i for i in sorted(scans, key=lambda i: scans[i].largest) if i.effect is best.effect}
+            added = {i: scans[i].summit(scans[i].best) for i in chosen.values()}
             remaining = [i for i in remaining if i not in added]
             state = self._with_items_at(problem, state, added)
             if remaining:
                 state = problem.refine(state, self._groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
         return problem.refine(state)
 
-    def _groups_without(self, remaining: list[ScanItem]) -> set[int]:
+    def _groups_without(self, remaining: Sequence[ScanItem]) -> set[int]:
         """Groups without those of the remaining items."""
         return set(range(len(self.separable.groups))) - {i.g for i in remaining}
 
@@ -183,153 +168,76 @@ class VariableProjection:
         """The solution with the scanned parameters of some items at some values (d,)."""
         nonlinear_values = state.nonlinear_values.copy()
         for item, own in values.items():
-            for slots, value in zip(self.tables.slots(item), own, strict=True):
+            for slots, value in zip(item.slots, own, strict=True):
                 nonlinear_values[slots] = value
-        taking_part = np.concatenate([self.item_coefficients[item] for item in values])
+        taking_part = np.concatenate([item.coefficients for item in values])
         return problem.at(nonlinear_values, state, {item.g for item in values}, taking_part)
 
-    def _exchange_until_no_gain(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
-        """Try other positions of every effect, then of pairs of effects, until none helps."""
+    def _exchange_until_no_gain(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
+    ) -> SeparableSolution:
+        """Try other positions of every effect, then of pairs of effects, the most promising first, until none helps."""
+        needed = 1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size)
         better: SeparableSolution | None = state
         while better is not None:
-            state = better
-            better = self._try_other_positions(problem, state) or self._try_pairs(problem, state)
+            state, better = better, None
+            for trials in (self._other_positions, self._other_pairs):
+                for trial in trials(problem, state, items):
+                    refined = problem.refine(trial, below=needed * state.misfit)
+                    if refined.misfit < needed * state.misfit:
+                        better = refined
+                        break
+                if better is not None:
+                    break
         return state
 
-    def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
-        """A better solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
-        if len(self.items) < 2:
-            return None
-        shares, losses = self._shares_and_losses(state)
-        gains = self._gains_of_one_more(problem, state)
-        misses_effect = self._is_large(max(gains.values()), state)
-        for (i, one), (j, other) in permutations(enumerate(self.items), 2):
-            better = None
-            pays = min(losses[i], losses[j]) < MAX_PAIR_GAIN_RATIO * gains[self._kind(one)]
-            if i < j and pays and self._are_same_kind(one, other):
-                better = self._try_neighbouring_lines(problem, state, one, other)
-            may_exchange = misses_effect and not _are_in_different_runs(one, other)
-            if better is None and (may_exchange or shares[i, j] > MIN_COUPLING):
-                better = self._try_both_again(problem, state, one, other)
-            if better is not None:
-                return better
-        return None
+    def _other_positions(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
+    ) -> Iterator[SeparableSolution]:
+        """The solution with one effect at another position that is worth a refinement, the most promising first."""
+        places = []
+        for item in items:
+            found = self._moved(problem, state, item)
+            for g in found.peaks(-self._max_lag(state, found.loss))[:MAX_PLACES].tolist():
+                if not item.is_at(state.nonlinear_values, g):
+                    places.append((float(found.gains[g]), item, found.summit(g)))
+        for _, item, values in sorted(places, key=lambda place: -place[0]):
+            yield self._with_items_at(problem, state, {item: values})
 
-    def misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
-        """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
-        return self._is_large(max(self._gains_of_one_more(problem, state).values(), default=0.0), state)
+    def _max_lag(self, state: SeparableSolution, loss: float) -> float:
+        """By how much a grid point may be behind and still be refined, where an effect of some gain moves there."""
+        return MAX_LAG_SHARE * loss + MAX_LAG_CHI2 * state.misfit / self.separable.size
 
-    def _is_large(self, gain: float, state: SeparableSolution) -> bool:
-        """Whether an effect gains far more than by chance."""
-        return gain > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
+    def _other_pairs(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
+    ) -> Iterator[SeparableSolution]:
+        """The solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
+        if len(items) < 2:
+            return
+        misses_effect = self.misses_effect(problem, state)
+        loss = {i: self._moved(problem, state, i).loss for i in items}
+        for one, other in permutations(items, 2):
+            gain = self._one_more(problem, state, one).largest
+            is_pair = one.kind == other.kind and len(one.slots) == 1
+            if is_pair and min(loss[one], loss[other]) < MAX_PAIR_GAIN_RATIO * gain:
+                yield self._with_line_split(problem, state, one, other)
+            if misses_effect and (one.run == other.run or None in (one.run, other.run)):
+                yield self._with_both_again(problem, state, one, other)
 
-    def _gains_of_one_more(self, problem: ProjectedProblem, state: SeparableSolution) -> dict[tuple[Any, ...], float]:
-        """The largest gain of one more effect of every kind."""
-        kinds = {self._kind(i): i for i in reversed(self.items)}
-        return {kind: self.tables.scan(i, state, problem.data).largest for kind, i in kinds.items()}
-
-    def _kind(self, item: ScanItem) -> tuple[Any, ...]:
-        """What items have in common that are instances of one effect in one run."""
-        return self.separable.groups[item.g].model.effects[0].columns, item.run
-
-    def _try_other_positions(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
-        """A better solution with one effect at another position, the most promising first; None if there is none."""
-        places = [place for item in self.items for place in self._other_places(problem, state, item)]
-        for _, item, values in sorted(places, key=lambda place: place[0]):
-            better = self._refine_if_better(problem, state, self._with_items_at(problem, state, {item: values}))
-            if better is not None:
-                return better
-        return None
-
-    def _other_places(
-        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
-    ) -> Iterator[tuple[float, ScanItem, Array]]:
-        """Other positions of an effect that are worth a refinement: misfit on the grid, effect and scanned values."""
-        found = self.tables.moves(item, state, problem.data)
-        without_item = state.misfit + found.loss
-        for g in found.peaks(without_item - self._max_promising_misfit(state, without_item))[:MAX_PLACES]:
-            if not self._is_current_position(item, state, found.grid, int(g)):
-                yield without_item - float(found.gains[g]), item, found.summit(g)
-
-    def _max_promising_misfit(self, state: SeparableSolution, without_item: float) -> float:
-        """Largest misfit on the grid that is worth a refinement."""
-        return (
-            state.misfit
-            + MAX_LAG_SHARE * (without_item - state.misfit)
-            + MAX_LAG_CHI2 * state.misfit / self.separable.size
-        )
-
-    def _try_neighbouring_lines(
+    def _with_line_split(
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
-    ) -> SeparableSolution | None:
-        """A better solution with two lines at neighbouring grid points."""
-        found = self.tables.pair_moves((one, other), state, problem.data)
-        slots = self.tables.slots(one)[0], self.tables.slots(other)[0]
-        values = self.tables.grid(one).values
-        without_both = state.misfit + found.loss
-        for g in found.peaks(without_both - self._max_promising_misfit(state, without_both))[:MAX_PAIR_PLACES]:
-            nonlinear_values = state.nonlinear_values.copy()
-            nonlinear_values[slots[0]], nonlinear_values[slots[1]] = values[g], values[g + 1]
-            better = self._refine_if_better(problem, state, problem.at(nonlinear_values, state, {one.g, other.g}))
-            if better is not None:
-                return better
-        return None
+    ) -> SeparableSolution:
+        """Two lines at the grid points on either side of one of them, which a single one hardly differs from."""
+        axis, value = one.grid.axes[0], state.nonlinear_values[one.slots[0][0]]
+        g = int(np.clip(np.searchsorted(axis, value), 1, len(axis) - 1))
+        return self._with_items_at(problem, state, {one: axis[[g - 1]], other: axis[[g]]})
 
-    def _try_both_again(
+    def _with_both_again(
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
-    ) -> SeparableSolution | None:
-        """A better solution with both items removed, then `one` and after it `other` at their best positions."""
-        without_both = problem.without(
-            state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
-        )
-        first = self.tables.scan(one, without_both, problem.data)
-        with_one = self._with_items_at(problem, without_both, {one: first.summit(first.best)})
-        without_item = problem.without(with_one, self.item_coefficients[other])
-        second = self.tables.scan(other, without_item, problem.data)
-        best_misfit = without_item.misfit - second.gains[second.best]
-        if best_misfit > self._max_promising_misfit(state, without_both.misfit):
-            return None
-        trial = self._with_items_at(problem, with_one, {other: second.summit(second.best)})
-        return self._refine_if_better(problem, state, trial)
-
-    def _refine_if_better(
-        self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
-    ) -> SeparableSolution | None:
-        """The refined trial, or None if it does not lower the misfit."""
-        needed = state.misfit * (1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size))
-        trial = problem.refine(trial, below=needed)
-        return trial if trial.misfit < needed else None
-
-    def _are_same_kind(self, one: ScanItem, other: ScanItem) -> bool:
-        """Whether two items are instances of one effect with one scanned parameter."""
-        a, b = (self.separable.groups[i.g].model.effects[0] for i in (one, other))
-        return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
-
-    def _shares_and_losses(self, state: SeparableSolution) -> tuple[Array, Array]:
-        """Which share of each other's rows two of N items explain, all others given, (N, N), and what each gains (N,).
-
-        All of it stands in the inverse Gram matrix, whose blocks are the covariances of the items' coefficients.
-        """
-        size = np.sqrt(np.maximum(state.gram.diagonal(), 1e-300))
-        covariance = np.linalg.inv(state.gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
-        c, parts, losses = state.coefficients * size, [], []
-        for own in self.item_coefficients.values():
-            precision = np.linalg.inv(covariance[np.ix_(own, own)])
-            parts.append(precision @ covariance[own])
-            losses.append(float(c[own] @ precision @ c[own]))
-        coefficients = list(self.item_coefficients.values())
-        shares = [
-            [float(np.sum(a[:, theirs] * b[:, mine].T)) for b, theirs in zip(parts, coefficients, strict=True)]
-            for a, mine in zip(parts, coefficients, strict=True)
-        ]
-        return np.array(shares), np.array(losses)
-
-    def _is_current_position(self, item: ScanItem, state: SeparableSolution, grid: ScanGrid, g: int) -> bool:
-        """Whether the item is within one grid step of this point already."""
-        nearest = grid.nearest(state.nonlinear_values[[slots[0] for slots in self.tables.slots(item)]])
-        return bool(np.all(np.abs(grid.steps[nearest] - grid.steps[g]) <= 1))
-
-
-def _are_in_different_runs(one: ScanItem, other: ScanItem) -> bool:
-    """Whether two items are events of different runs, which can only disturb each other through common parameters."""
-    return one.run is not None and other.run is not None and one.run != other.run
+    ) -> SeparableSolution:
+        """Both items removed, then `one` and after it `other` at their best positions."""
+        state = problem.without(state, np.concatenate([one.coefficients, other.coefficients]))
+        for item in (one, other):
+            found = self._one_more(problem, state, item)
+            state = self._with_items_at(problem, state, {item: found.summit(found.best)})
+        return state

@@ -1,7 +1,11 @@
 """Gauss-Newton on the projected problem: bounded least squares gives the coefficients for any non-linear parameters.
 
-A step needs only the Gram matrix of the model's rows. The friction levels are non-linear parameters here, with a
-penalty about one.
+The model along the measured motion is linear in its coefficients c, given its non-linear parameters p:
+
+    data = sum over k of c_k (level of the run, if column k carries the load) column_k(p) + error
+
+So c is solved for every p, and only p is searched (variable projection). A step needs only the Gram matrix of the
+columns. The friction levels are non-linear parameters here, with a penalty about one.
 
 References
 ----------
@@ -15,23 +19,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import count
+from dataclasses import dataclass
 
 import numpy as np
 
 from frictrack.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
 from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, solve_positive
-from frictrack.fit.separable.derivatives import RELATIVE_STEP, RowChange, RowEvaluator, Tangent
-from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
+from frictrack.fit.separable.model import Indices, SeparableModel
 from frictrack.records import Array, Mask
 
+RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
 MIN_DAMPING_AFTER_FAILURE = 1e-3  # larger ones end in other minima: two of 1000 searches for ATM2 missed their optimum
 COST_OF_EVALUATION = 0.1  # in a budget, where a simulation of all runs costs 1 (2 and 18 ms)
 MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
+NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +45,8 @@ class SeparableSolution:
     ----------
     nonlinear_values : array of shape (P,)
         Parameter vector; linear entries are not used.
+    columns : dict of int to array of shape (1 + q, k, M)
+        Columns of every evaluated group at level one, and their derivatives by its q non-linear parameters.
     rows : array of shape (K, M)
         Data per unit coefficient.
     gram : array of shape (K, K)
@@ -56,26 +61,44 @@ class SeparableSolution:
         Sum of squared residuals plus penalties.
     excluded : array of bool, shape (K,)
         Coefficients that take no part.
-    versions : tuple of int
-        Evaluation number of every group's rows.
-    tangent : Tangent
-        Response to the parameters that were refined last; of a solution that was not refined, to the friction levels.
-    row_derivatives : dict
-        Derivatives of the rows by the position of the non-linear parameter.
 
     """
 
     nonlinear_values: Array
+    columns: dict[int, Array]
     rows: Array
     gram: Array
     coefficients: Array
     unconstrained: Mask
-    residual: Array  # (M,)
+    residual: Array
     misfit: float
     excluded: Mask
-    versions: tuple[int, ...]
-    tangent: Tangent
-    row_derivatives: dict[int, list[RowChange]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """The response of a solution to d non-linear parameters and R friction levels, at constant coefficients.
+
+    Attributes
+    ----------
+    positions : array of int, shape (d + R,)
+        Positions of the parameters in the layout, the levels last.
+    rows : array of shape (d + R, M)
+        Change of the modelled data per unit of each.
+    normal : array of shape (d + R, d + R)
+        Inner products of the rows, with the precision of the penalties.
+    gradient : array of shape (d + R,)
+        Half the downward slope of the misfit.
+    is_inside : array of bool, shape (d + R,)
+        Which of them are inside their bounds.
+
+    """
+
+    positions: Indices
+    rows: Array
+    normal: Array
+    gradient: Array
+    is_inside: Mask
 
 
 class ProjectedProblem:
@@ -83,8 +106,6 @@ class ProjectedProblem:
 
     Its evaluations count in `budget`; once that is spent, nothing is refined further.
     """
-
-    _versions = count(1)
 
     def __init__(
         self, separable: SeparableModel, data: Array, tau: float = 0.03, budget: EvaluationBudget | None = None
@@ -102,8 +123,6 @@ class ProjectedProblem:
         self._prior_rows, self._prior_target = self._prior_equations(tau)
         width = self.high - self.low
         self._min_step = RELATIVE_STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
-        self._evaluate = RowEvaluator(separable, self._min_step)
-        self._loaded = np.array([c.loaded for c in separable.coefficients], dtype=bool)
 
     def for_data(self, data: Array) -> ProjectedProblem:
         """Return the same problem for other data (M,)."""
@@ -113,15 +132,13 @@ class ProjectedProblem:
 
     def solved_again(self, state: SeparableSolution) -> SeparableSolution:
         """Return a solution of other data with the coefficients of these data."""
-        return self._solution_of(
-            state.nonlinear_values, state.rows, state.excluded, (state.versions, state.row_derivatives)
-        )
+        return self._solved(state.nonlinear_values, state.columns, state.excluded)
 
-    @cached_property
-    def _no_tangent(self) -> Tangent:
-        """The response to no parameter."""
-        none, empty = np.zeros(0), np.zeros((0, self.separable.size))
-        return Tangent(NO_INDICES, empty, none, NO_INDICES, None, none, none.astype(bool))
+    def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
+        """Return a solution with some coefficients excluded and the others solved again."""
+        excluded = state.excluded.copy()
+        excluded[coefficients] = True
+        return self._solved(state.nonlinear_values, state.columns, excluded)
 
     def _prior_equations(self, tau: float) -> tuple[Array, Array]:
         """Rows (m, P) and targets (m,) of the penalties, in standard deviations, without priors of coefficients."""
@@ -131,31 +148,6 @@ class ProjectedProblem:
         rows = rows[: len(rows) - len(self.layout.priors)]
         prior_rows, prior_targets = direct_prior_equations(self.layout, self.separable.free)
         return np.vstack([rows, prior_rows]), np.concatenate([rows @ levels, prior_targets])
-
-    def empty_solution(self, nonlinear_values: Array) -> SeparableSolution:
-        """Return a solution without any effect: all rows zero."""
-        k = len(self.separable.coefficients)
-        zero = np.zeros((k, self.separable.size))
-        no_coefficient = np.zeros(k, dtype=bool)
-        versions = (0,) * len(self.separable.groups)
-        return SeparableSolution(
-            nonlinear_values,
-            zero,
-            np.zeros((k, k)),
-            np.zeros(k),
-            no_coefficient,
-            self.data,
-            np.inf,
-            ~no_coefficient,
-            versions,
-            self._no_tangent,
-        )
-
-    def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
-        """Return a solution with some coefficients excluded and the others solved again."""
-        excluded = state.excluded.copy()
-        excluded[coefficients] = True
-        return self._solution_of(state.nonlinear_values, state.rows, excluded, (state.versions, state.row_derivatives))
 
     def at(
         self,
@@ -171,7 +163,7 @@ class ProjectedProblem:
         nonlinear_values : array of shape (P,)
             Parameter vector.
         known : SeparableSolution, optional
-            Solution whose rows are reused for all groups not in `groups`.
+            Solution whose columns are reused for all groups not in `groups`; by default these take no part.
         groups : iterable of int, optional
             Groups to evaluate; default all.
         taking_part : array of int, optional
@@ -184,106 +176,71 @@ class ProjectedProblem:
 
         """
         self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
-        base = known or self.empty_solution(nonlinear_values)
-        rows, excluded = base.rows.copy(), base.excluded.copy()
-        row_derivatives, versions = dict(base.row_derivatives), list(base.versions)
-        if self.levels:
-            self._rescale_levels(base.nonlinear_values, nonlinear_values, rows, (row_derivatives, versions))
-        chosen = list(range(len(self.separable.groups)) if groups is None else groups)
-        for g in chosen:
-            versions[g] = next(self._versions)
+        columns = {} if known is None else dict(known.columns)
+        excluded = np.ones(len(self.separable.coefficients), bool) if known is None else known.excluded.copy()
+        steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values), self._min_step)
+        for g in range(len(self.separable.groups)) if groups is None else groups:
+            columns[g] = self.separable.columns(g, nonlinear_values, steps)
             excluded[self.separable.coefficients_of(g) if taking_part is None else taking_part] = False
-            for i in self.separable.groups[g].nonlinear_slots:
-                row_derivatives[i] = [c for c in row_derivatives.get(i, ()) if c.g != g]
-        for i, change in self._evaluate(chosen, nonlinear_values, rows):
-            row_derivatives[i].append(change)
-        return self._solution_of(nonlinear_values, rows, excluded, (tuple(versions), row_derivatives))
+        return self._solved(nonlinear_values, columns, excluded)
 
-    def _rescale_levels(
-        self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[RowChange]], list[int]]
-    ) -> None:
-        """Rescale rows and derivatives to new friction levels, and renew the versions of the groups that change."""
-        separable, (row_derivatives, versions) = self.separable, kept
-        factor = new[self.levels] / old[self.levels]
-        if np.all(factor == 1.0):
-            return
-        factors = factor[separable.run_of_datum]
-        rows[self._loaded] *= factors
-        for i, own in row_derivatives.items():
-            row_derivatives[i] = [change.rescaled(self._loaded, factors) for change in own]
-        for g in range(len(separable.groups)):
-            if self._loaded[separable.coefficients_of(g)].any():
-                versions[g] = next(self._versions)
-
-    def _solution_of(
-        self,
-        nonlinear_values: Array,
-        rows: Array,
-        excluded: Mask,
-        kept: tuple[tuple[int, ...], dict[int, list[RowChange]]],
-    ) -> SeparableSolution:
-        """Solve the coefficients for given rows."""
+    def _solved(self, nonlinear_values: Array, columns: dict[int, Array], excluded: Mask) -> SeparableSolution:
+        """Solve the coefficients for given columns."""
+        separable, k = self.separable, len(excluded)
+        rows = np.zeros((k + 1, separable.size))  # the last one for columns without a coefficient
+        for g, own in columns.items():
+            at = separable.at[g]
+            rows[at if at.ndim == 1 else (at, np.arange(separable.size))] = own[0]
+        rows = rows[:k]
+        if self.levels:
+            rows[separable.loaded] *= self._levels_of_data(nonlinear_values)
         gram, right = rows @ rows.T, rows @ self.data
         if excluded.any():
             taking_part = ~excluded
             gram *= taking_part & taking_part[:, None]
             right *= taking_part
-        c, unconstrained = bounded_coefficients(gram, right, self.separable.low, self.separable.high)
+        c, unconstrained = bounded_coefficients(gram, right, separable.low, separable.high)
         residual = self.data - c @ rows
-        misfit = float(residual @ residual)
-        if len(self._prior_target):
-            departure = self._prior_rows @ nonlinear_values - self._prior_target
-            misfit += float(departure @ departure)
-        state = SeparableSolution(
-            nonlinear_values,
-            rows,
-            gram,
-            c,
-            unconstrained,
-            residual,
-            misfit,
-            excluded,
-            kept[0],
-            self._no_tangent,
-            kept[1],
-        )
-        return replace(state, tangent=self.tangent(state, ())) if self.levels else state
+        departure = self._prior_rows @ nonlinear_values - self._prior_target
+        misfit = float(residual @ residual + departure @ departure)
+        return SeparableSolution(nonlinear_values, columns, rows, gram, c, unconstrained, residual, misfit, excluded)
+
+    def _levels_of_data(self, nonlinear_values: Array) -> Array:
+        """The friction level of the run of every datum, (M,)."""
+        return np.asarray(nonlinear_values[self.levels][self.separable.run_of_datum])
 
     def tangent(self, state: SeparableSolution, parameters: Sequence[int]) -> Tangent:
-        """Compute the response of a solution to non-linear parameters.
-
-        Parameters
-        ----------
-        state : SeparableSolution
-            The solution.
-        parameters : sequence of int
-            Positions of the parameters in the layout, without friction levels. These are added at the end.
-
-        Returns
-        -------
-        Tangent
-            The response at constant coefficients.
-
-        """
+        """Compute the response of a solution to non-linear parameters, given by their positions, and to all levels."""
+        separable, run, c = self.separable, self.separable.run_of_datum, state.coefficients
         positions = np.array([*parameters, *self.levels], dtype=int)
-        own = state.nonlinear_values[positions]
-        is_inside = (own > self.low[positions]) & (own < self.high[positions])
-        slopes, per_datum, run = np.zeros((len(parameters), self.separable.size)), np.zeros(0), NO_INDICES
-        c = np.append(state.coefficients, 0.0)  # the last one for columns without a coefficient
-        for slope, i in zip(slopes, parameters, strict=True):
-            for change in state.row_derivatives.get(i, ()):
-                slope[change.cut] += c[change.at] @ change.rows
+        rows = np.zeros((len(positions), separable.size))
+        slopes = {
+            g: self._slopes(state, g)
+            for g in {g for i in parameters for g, *_ in separable.responses[i]} & set(state.columns)
+        }
+        for row, i in zip(rows, parameters, strict=False):
+            for g, j, own in separable.responses[i]:
+                if g in slopes:
+                    row[:] += slopes[g][j] if own is None else np.where(run == own, slopes[g][j], 0.0)
         if self.levels:
-            run = self.separable.run_of_datum
-            dry = state.coefficients[self._loaded] @ state.rows[self._loaded]
-            per_datum = dry / state.nonlinear_values[self.levels][run]
-        tangent = Tangent(positions, slopes, per_datum, run, None, np.zeros(0), is_inside)
-        gradient = tangent.products(state.residual[None])[0]
-        if not len(self._prior_target):
-            return replace(tangent, gradient=gradient)
-        prior_rows = self._prior_rows[:, positions]
-        gradient -= prior_rows.T @ (self._prior_rows @ state.nonlinear_values - self._prior_target)
-        return replace(tangent, gradient=gradient, precision=prior_rows.T @ prior_rows)
+            dry = c[separable.loaded] @ state.rows[separable.loaded] / self._levels_of_data(state.nonlinear_values)
+            rows[len(parameters) + run, np.arange(separable.size)] = dry
+        own, prior_rows = state.nonlinear_values[positions], self._prior_rows[:, positions]
+        departure = self._prior_rows @ state.nonlinear_values - self._prior_target
+        return Tangent(
+            positions=positions,
+            rows=rows,
+            normal=rows @ rows.T + prior_rows.T @ prior_rows,
+            gradient=rows @ state.residual - prior_rows.T @ departure,
+            is_inside=(own > self.low[positions]) & (own < self.high[positions]),
+        )
+
+    def _slopes(self, state: SeparableSolution, g: int) -> Array:
+        """Change of the modelled data per unit of the q parameters of a group, (q, M)."""
+        columns, loaded = state.columns[g][1:], self.separable.loaded_columns(g)
+        if self.levels and loaded.any():
+            columns = columns * np.where(loaded[:, None], self._levels_of_data(state.nonlinear_values), 1.0)
+        return self.separable.weighted(g, state.coefficients, columns)
 
     def refine(
         self,
@@ -337,20 +294,17 @@ class ProjectedProblem:
                 normal = self._normal_matrix(state, tangent)
             else:
                 damping = max(30 * damping, MIN_DAMPING_AFTER_FAILURE)
-        return replace(state, tangent=tangent)
+        return state
 
     def _normal_matrix(self, state: SeparableSolution, tangent: Tangent) -> Array:
         """Normal matrix (R, R) of the parameters of a tangent, coefficients projected out."""
-        normal, products, gram = tangent.normal, tangent.products(state.rows), state.gram
-        if not state.unconstrained.all():
-            products, gram = products[state.unconstrained], gram[np.ix_(state.unconstrained, state.unconstrained)]
-        if not len(gram):
-            return normal
+        free = state.unconstrained
+        gram, products = state.gram[np.ix_(free, free)], state.rows[free] @ tangent.rows.T
         size = np.sqrt(gram.diagonal())
         unit = gram / (size * size[:, None])
         unit.flat[:: len(size) + 1] += RIDGE
         products /= size[:, None]
-        return np.asarray(normal - products.T @ solve_positive(unit, products))
+        return np.asarray(tangent.normal - products.T @ solve_positive(unit, products)) if len(size) else tangent.normal
 
     def _step(self, state: SeparableSolution, tangent: Tangent, normal: Array, damping: float) -> tuple[Array, float]:
         """Damped step (R,) within the bounds, and the predicted fall of the misfit."""
