@@ -222,7 +222,7 @@ def _own_estimates(name: str, recording: SyntheticRecording, truth: Array) -> li
         return ["no fit"] * len(truth)
     if name.startswith("atm1"):
         lines = [e for e in fitted.model.names if e.startswith("vibration")]
-        lines.sort(key=lambda e: fitted.parameters[f"{e}.frequency"].value)
+        lines.sort(key=lambda e: fitted.parameters[f"{e}.frequency"].value or 0.0)
         order = np.argsort(np.argsort(truth[5::3]))
         sines = [f"{lines[i]}.{part}" for i in order for part in ("amplitude", "frequency", "phase[r]")]
         addresses = ["F_c", "F_s", "F_v", "v_s", *sines]
