@@ -177,8 +177,8 @@ class Explanations:
         for centre in self.laws(size - 1)[:N_CENTRES]:
             self.expand(centre)
         if size == 2:
-            best = min((one.criterion for one in [*self.of_size(2), *self.laws(1)] if not one.objection), default=np.inf)
-            self._propose_pairs(best + MIN_CHI2_SEPARATED)
+            rivals = [one.criterion for one in [*self.of_size(2), *self.laws(1)] if not one.objection]
+            self._propose_pairs(min(rivals, default=np.inf) + MIN_CHI2_SEPARATED)
         self.refine(size)
         self._exchange_law(size)
         while True:
