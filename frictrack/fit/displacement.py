@@ -43,7 +43,6 @@ MAX_REFINEMENTS = 30  # function evaluations beyond the grid
 FIRST_SEGMENT_FRAMES = 128  # frames of the first, shortest stretches
 STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
 STOP_MARGIN_FRAMES = 2.0  # frames left out before a stop
-SAME_OBJECTIVE_SHARE = 1e-3  # of an objective, by which another start must be better to be another minimum
 GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame below which no second start is tried
 MAX_REVERSAL_SEGMENTS = 16  # segments used for the first fit of a long record with reversals
 COEFFICIENT_SHARES = (1.0, 0.5, 0.2, 0.0)  # factors on start coefficients, until the motion does not diverge
@@ -81,33 +80,32 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, spans)
-    # clock errors are found in simulation, for few runs
-    later = [e for e in entry_order(model)[1] if not is_scannable(e) or e.clock is not None]
-    found, begun = [], None
+    found = []
     with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
-        begun = _by_variable_projection(model, later, pieces, (names, spans))
-        found.append(_add_later(begun, model, later) if later else begun)
+        found.append(_by_variable_projection(model, pieces, names, spans))
     # a relaxed effect has too many parameters for a scan; one with memory takes ten times as long
     can_grow = not any(e.relaxed or e.memory for e in model.effects)
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         with suppress(FrictrackError) if found else nullcontext():
-            found += _from_scratch(model, pieces, (names, spans), begun if found and later else None)
+            found.append(_from_scratch(model, pieces, names, spans))
         for other in reversed_ties(model):
             with suppress(FrictrackError):  # the requested direction of the tie has been fitted already
-                found += [_with_ties_of(s, model) for s in _from_scratch(other, pieces, (names, spans))]
+                found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
     return refit_until_stop(min(found, key=lambda s: s.objective))
 
 
-Runs = tuple[tuple[str, ...], tuple[Span, ...]]  # names of the runs, and what can be scanned along them
-
-
-def _by_variable_projection(model: Model, later: list[Effect], pieces: list[Piece], runs: Runs) -> Solution:
-    """The fit without the later effects that variable projection starts.
+def _by_variable_projection(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
+) -> Solution:
+    """The fit that variable projection starts; effects that it cannot scan are added afterwards.
 
     FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
     """
+    _, scanned = entry_order(model)
+    # clock errors are found in simulation, for few runs
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]
     first = Model(tuple(e for e in model.effects if e not in later))
-    problem = LeastSquaresProblem(first, ParameterLayout(first, *runs), pieces)
+    problem = LeastSquaresProblem(first, ParameterLayout(first, names, spans), pieces)
     blocks = [displacement_block(p) for p in problem.pieces]
     separable = SeparableModel(problem.layout, blocks)
     search = variable_projection(separable)
@@ -119,7 +117,8 @@ def _by_variable_projection(model: Model, later: list[Effect], pieces: list[Piec
         separable = SeparableModel(problem.layout, blocks)
         projected = ProjectedProblem(separable, separable.data)
         state = projected.refine(projected.at(np.array([start_values[n] for n in problem.layout.names])))
-    return _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
+    solution = _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
+    return _add_later(solution, model, later) if later else solution
 
 
 def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
@@ -178,24 +177,15 @@ def _effect_with_ties(effect: Effect, ties: dict[tuple[str, str], Parameter]) ->
     return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
 
 
-def _from_scratch(model: Model, pieces: list[Piece], runs: Runs, known: Solution | None = None) -> list[Solution]:
-    """One effect after the other, then all together to convergence.
-
-    None where this passes through a solution that is known already, which has been continued from there.
-    """
+def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """One effect after the other, then all together to convergence."""
     plain, scanned = entry_order(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = ParameterLayout(Model(tuple(plain)), *runs)
+    layout = ParameterLayout(Model(tuple(plain)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
-    if known is not None:
-        first = [e for e in scanned if e in known.problem.model.effects]
-        solution = _add_later(solution, known.problem.model, first) if first else solution
-        if solution.objective > known.objective * (1 - SAME_OBJECTIVE_SHARE):
-            return []
-        scanned = [e for e in scanned if e not in first]
-    return [_add_later(solution, model, scanned)]
+    return _add_later(solution, model, scanned)
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
