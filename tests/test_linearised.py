@@ -13,6 +13,7 @@ import pytest
 from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
 from frictrack import effects, models, samples
+from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit import add_effect, fit, reference_of, refine
 from frictrack.fit.least_squares import heldout_rms
 from frictrack.fit.linearised import (
@@ -25,7 +26,15 @@ from frictrack.fit.linearised import (
 from frictrack.fit.linearised.scan import _inverse_root
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.pieces import pieces_of
-from frictrack.fit.stepwise import baseline_misfit, deepen_trials, misfit_left_by_other, simulate_trial, try_effect
+from frictrack.fit.stepwise import (
+    baseline_misfit,
+    deepen_trials,
+    misfit_left_by_other,
+    scan_effects,
+    simulate_trial,
+    try_effect,
+    try_effects,
+)
 from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse
 
@@ -86,6 +95,26 @@ class TestTraced:
         there = dict(zip(trial.layout.names, trial.p, strict=True))
         assert there["texture.period"] == pytest.approx(HIDDEN["texture"]["period"], rel=0.01)
         assert there["texture.amplitude"] == pytest.approx(HIDDEN["texture"]["amplitude"], rel=0.1)
+
+
+class TestTogether:
+    def test_effects_far_behind_the_best_are_not_refined_to_their_end(self, lacks_texture):
+        names, spent, found = ("spring", "texture", "drag", "patch"), [], []
+        for together in (True, False):
+            budget = EvaluationBudget()
+            problem = lacks_texture.problem.with_budget(budget)
+            law = linearise(replace(lacks_texture, problem=problem))
+            series = measured_series(law)
+            scanned = scan_effects(law, [effects.get(name) for name in names], series)
+            data = series.coordinates[:, 0]
+            trials = try_effects(law, scanned, data) if together else [try_effect(law, *s, data) for s in scanned]
+            spent.append(budget.used)
+            found.append({t.effect.name: t.misfit for t in trials})
+        some, every = found
+        assert spent[0] < 0.8 * spent[1]
+        assert some["texture"] == pytest.approx(every["texture"], rel=1e-9)
+        assert min(some, key=some.__getitem__) == "texture"
+        assert max(some.values()) <= baseline_misfit(law)  # an effect of no size leaves what the model leaves
 
 
 class TestScan:

@@ -10,10 +10,11 @@ import pytest
 from runs import BASE, MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack import models
+from frictrack import models, samples
 from frictrack.effects import Path, direction_of_motion, get
 from frictrack.effects.library.presliding import bending
-from frictrack.fit import reference_of
+from frictrack.fit import fit, reference_of
+from frictrack.fit.least_squares import LeastSquaresProblem
 from frictrack.fit.pieces import pieces_of
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate
@@ -271,3 +272,11 @@ def test_the_stiffness_is_found_from_a_run_that_reverses_under_a_drive(sigma):
         estimate = found.parameters[name]
         assert abs(estimate.value - truth) < 4 * estimate.std + 1e-3 * truth
         assert estimate.std < 0.2 * truth
+
+
+def test_an_effect_with_memory_takes_few_simulations_where_something_else_is_missing(monkeypatch):
+    evaluated, evaluate = [], LeastSquaresProblem.evaluate
+    monkeypatch.setattr(LeastSquaresProblem, "evaluate", lambda *a, **k: (evaluated.append(1), evaluate(*a, **k))[1])
+    fitted = fit(["coulomb", "stribeck", "viscous", "lugre"], samples.runs())
+    assert fitted.reduced_chi2 == pytest.approx(8.42, rel=0.01)  # what two starts and all steps reach
+    assert len(evaluated) < 30

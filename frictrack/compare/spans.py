@@ -66,8 +66,8 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     -------
     list of dict
         `run`; `t`, `x`, `v`: range of recording time s, position m and velocity m/s; `share_of_error`: part of the
-        misfit (chi-squared above its expectation); `p`: p-value of the whole search. Empty if noise alone would do as
-        much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
+        misfit (chi-squared above its expectation), at most one in all; `p`: p-value of the whole search. Empty if noise
+        alone would do as much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
 
     """
     solution = keep_compared_frames(solution)
@@ -77,7 +77,10 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
         found = _spans_of_measured_friction(local) if everywhere else _spans_of_bumps(local, runs)
     else:
         found = _spans_of_effect(solution, runs, missing)
-    spans = [_to_dict(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
+    found = [s for s in found if len(s.rows) > 1]
+    # forces that make up for one another explain more, one by one, than together
+    whole = max(1.0, sum(max(s.share, 0.0) for s in found))
+    spans = [_to_dict(solution.responses[s.piece], runs, replace(s, share=s.share / whole)) for s in found]
     return sorted(spans, key=lambda s: -s["share_of_error"])
 
 

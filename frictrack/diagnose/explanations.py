@@ -38,15 +38,16 @@ from frictrack.fit.stepwise import (
     deepen_trials,
     gain_by_smaller_scatter,
     misfit_left_by_other,
+    most_by_smaller_scatter,
     refine_to_end,
     scan_effects,
     simulate_trial,
-    try_effect,
+    try_effects,
 )
 from frictrack.fit.uncertainty import dispersion
 
 N_CENTRES = 2  # best sets of one size to which every effect is added in turn
-N_PAIRS = 24  # pairs that are fitted, whatever each of their effects explains alone
+N_PAIRS = 24  # pairs that are fitted at most, whatever each of their effects explains alone
 MAX_SIZE = 3  # effects in a set
 MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
 Names = frozenset[str]
@@ -165,7 +166,8 @@ class Explanations:
         """Propose some of the effects that the examination of the model scanned, each alone; return the empty set."""
         empty = self.known[frozenset()]
         self._expanded.add(empty.names)
-        self._propose(empty, tested.draws.law, [(s.effect, s.scans) for s in scanned])
+        own = [(s.effect, s.scans) for s in scanned]
+        self._propose(empty, tested.draws.law, own, search_again=tested.something_is_missing)
         return empty
 
     def grow(self, size: int) -> None:
@@ -176,7 +178,8 @@ class Explanations:
         for centre in self.laws(size - 1)[:N_CENTRES]:
             self.expand(centre)
         if size == 2:
-            self._propose_pairs()
+            rivals = [one.criterion for one in [*self.of_size(2), *self.laws(1)] if not one.objection]
+            self._propose_pairs(min(rivals, default=np.inf) + MIN_CHI2_SEPARATED)
         self.refine(size)
         self._exchange_law(size)
         while True:
@@ -264,30 +267,43 @@ class Explanations:
             self._propose(best.centre, law, scan_effects(law, laws, measured_series(law)))
             self.refine(size)
 
-    def _propose(self, centre: Explanation, law: LinearisedModel, scanned: Scanned) -> None:
+    def _propose(
+        self, centre: Explanation, law: LinearisedModel, scanned: Scanned, *, search_again: bool = True
+    ) -> None:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
         misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
-        trials = [try_effect(law, effect, scans, data) for effect, scans in scanned]
-        for t in deepen_trials(law, trials):
+        trials = try_effects(law, scanned, data)
+        for t in deepen_trials(law, trials) if search_again else trials:
             self._enter(centre, law, t, law.solution.objective / misfit)
 
-    def _propose_pairs(self) -> None:
-        """Try the pairs of effects that gain most together, whatever each explains alone."""
+    def _propose_pairs(self, limit: float) -> None:
+        """Try pairs of effects, those first that promise most, while one may reach a criterion.
+
+        Pairs with an effect to which all others have been added are known already.
+        """
         empty = self.known[frozenset()]
         tried = [one.trial for one in self.of_size(1) if one.trial is not None]
         tried = [(law, t) for law, t in tried if not physical_objection(t.layout, t.p, t.effect)]
         if len(tried) < 2:
             return
         law = tried[-1][0]
-        trials = {t.effect.title: t for mine, t in tried if mine is law}
-        scale, problem = law.solution.objective / baseline_misfit(law), law.solution.problem
+        trials = {t.effect.title: t for mine, t in tried if mine is law and {t.effect.title} not in self._expanded}
+        misfit, problem = baseline_misfit(law), law.solution.problem
+        scale, error = law.solution.objective / misfit, MIN_ERROR_OF_PROMISE
+        by_scatter = most_by_smaller_scatter(law.solution)
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
-        gains = gains_of_pairs(law, list(trials.values()))
-        order = sorted(gains, key=lambda pair: sum(penalty[name] for name in pair) - scale * gains[pair])
-        for first, second in order[:N_PAIRS]:
-            if not self._budget.stops():
-                pair = try_pair(law, trials[first], trials[second])
-                self._enter(empty, law, pair, scale, trials[first].effect)
+        own = parameter_penalty(problem.layout, problem)
+        promises = {
+            pair: (empty.criterion + sum(penalty[name] - own for name in pair) - scale * gain, misfit - gain)
+            for pair, gain in gains_of_pairs(law, list(trials.values())).items()
+        }
+        for (first, second), (criterion, left) in sorted(promises.items(), key=lambda own: own[1])[:N_PAIRS]:
+            excess = max(left - problem.n_frames, 0.0)
+            if criterion - error * scale * excess - by_scatter > limit or self._budget.stops():
+                break
+            pair = try_pair(law, trials[first], trials[second])
+            self._enter(empty, law, pair, scale, trials[first].effect)
+            error = max(error, min((left - pair.misfit) / max(excess, 1e-300), 1.0))
 
     def _enter(
         self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float, *others: Effect
@@ -311,7 +327,7 @@ class Explanations:
     def pair_instead(self, single: Explanation) -> Explanation:
         """Return two effects that together explain decisively more than one that imitates them, or that one."""
         limit = single.criterion - MIN_CHI2_SEPARATED
-        self._propose_pairs()
+        self._propose_pairs(limit)
         self.refine(2, below=limit)
         pair = next(iter(self.laws(2)), single)
         return pair if pair.criterion < limit else single

@@ -83,7 +83,8 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
         found.append(_by_variable_projection(model, pieces, names, spans))
-    can_grow = not any(e.relaxed for e in model.effects)  # a relaxed effect has too many parameters for a scan
+    # a relaxed effect has too many parameters for a scan; one with memory takes ten times as long
+    can_grow = not any(e.relaxed or e.memory for e in model.effects)
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         with suppress(FrictrackError) if found else nullcontext():
             found.append(_from_scratch(model, pieces, names, spans))

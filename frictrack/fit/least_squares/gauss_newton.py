@@ -31,7 +31,7 @@ MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the le
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
-MIN_CHI2_FALL_REVERSALS = 0.01  # the same for motions with reversals, which are not smooth between nodes
+MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals, not smooth between nodes, or memory, solved iteratively
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
 DAMPINGS_PER_DECADE = 4
 POOR_GAIN, GOOD_GAIN = 0.25, 0.75  # share of the predicted fall (Conn, Gould & Toint 2000, algorithm 6.1.1)
@@ -190,7 +190,7 @@ class _Refinement:
     def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
         """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
         region = TrustRegion()
-        if any(getattr(piece, "turns", False) for piece in self.problem.pieces):
+        if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
         state, step = self.next_step(state, region)
         for _ in range(max_steps):

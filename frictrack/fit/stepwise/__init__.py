@@ -19,7 +19,9 @@ from frictrack.fit.stepwise.trial import (
     gain_by_smaller_scatter,
     is_unconstrained,
     misfit_left_by_other,
+    most_by_smaller_scatter,
     try_effect,
+    try_effects,
     try_together,
 )
 
@@ -37,6 +39,7 @@ __all__ = [
     "guess_coefficients",
     "is_unconstrained",
     "misfit_left_by_other",
+    "most_by_smaller_scatter",
     "rebuild_problem",
     "refine_to_end",
     "remove_effect",
@@ -47,5 +50,6 @@ __all__ = [
     "simulate_trial",
     "ties_are_resolved",
     "try_effect",
+    "try_effects",
     "try_together",
 ]

@@ -212,7 +212,10 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     """Return the same solution with the effects in the order of `model`."""
     old = solution.problem.layout
     made = {e.name: e for e in old.model.effects}
-    layout = replace(old, model=Model(tuple(replace(made[e.name], replaces=e.replaces) for e in model.effects)))
+    ordered = tuple(replace(made[e.name], replaces=e.replaces) for e in model.effects)
+    if ordered == old.model.effects:
+        return solution
+    layout = replace(old, model=Model(ordered))
     values = dict(zip(old.names, solution.p, strict=True))
     p = np.array([values[n] for n in layout.names])
     problem = solution.problem.rebuild(layout, solution.problem.pieces)

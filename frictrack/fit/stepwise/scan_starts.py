@@ -83,6 +83,7 @@ def scan_effects(
     """Scan several effects, each alone; those for which the runs lack what they need are left out."""
     grids = [candidate_grids(linearised, effect_for_scan(linearised.solution, effect)) for effect in effects]
     scans = iter(scan_candidates(linearised, [grid for own in grids for grid in own], series))
+    series.kept.clear()  # tens of megabytes that only scans share
     return [(effect, [next(scans) for _ in own]) for effect, own in zip(effects, grids, strict=True) if own]
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
+from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, SCATTER_BOUNDS, ParameterLayout
 from frictrack.fit.separable import ProjectedProblem, SeparableModel, SeparableSolution, VariableProjection
@@ -38,7 +39,55 @@ class CandidateTrial:
     misfit: float
 
 
-def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array) -> CandidateTrial:
+def try_effects(
+    linearised: LinearisedModel, scanned: Sequence[tuple[Effect, list[CandidateScan]]], data: Array
+) -> list[CandidateTrial]:
+    """Fit a model with each of several effects along the measured motion, the most promising scan first.
+
+    An effect that cannot come near the best of them is not refined further.
+
+    Parameters
+    ----------
+    linearised : LinearisedModel
+        The fitted model.
+    scanned : sequence of (Effect, list of CandidateScan)
+        The effects, each with its scans.
+    data : array of shape (L,)
+        Coordinates of the measured series in `linearised`.
+
+    Returns
+    -------
+    list of CandidateTrial
+        The best trial of every effect.
+
+    """
+    trials: list[CandidateTrial] = []
+    misfit = baseline_misfit(linearised)
+    for effect, scans in sorted(scanned, key=lambda own: -sum(float(s.gains.max()) for s in own[1])):
+        trial = try_effect(linearised, effect, scans, data, below=_near_best(linearised, trials))
+        trials.append(replace(trial, misfit=min(trial.misfit, misfit)))  # without the effect it has that
+    return trials
+
+
+def _near_best(linearised: LinearisedModel, trials: Sequence[CandidateTrial]) -> float:
+    """Misfit above which a trial does not come near the best one, which may need more unknowns."""
+    if not trials:
+        return np.inf
+    frames = sum(len(b.data) for b in linearised.blocks)
+    best = min(trials, key=lambda t: t.misfit)
+    more = len(best.layout.slots) - len(linearised.solution.problem.layout.slots)
+    excess = max(best.misfit - frames, 0.0)
+    return frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * excess + bic_penalty(more, frames)
+
+
+def try_effect(
+    linearised: LinearisedModel,
+    effect: Effect,
+    scans: list[CandidateScan],
+    data: Array,
+    *,
+    below: float = np.inf,
+) -> CandidateTrial:
     """Fit a model with one more effect along the measured motion.
 
     One amplitude serves all runs, unless an amplitude per run lowers the BIC.
@@ -53,6 +102,8 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
         Its scans.
     data : array of shape (L,)
         Coordinates of the measured series in `linearised`.
+    below : float
+        A fit ends where its misfit is not expected to fall below this value.
 
     Returns
     -------
@@ -66,7 +117,7 @@ def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[Candidat
     }
     shared = effect.single or not has_per_run_coefficients(effect) or runs == 1 or not amplitudes
     free = effect if shared else effect.adjusted(**amplitudes)
-    free_amplitudes = _best_of_starts(linearised, free, *starts_of_scans(linearised, free, scans, data))
+    free_amplitudes = _best_of_starts(linearised, free, *starts_of_scans(linearised, free, scans, data), below)
     if shared:
         return free_amplitudes
     count = len(amplitudes) * (runs - 1)
@@ -166,6 +217,13 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
     return gain
 
 
+def most_by_smaller_scatter(solution: Solution) -> float:
+    """Compute the most that any effects can gain as in `gain_by_smaller_scatter`: friction levels need no scatter."""
+    if not solution.levels_are_random:
+        return 0.0
+    return solution.scatter_penalty(solution.tau) - solution.scatter_penalty(SCATTER_BOUNDS[0])
+
+
 def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
     """Compute the chi-squared that another effect leaves of data made by a true one, along the measured motion.
 
@@ -207,7 +265,11 @@ def _projected_problem(
 
 
 def _best_of_starts(
-    linearised: LinearisedModel, effect: Effect, starts: Sequence[StartValues], absent: frozenset[tuple[str, int]]
+    linearised: LinearisedModel,
+    effect: Effect,
+    starts: Sequence[StartValues],
+    absent: frozenset[tuple[str, int]],
+    below: float,
 ) -> CandidateTrial:
     """The best of the fits from several starts."""
     old = linearised.solution.problem.layout
@@ -226,9 +288,10 @@ def _best_of_starts(
         state = problem.refine(state, (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
         found.append(problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))
     found.sort(key=lambda state: state.misfit)
-    best = _refined(problem, found[0])
-    for state in [*found[1:2], *_with_levels_at_one(problem, found[0])]:
-        best = min(best, _refined(problem, state, below=best.misfit), key=lambda state: state.misfit)
+    best = _refined(problem, found[0], below)
+    if best.misfit < below:
+        for state in [*found[1:2], *_with_levels_at_one(problem, found[0])]:
+            best = min(best, _refined(problem, state, below=best.misfit), key=lambda state: state.misfit)
     return _trial(effect, problem, best)
 
 
