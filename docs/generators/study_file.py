@@ -19,6 +19,7 @@ from frictrack.study.schema import (
     CostsTable,
     EffectTable,
     Keys,
+    MotionTable,
     RunTable,
     StudyTable,
 )
@@ -27,6 +28,7 @@ from frictrack.study.writing import CAMERA
 SECTIONS: dict[str, type[Keys]] = {
     "[study]": StudyTable,
     "[camera]": CameraTable,
+    "[motion]": MotionTable,
     "[[run]]": RunTable,
     "[[effect]]": EffectTable,
     "[costs]": CostsTable,

@@ -6,7 +6,7 @@ plots.motion(run).savefig("v3.pdf")
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates, held_out_order, passes
-from frictrack.plots.cutoff import cutoff, cutoffs
+from frictrack.plots.cutoff import cutoff, cutoffs, filters
 from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
 from frictrack.plots.figure_list import study_figures
@@ -41,6 +41,7 @@ __all__ = [
     "failed_model",
     "failing",
     "film",
+    "filters",
     "fit",
     "friction",
     "friction_title",

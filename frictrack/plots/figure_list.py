@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from frictrack.plots.budget import budgets
 from frictrack.plots.candidates import candidates
-from frictrack.plots.cutoff import cutoff
+from frictrack.plots.cutoff import cutoff, filters
 from frictrack.plots.evidence import has_limits, has_scan, history, limits, scan
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion, motions
@@ -49,6 +49,7 @@ def _of_run(run: RunResults) -> Iterator[NamedFigure]:
         yield f"film {run.name}", partial(film, run)
     if run.cutoff is not None:
         yield f"cutoff {run.name}", partial(cutoff, run.name, run.cutoff, run.mass)
+        yield f"filters {run.name}", partial(filters, run)
 
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:

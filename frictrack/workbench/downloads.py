@@ -166,7 +166,7 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     Parameters
     ----------
     name : str
-        "cutoff:RUN", "scan:EFFECT", "unexplained" or "history".
+        "cutoff:RUN", "filters:RUN", "scan:EFFECT", "unexplained" or "history".
     snapshot : Snapshot
         The study and its results as they were read last.
 
@@ -196,6 +196,8 @@ def _draw(name: str, results: Results) -> Figure | None:
     run = next((one for one in results.runs if one.name == which), None)
     if kind == "cutoff" and run is not None and run.cutoff is not None:
         return plots.cutoff(run.name, run.cutoff, run.mass)
+    if kind == "filters" and run is not None:
+        return plots.filters(run)
     if kind == "scan" and plots.has_scan(results.figures.get(which, {})):
         return plots.scan(which, results.figures[which], width=5.0)
     if kind == "unexplained" and diagnosis.get("unexplained"):
