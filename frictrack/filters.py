@@ -47,6 +47,14 @@ class FilterChoice:
     causal
         Forward only, as an instrument filters while it records; else forward and backward, without delay.
 
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> choice = ft.FilterChoice("butterworth", cutoff=150.0, order=2)
+    >>> ft.low_pass(run.displacement, method=choice).reason
+    'butterworth, half passes at 150 Hz'
+
     """
 
     method: str = STRUCTURAL

@@ -8,7 +8,7 @@ from frictrack.motion.cutoff_trade import cutoff_tradeoff
 from frictrack.motion.derivative import Derivatives, best_smoothing, covariance, derivatives, differentiate
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.motion.filter_comparison import FilteredMotion, compare_filters
-from frictrack.motion.filter_methods import FilterMethod
+from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
 from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
@@ -36,6 +36,7 @@ __all__ = [
     "differentiate",
     "frame_grid",
     "frame_weights",
+    "interpolate_missing",
     "low_pass",
     "noise_level",
     "stencil_start",

@@ -45,7 +45,7 @@ def compare_filters(displacement: Displacement, filtered: Filtered, motion: Moti
     >>> run = ft.samples.runs()[0]
     >>> found = compare_filters(run.displacement, ft.low_pass(run.displacement), run.motion)
     >>> [one.name.split(",")[0] for one in found]
-    ['as measured', 'plain low-pass at 56.1 Hz', 'smoothed']
+    ['as measured', 'plain low-pass at 116 Hz', 'smoothed']
 
     """
     displacement = displacement.rows(displacement.span)

@@ -12,8 +12,15 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from frictrack.fit.pieces.cutting import MIN_FRAMES
 from frictrack.fit.pieces.piece import Piece
-from frictrack.motion import STENCIL_FRAMES, FilterMethod, Smoother, frame_grid, frame_weights, stencils
-from frictrack.motion.filter_methods import interpolate_missing
+from frictrack.motion import (
+    STENCIL_FRAMES,
+    FilterMethod,
+    Smoother,
+    frame_grid,
+    frame_weights,
+    interpolate_missing,
+    stencils,
+)
 from frictrack.motion.smoother import SmootherData, Structure
 from frictrack.records import Array, Mask, Run
 

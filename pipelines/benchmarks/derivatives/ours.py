@@ -11,7 +11,7 @@ from frictrack.records import Displacement
 
 from .estimate import Array, Estimate, Method
 
-OTHERS = ("butterworth", "savitzky-golay", "kalman", "gaussian-process")
+OTHERS = ("butterworth", "savitzky-golay", "kalman", "gaussian-process", "papers")
 
 
 def frictrack(noise: float, **options: str) -> Method:
