@@ -37,6 +37,7 @@ SECTIONS: dict[str, type[Keys]] = {
 TYPES = {
     "str": ("text", "", ""),
     "int": ("whole number", "", "30"),
+    "bool": ("true or false", "", "true"),
     "Mass": ('number, text with unit, or "fit"', "kg", '"350 +/- 1 g"'),
     "FrameRate": ("number or text with unit, above 0", "Hz", "4000"),
     "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
@@ -76,6 +77,9 @@ TYPES = {
 # The same for keys whose annotation says less than what they take.
 KEYS = {
     "table": ("path or address", "", '"run_01.csv"'),
+    "filter": ("name of a filter", "", '"papers"'),
+    "order": ("whole number", "", "4"),
+    "window": ("odd number", "frames", "31"),
     "cutoff": ("number or text with unit, above 0", "Hz", '"120 Hz"'),
     "drift": ("text with unit", "N or m", '"0.01 N"'),
     "exclude": ("list of polygons or rectangles", "px", "[[[430, 240], [450, 240], [450, 260]]]"),
