@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.motion import Smoother, differentiate, low_pass
+from frictrack.errors import FrictrackError
+from frictrack.motion import Smoother, compare_filters, differentiate, low_pass
 from frictrack.motion.smoother import ChangeGroup, Event, Structure, StructureChange
-from frictrack.records import Displacement
+from frictrack.records import Displacement, Run
 
 FPS, MASS = 4000.0, 0.35
 SLIDES = {  # start speed m/s, coulomb N, stribeck N, frames
@@ -144,3 +145,22 @@ def test_a_force_periodic_in_place_is_found_at_a_changing_speed():
     assert 0.6 < rms(np.concatenate([(m.a - a) / m.sigma_a for m in motions])) < 1.5
     blind = low_pass(seen(t, textured(t, 0.0)[0], 1e-6, 0))
     assert not Smoother.read(blind.smoother).forces
+
+
+def test_a_figure_shows_what_a_filter_costs():
+    t = np.arange(400) / FPS
+    x, a = textured(t)
+    displacement = seen(t, x, 1e-6, 0)
+    run = Run(displacement, differentiate(low_pass(displacement, method="papers")), mass=MASS)
+    measured, filtered, smoothed = compare_filters(displacement, low_pass(displacement, method="papers"), run.motion)
+    assert filtered.name == "papers"
+    assert np.array_equal(filtered.values[2], run.motion.a)
+    inside = slice(60, -60)
+    errors = [rms(one.values[2, inside] - a[inside]) for one in (measured, filtered, smoothed)]
+    stated = [rms(one.sigma[2, inside]) for one in (measured, filtered, smoothed)]
+    assert stated == pytest.approx(errors, rel=0.3)
+    panels = run.plot("filters").axes
+    assert [ax.get_ylabel().split()[0] for ax in panels] == ["x", "v", "a", "F"]
+    assert [len(ax.lines) for ax in panels] == [3] * 4
+    with pytest.raises(FrictrackError, match='expected "motion" or "filters" but got "phase"'):
+        run.plot("phase")

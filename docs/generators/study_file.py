@@ -37,7 +37,6 @@ SECTIONS: dict[str, type[Keys]] = {
 TYPES = {
     "str": ("text", "", ""),
     "int": ("whole number", "", "30"),
-    "bool": ("true or false", "", "true"),
     "Mass": ('number, text with unit, or "fit"', "kg", '"350 +/- 1 g"'),
     "FrameRate": ("number or text with unit, above 0", "Hz", "4000"),
     "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
@@ -77,6 +76,7 @@ TYPES = {
 # The same for keys whose annotation says less than what they take.
 KEYS = {
     "table": ("path or address", "", '"run_01.csv"'),
+    "causal": ("true or false", "", "true"),
     "filter": ("name of a filter", "", '"papers"'),
     "order": ("whole number", "", "4"),
     "window": ("odd number", "frames", "31"),
