@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from frictrack.effects import effect
     from frictrack.error_budget import budget
     from frictrack.errors import FrictrackError
+    from frictrack.filters import FilterChoice
     from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
     from frictrack.friction import find_events, free_section, friction, with_earlier_runs
     from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
@@ -50,6 +51,7 @@ _MODULE_OF = module_of(
         "repairing": "repair suspect_spans",
         "calibration": "calibrate plane_map",
         "motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
+        "filters": "FilterChoice",
         "friction": "free_section friction find_events with_earlier_runs",
         "error_budget": "budget",
         "fit": "fit profile bootstrap Fit GroupFits",
@@ -71,6 +73,7 @@ __all__ = [  # written out: a type checker reads which names are public
     "CovariateTrends",
     "Diagnosis",
     "Displacement",
+    "FilterChoice",
     "Fit",
     "FrictrackError",
     "GroupFits",

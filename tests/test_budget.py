@@ -70,7 +70,8 @@ def film(*rates, fps=FPS, clocked=True):
 def test_total_is_sigma_F_and_the_mean_follows_the_covariance(method):
     run, filtered = smoothed(seen(scale_error=0.002), method, sigma_mass=0.001)
     found, told = budget(run, filtered), friction(run)
-    assert found.frame_N == pytest.approx(np.sqrt(np.mean(told.sigma_F[told.free] ** 2)))
+    rel = 1e-6 if method == "structural" else 1e-3  # the noise that passes may exceed the distance from the best motion
+    assert found.frame_N == pytest.approx(np.sqrt(np.mean(told.sigma_F[told.free] ** 2)), rel=rel)
     w = told.free / np.sum(told.free)
     smooth = MASS * np.sqrt(w @ covariance(filtered, "a") @ w)
     assert np.hypot(found.row("pixel noise").mean_N, found.row("filter").mean_N) == pytest.approx(smooth)
@@ -260,10 +261,13 @@ def test_a_table_is_not_told_to_use_more_pixels():
 
 
 def test_finer_pixels_help_as_much_as_is_said():
-    """A slider on ripples, through half the noise: less is gained than half, for the smoother passes more."""
-    x = X + 2e-5 * np.sin(2 * np.pi * X / 0.03)
+    """A slider on a rough course, through half the noise: less is gained than half, for the smoother passes more."""
+    rough = np.cumsum(np.cumsum(np.cumsum(np.cumsum(np.random.default_rng(5).normal(size=len(X))))))
+    rough -= np.polynomial.Polynomial.fit(T, rough, 3)(T)
+    x = X + 5e-5 * rough / rough.std()  # as rough as the smoother takes every motion to be
     coarse, fine = (
-        [budget(*smoothed(seen(x, noise=noise, seed=seed))) for seed in range(5)] for noise in (NOISE, NOISE / 2)
+        [budget(*smoothed(seen(x, noise=noise, seed=seed), "structural")) for seed in range(5)]
+        for noise in (NOISE, NOISE / 2)
     )
     factor = coarse[0].noise_reduction[2.0][0]
     assert 0.5 < factor < 0.95

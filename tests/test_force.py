@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import models
 from frictrack.errors import FrictrackError
+from frictrack.filters import FilterChoice
 from frictrack.fit import fit, global_search, restore, state, unfitted_problem
 from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters
 from frictrack.fit.pieces.acceleration_chain import acceleration_chain
@@ -54,6 +56,28 @@ class TestChain:
         chain = acceleration_chain(run, piece)
         expected = exact_chain(run, piece, piece.y)[chain.kept]
         assert chain.apply(piece.y[:, None])[:, 0] == pytest.approx(expected, abs=1e-3)
+
+    @pytest.mark.parametrize("causal", [False, True])
+    def test_is_the_papers_chain_where_the_motion_was_made_so(self, causal):
+        seen = one_slide()
+        choice = FilterChoice("papers", 120.0, order=3, causal=causal)
+        run = replace(seen, motion=differentiate(low_pass(seen.displacement, method=choice)))
+        piece = fit("tustin", [run]).solution.problem.pieces[0]
+        chain = acceleration_chain(run, piece)
+        if causal:  # one pass keeps half of the amplitude at 3^(1/6) of its cut-off
+            low = np.arctan(np.tan(np.pi * 120 / FPS) / 3 ** (1 / 6)) / np.pi * 2
+            sos = scipy.signal.butter(3, low, output="sos")
+            smooth = scipy.signal.sosfilt(sos, piece.y, zi=scipy.signal.sosfilt_zi(sos) * piece.y[0])[0]
+        else:
+            sos = scipy.signal.butter(3, 120.0, fs=FPS, output="sos")
+            smooth = scipy.signal.sosfiltfilt(sos, piece.y, padlen=int(np.ceil(FPS / 120)))
+        expected = np.gradient(np.gradient(smooth, 1 / FPS), 1 / FPS)[chain.kept]
+        assert chain.apply(piece.y[:, None])[:, 0] == pytest.approx(expected, abs=1e-5)
+        u, w = np.random.default_rng(0).standard_normal((2, len(piece.t), 2))
+        w = w[: len(chain.kept)]
+        assert w.T @ chain.apply(u) == pytest.approx(chain.transposed(w).T @ u, rel=1e-9)
+        noise = piece.sigma[:, None] * np.random.default_rng(1).standard_normal((len(piece.t), 2000))
+        assert chain.apply(noise).std(axis=1) == pytest.approx(chain.sigma_a, rel=0.1)
 
     def test_passes_the_dot_test_also_with_missing_frames(self):
         (run,), _ = study(specs=SLIDE, sigma=NOISE, gap=slice(200, 207))

@@ -506,7 +506,8 @@ def test_every_method_bridges_what_is_missing(rng, method):
     valid[[40, 150, 151, 152]] = False
     x = 3 * t - 10 * t**2
     filtered = low_pass(displacement(t, x + NOISE * rng.normal(size=300), valid=valid), method=method)
-    assert filtered.x == pytest.approx(x, abs=6 * NOISE)
+    inside = slice(40, -40) if method == "papers" else slice(None)  # that chain distorts the ends
+    assert filtered.x[inside] == pytest.approx(x[inside], abs=6 * NOISE)
     assert np.all(np.isfinite(differentiate(filtered).a))
 
 
@@ -596,9 +597,9 @@ def test_bad_cutoff_is_refused(cutoff):
 
 def test_bad_methods_are_refused():
     t = np.arange(50) / FPS
-    with pytest.raises(FrictrackError, match=r'expected one of structural, kalman, .* but got "wavelet"'):
+    with pytest.raises(FrictrackError, match=r'expected filter as one of structural, kalman, .* but got "wavelet"'):
         low_pass(displacement(t, t), method="wavelet")
-    with pytest.raises(FrictrackError, match="cutoff: expected none with the method kalman"):
+    with pytest.raises(FrictrackError, match='expected no cutoff with filter = "kalman"'):
         low_pass(displacement(t, t), 100.0, method="kalman")
     x = np.arange(3001.0) ** 2
     with pytest.raises(FrictrackError, match="at most 3000 frames for a Gaussian process but got 3001"):

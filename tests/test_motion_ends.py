@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.motion import Smoother, differentiate, low_pass
+from frictrack.errors import FrictrackError
+from frictrack.motion import Smoother, compare_filters, differentiate, low_pass
 from frictrack.motion.smoother import ChangeGroup, Event, Structure, StructureChange
-from frictrack.records import Displacement
+from frictrack.records import Displacement, Run
 
 FPS, MASS = 4000.0, 0.35
 SLIDES = {  # start speed m/s, coulomb N, stribeck N, frames
@@ -118,3 +119,48 @@ def test_groups_survive_json():
     )
     smoother = Smoother(Structure((9.0, 8.0), (), (Event(1, 2, 3.0), Event(91, 94, 5.0))), None, (group,))
     assert Smoother.read(str(smoother)).alternatives == (group,)
+
+
+def textured(t, amplitude=1.0, period=0.031):
+    """Place and acceleration of a slide on a course with a texture, by scipy's integrator."""
+
+    def acceleration(x, v):
+        return -(1.2 + 0.4 * v) / MASS + amplitude * np.sin(2 * np.pi * x / period)
+
+    options = {"rtol": 1e-11, "atol": 1e-13, "max_step": 1e-4, "t_eval": t}
+    found = solve_ivp(lambda t, y: [y[1], acceleration(*y)], (0.0, t[-1]), [0.0, 3.0], **options)
+    return found.y[0], acceleration(*found.y)
+
+
+def test_a_force_periodic_in_place_is_found_at_a_changing_speed():
+    t = np.arange(400) / FPS
+    x, a = textured(t)
+    found = [low_pass(seen(t, x, 1e-6, seed)) for seed in range(3)]
+    forces = [force for filtered in found for force in Smoother.read(filtered.smoother).forces]
+    assert [force.period for force in forces] == pytest.approx([0.031] * 3, rel=0.01)
+    assert [np.hypot(force.cosine, force.sine) for force in forces] == pytest.approx([1.0] * 3, rel=0.1)
+    assert "periodic in place, every 3" in found[0].reason
+    motions = [differentiate(filtered) for filtered in found]
+    assert all(rms(m.a - a) < 0.05 for m in motions)  # 0.11 with a trend and a line, and a stated 0.4
+    assert 0.6 < rms(np.concatenate([(m.a - a) / m.sigma_a for m in motions])) < 1.5
+    blind = low_pass(seen(t, textured(t, 0.0)[0], 1e-6, 0))
+    assert not Smoother.read(blind.smoother).forces
+
+
+def test_a_figure_shows_what_a_filter_costs():
+    t = np.arange(400) / FPS
+    x, a = textured(t)
+    displacement = seen(t, x, 1e-6, 0)
+    run = Run(displacement, differentiate(low_pass(displacement, method="papers")), mass=MASS)
+    measured, filtered, smoothed = compare_filters(displacement, low_pass(displacement, method="papers"), run.motion)
+    assert filtered.name == "papers"
+    assert np.array_equal(filtered.values[2], run.motion.a)
+    inside = slice(60, -60)
+    errors = [rms(one.values[2, inside] - a[inside]) for one in (measured, filtered, smoothed)]
+    stated = [rms(one.sigma[2, inside]) for one in (measured, filtered, smoothed)]
+    assert stated == pytest.approx(errors, rel=0.3)
+    panels = run.plot("filters").axes
+    assert [ax.get_ylabel().split()[0] for ax in panels] == ["x", "v", "a", "F"]
+    assert [len(ax.lines) for ax in panels] == [3] * 4
+    with pytest.raises(FrictrackError, match='expected "motion" or "filters" but got "phase"'):
+        run.plot("phase")

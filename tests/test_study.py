@@ -12,7 +12,8 @@ import pytest
 import tifffile
 
 from frictrack.errors import FrictrackError
-from frictrack.study import find_recordings, load, read_sensor_table, read_table, write_study
+from frictrack.filters import FilterChoice
+from frictrack.study import find_recordings, load, parse, read_sensor_table, read_table, write_study
 
 CAMERA = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
 RUN = '[[run]]\nname = "v3"\nvideo = "v3.avi"\n'
@@ -471,3 +472,46 @@ def test_a_key_that_all_runs_lack_is_asked_for_once(tmp_path):
         load(tmp_path / "study.toml")
     assert str(caught.value).count("expected a mass but got none") == 1
     assert "[[run]] number 1, line 4, and 2 more runs: expected a mass" in str(caught.value)
+
+
+def test_a_filter_of_all_runs_and_of_one(tmp_path):
+    runs = "".join(
+        f'[[run]]\nname = "{name}"\ntable = "a.csv"\n{keys}\n'
+        for name, keys in (
+            ("as all", ""),
+            ("lower", 'cutoff = "60 Hz"'),
+            ("own", 'filter = "savitzky-golay"\nwindow = 31'),
+        )
+    )
+    head = '[study]\nmass = 0.35\n[motion]\nfilter = "butterworth"\ncutoff = "120 Hz"\norder = 2\ncausal = true\n'
+    (tmp_path / "a.csv").write_text("t_s,x_m\n0,0\n")
+    study = parse(tmp_path / "study.toml", head + runs)
+    assert [run.filter_choice for run in study.runs] == [
+        FilterChoice("butterworth", 120.0, 2, causal=True),
+        FilterChoice("butterworth", 60.0, 2, causal=True),
+        FilterChoice("savitzky-golay", window=31),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("where", "keys", "says"),
+    [
+        ("motion", 'filter = "butterworh"', 'papers but got "butterworh"; did you mean "butterworth"?'),
+        (
+            "motion",
+            'filter = "kalman"\ncutoff = 60',
+            'no cutoff with filter = "kalman", which finds its settings itself',
+        ),
+        ("motion", 'filter = "papers"\nwindow = 9', "which takes cutoff, order, causal; leave window out"),
+        ("motion", 'filter = "butterworth"\norder = 40', 'order from 1 to 10 with filter = "butterworth" but got 40'),
+        ("motion", 'filter = "savitzky-golay"\nwindow = 10', "window as an odd number of at least 5 frames but got 10"),
+        ("motion", "order = 4", 'expected no order with filter = "structural", which takes cutoff; leave order out'),
+        ("camera", 'fps = 200\n[motion]\nfilter = "papers"\ncutoff = 100', "cutoff below half the frame rate, 100 Hz"),
+    ],
+)
+def test_wrong_filters_are_refused(tmp_path, where, keys, says):
+    (tmp_path / "a.csv").write_text("t_s,x_m\n0,0\n")
+    text = f'[study]\nmass = 0.35\n[{where}]\n{keys}\n[[run]]\ntable = "a.csv"\n'
+    with pytest.raises(FrictrackError, match=re.escape(says)) as refused:
+        parse(tmp_path / "study.toml", text)
+    assert (f"[{where}], line" in str(refused.value)) or where == "camera"

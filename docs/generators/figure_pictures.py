@@ -31,6 +31,7 @@ CALLS: dict[str, tuple[str, str]] = {
         FILTERED,
         'plots.cutoff("to_a_stop", ft.cutoff_tradeoff(runs[2].displacement, filtered, runs[2].motion))',
     ),
+    "filters": ("", "plots.filters(runs[2])"),
     "budget": (FILTERED, 'plots.budget("to_a_stop", ft.budget(runs[2], filtered).summary())'),
     "fit": ("", "plots.fit(fit, runs)"),
     "law": ("", "plots.law(fit, runs)"),

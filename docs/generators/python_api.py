@@ -45,7 +45,7 @@ GROUPS = (
         (
             *("track", "learn_target", "align_track", "contact_sheet", "repair", "suspect_spans"),
             *("calibrate", "plane_map"),
-            *("low_pass", "differentiate", "covariance", "KnownAcceleration", "cutoff_tradeoff"),
+            *("low_pass", "differentiate", "covariance", "KnownAcceleration", "FilterChoice", "cutoff_tradeoff"),
             *("free_section", "friction", "find_events", "budget"),
         ),
     ),

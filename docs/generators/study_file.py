@@ -19,6 +19,7 @@ from frictrack.study.schema import (
     CostsTable,
     EffectTable,
     Keys,
+    MotionTable,
     RunTable,
     SearchTable,
     StudyTable,
@@ -28,6 +29,7 @@ from frictrack.study.writing import CAMERA
 SECTIONS: dict[str, type[Keys]] = {
     "[study]": StudyTable,
     "[camera]": CameraTable,
+    "[motion]": MotionTable,
     "[[run]]": RunTable,
     "[[effect]]": EffectTable,
     "[costs]": CostsTable,
@@ -76,6 +78,10 @@ TYPES = {
 # The same for keys whose annotation says less than what they take.
 KEYS = {
     "table": ("path or address", "", '"run_01.csv"'),
+    "causal": ("true or false", "", "true"),
+    "filter": ("name of a filter", "", '"papers"'),
+    "order": ("whole number", "", "4"),
+    "window": ("odd number", "frames", "31"),
     "cutoff": ("number or text with unit, above 0", "Hz", '"120 Hz"'),
     "drift": ("text with unit", "N or m", '"0.01 N"'),
     "exclude": ("list of polygons or rectangles", "px", "[[[430, 240], [450, 240], [450, 260]]]"),

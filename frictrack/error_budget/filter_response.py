@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencil_start, stencil_weights
-from frictrack.motion.smoother import FactoredSmoother, Structure, line_frequency_errors
+from frictrack.motion.smoother import FactoredSmoother, Structure
 from frictrack.records import Array, Motion
 
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
@@ -89,12 +89,8 @@ class FilterResponse:
 
     @cached_property
     def _line_changes(self) -> list[Array]:
-        """Change of the acceleration (n,) by one standard deviation of each line frequency, for unit noise."""
-        x = self._grid.to_frames(self.derived.x) / self.noise
-        return [
-            self._grid.to_rows(change[2])
-            for change in line_frequency_errors(self.derived.factor, x, self._grid.interval)
-        ]
+        """Change of the acceleration (n,) by one standard deviation of each parameter, for unit noise."""
+        return [self._grid.to_rows(change[2]) for change in self.derived.parameter_errors]
 
     @cached_property
     def _scale(self) -> Array:

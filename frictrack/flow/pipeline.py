@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from frictrack.workers import WorkerPool
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
-LATER_KEYS = ("repair",)  # left out where they are empty: results that were stored before the key existed stay valid
+# Left out where they are empty: results that were stored before the key existed stay valid.
+LATER_KEYS = ("repair", "filter", "order", "window", "causal")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]

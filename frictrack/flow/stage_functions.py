@@ -61,7 +61,7 @@ def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
 
 def make_filtered(pipeline: RunPipeline, displacement: Displacement, sensors: Sensors) -> Filtered:
     """Low-pass the displacement, with the acceleration of a sensor if it agrees with the camera."""
-    return low_pass(displacement, pipeline.run.cutoff, acceleration=fused_acceleration(sensors))
+    return low_pass(displacement, method=pipeline.run.filter_choice, acceleration=fused_acceleration(sensors))
 
 
 def make_motion(pipeline: RunPipeline, filtered: Filtered) -> Motion:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from frictrack.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, no_progress
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
@@ -36,7 +37,7 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
             _function("make_sensors"),
             Sensors,
         ),
-        Stage("filtered", ("displacement", "sensors"), ("cutoff",), _function("make_filtered"), Filtered),
+        Stage("filtered", ("displacement", "sensors"), FILTER_SETTINGS, _function("make_filtered"), Filtered),
         Stage("motion", ("filtered",), (), _function("make_motion"), Motion),
         Stage(
             "cutoff",

@@ -17,6 +17,7 @@ import numpy as np
 
 from frictrack import store
 from frictrack.errors import FrictrackError
+from frictrack.filters import STRUCTURAL, FilterChoice
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.duplicate_runs import duplicate_notes
 from frictrack.flow.fit_request import FitRequest
@@ -216,7 +217,7 @@ def _stored_models(study: Study) -> TriedModels:
 
 
 def preview_motion(run: RunResults, cutoff: float) -> Array:
-    """Return x, v and a (3, n) of a run with a plain low-pass; nothing is stored.
+    """Return x, v and a (3, n) of a run with another cut-off of its filter, or of a plain low-pass; nothing is stored.
 
     Parameters
     ----------
@@ -226,9 +227,11 @@ def preview_motion(run: RunResults, cutoff: float) -> Array:
         Cut-off frequency, Hz.
 
     """
+    given = run.settings
+    choice = FilterChoice(given.get("filter", STRUCTURAL), cutoff, given.get("order"), causal=bool(given.get("causal")))
     course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
     acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
-    return derivatives(low_pass(course, cutoff, acceleration=acceleration))
+    return derivatives(low_pass(course, method=choice, acceleration=acceleration))
 
 
 def _is_measured(pipeline: RunPipeline) -> bool:

@@ -3,11 +3,20 @@
 `low_pass` smooths the displacement, `differentiate` derives it; `noise` and `smoother` hold their methods.
 """
 
+from frictrack.filters import METHOD_NAMES
 from frictrack.motion.cutoff_trade import cutoff_tradeoff
-from frictrack.motion.derivative import Derivatives, covariance, derivatives, differentiate, filtered_acceleration
+from frictrack.motion.derivative import (
+    Derivatives,
+    best_smoothing,
+    covariance,
+    derivatives,
+    differentiate,
+    filtered_acceleration,
+)
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
-from frictrack.motion.filter_methods import FilterMethod
-from frictrack.motion.filter_settings import METHOD_NAMES, Smoother
+from frictrack.motion.filter_comparison import FilteredMotion, compare_filters
+from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
+from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
@@ -20,10 +29,13 @@ __all__ = [
     "CorrelatedNoise",
     "Derivatives",
     "FilterMethod",
+    "FilteredMotion",
     "FrameGrid",
     "KnownAcceleration",
     "NoiseStretch",
     "Smoother",
+    "best_smoothing",
+    "compare_filters",
     "correlated_noise",
     "covariance",
     "cutoff_tradeoff",
@@ -32,6 +44,7 @@ __all__ = [
     "filtered_acceleration",
     "frame_grid",
     "frame_weights",
+    "interpolate_missing",
     "low_pass",
     "noise_level",
     "stencil_start",

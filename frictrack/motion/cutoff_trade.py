@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
+from frictrack.motion.derivative import best_smoothing
+from frictrack.motion.filter import MISSING_SIGMA, frame_weights
 from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.smoother import (
@@ -59,40 +60,43 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
     displacement = displacement.rows(displacement.span)
     grid, known = frame_grid(displacement.t), displacement.known
     w = grid.to_frames(frame_weights(displacement.sigma_x, known))
-    best = low_pass(displacement) if filtered.asked else filtered
+    best = best_smoothing(filtered)
     y, signal = grid.to_frames(np.where(known, displacement.x, 0.0)), grid.to_frames(best.x)
     measured_frames = best.sigma_x < MISSING_SIGMA
     noise = float(np.mean(best.sigma_x[measured_frames] ** -2.0) ** -0.5)
     frequency = np.geomspace(MIN_CYCLES / (grid.n * grid.interval), MAX_CUTOFF / grid.interval, N_CUTOFFS)
-    outside_events = _outside_events(best, grid)
+    undisturbed = _undisturbed(best, motion.guard, grid)
     both = np.stack([y - weighted_cubic(y, w), signal - weighted_cubic(signal, w)], axis=1)
-    rows = np.array([_residual_and_lost(f, grid, w, both, outside_events) for f in frequency])
+    rows = np.array([_residual_and_lost(f, grid, w, both, undisturbed) for f in frequency])
     colour = Smoother.read(best.smoother).colour
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
-    total = np.hypot(passed, rows[:, 1])
+    structural = float(np.sqrt(np.mean(motion.sigma_a[undisturbed[grid.frames]] ** 2)))
+    # No filter is known to be better than the best estimate: what that one does not know either is lost, too.
+    lost = np.hypot(rows[:, 1], np.sqrt(np.maximum(structural**2 - passed**2, 0.0)))
     return CutoffTradeOff(
         frequency=frequency,
         residual=rows[:, 0],
         floor=floor,
         noise=passed,
-        lost=rows[:, 1],
+        lost=lost,
         hidden=undetectable_amplitude(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
         chosen=filtered.cutoff,
-        least=float(frequency[np.argmin(total)]),
-        structural=float(np.sqrt(np.mean(motion.sigma_a[outside_events[grid.frames]] ** 2))),
+        least=float(frequency[np.argmin(np.hypot(passed, lost))]),
+        structural=structural,
         warnings=tuple(_warnings(best, filtered.cutoff, grid.interval)),
     )
 
 
-def _outside_events(best: Filtered, grid: FrameGrid) -> Mask:
-    """Frames (n,) away from events, where the lost signal of a push would dominate."""
+def _undisturbed(best: Filtered, guard: int, grid: FrameGrid) -> Mask:
+    """Frames (n,) away from the ends and from events, where the lost signal of a push would dominate."""
     out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
+    out[:guard] = out[len(out) - guard :] = False
     for first, last in best.events:
         out[max(grid.frames[first] - EVENT_MARGIN_FRAMES, 0) : grid.frames[last] + EVENT_MARGIN_FRAMES + 1] = False
     return out
 
 
-def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, outside_events: Mask) -> tuple[float, float]:
+def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, undisturbed: Mask) -> tuple[float, float]:
     """Rms residual of the measured series (m), and rms acceleration lost of the signal (m/s^2), at one cut-off (Hz).
 
     `both` are the series and the signal without their cubics, (n, 2).
@@ -100,7 +104,7 @@ def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, outside
     removed = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(w, w)).smooth(both)
     np.subtract(both, removed, out=removed)
     residual = np.sqrt(np.average(removed[:, 0] ** 2, weights=w))
-    lost = stencil_derivative(removed[:, 1], 2)[outside_events] / grid.interval**2
+    lost = stencil_derivative(removed[:, 1], 2)[undisturbed] / grid.interval**2
     return float(residual), float(np.sqrt(np.mean(lost**2)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -17,6 +18,7 @@ from frictrack.motion.filter_settings import Smoother
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.smoother import (
     MAX_WHOLE_FRAMES,
+    Course,
     FactoredSmoother,
     SmootherData,
     Structure,
@@ -24,6 +26,7 @@ from frictrack.motion.smoother import (
     deviations,
     line_frequency_errors,
     mean_shift,
+    place_force_errors,
     weighted_cubic,
 )
 from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
@@ -31,6 +34,7 @@ from frictrack.records import Array, Displacement, Filtered, Mask, Motion
 
 COLUMNS_AT_ONCE = 256  # unit responses computed in one call
 QUANTITIES = ("x", "v", "a")
+_BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
 
 
 def differentiate(filtered: Filtered) -> Motion:
@@ -91,6 +95,7 @@ def differentiate(filtered: Filtered) -> Motion:
         sigma_a_y=sigma_a_y,
         guard=_guard_frames(sigma[2][filtered.sigma_x < MISSING_SIGMA], period),
         cutoff=filtered.cutoff,
+        filter=filtered.smoother if of_x.smoother.method else "",
         events=filtered.events,
         lines=filtered.lines,
         shake_a=shake_a,
@@ -208,9 +213,11 @@ class Derivatives:
     sensor_weights
         Weights of the second differences that a sensor measured, (N - 2,).
     measured
-        Unfiltered series on the grid, (N,), where the method derives from it.
-    rows
-        The measured rows, where another filter than the structural smoother was asked for.
+        Unfiltered series on the grid, (N,), where the deviations need it.
+    best
+        Derivatives by the default smoother, where another filter was asked for. Given the data, the true motion differs
+        from these by their deviations, whatever the filter. So the error of the filter asked for, noise that it passes
+        and signal that it loses, is its distance from these and their error.
 
     """
 
@@ -222,12 +229,15 @@ class Derivatives:
     smoother: Smoother
     sensor_weights: Array | None = None
     measured: Array | None = None
-    rows: Displacement | None = None
+    best: Derivatives | None = None
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
         """Derivatives of x."""
         result = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
+        best = best_smoothing(filtered)
+        if best is not filtered:
+            return replace(result, best=cls.of_x(best))
         if filtered.sigma_sensor is None or result.smoother.method:
             return result
         sigma = result.grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
@@ -237,30 +247,19 @@ class Derivatives:
     @classmethod
     def of_y(cls, filtered: Filtered) -> Derivatives:
         """Derivatives of y."""
-        return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
+        result = cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
+        best = best_smoothing(_with_y_as_x(filtered))
+        return replace(result, best=cls.of_x(best)) if filtered.asked else result
 
     @classmethod
-    def _of(cls, filtered: Filtered, unit_responses: tuple[Array, Array, str, Array | None]) -> Derivatives:
-        x, sigma, smoother, measured = unit_responses
+    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derivatives:
+        x, sigma, smoother, measured = columns
         grid = frame_grid(filtered.t)
         known = sigma < MISSING_SIGMA
         noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
         raw = None if measured is None else grid.to_frames(np.nan_to_num(measured))
         w = grid.to_frames(frame_weights(sigma, known))
-        rows = None
-        if filtered.asked and measured is not None:
-            none = np.full(len(x), np.nan)
-            rows = Displacement(filtered.t, measured, none, none, sigma, none, known)
-        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw, rows=rows)
-
-    @cached_property
-    def best(self) -> Derivatives | None:
-        """Derivatives by the structural smoother, where another filter was asked for.
-
-        Given the data, the true motion differs from these by their deviations, whatever the filter. So the error of the
-        filter asked for, noise that it passes and signal that it loses, is its distance from these and their error.
-        """
-        return None if self.rows is None else Derivatives.of_x(low_pass(self.rows))
+        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
 
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
@@ -277,18 +276,36 @@ class Derivatives:
         """Standard deviations of `values`, (3, n)."""
         if self.best is not None:
             return np.asarray(np.hypot(self.best.deviations(), self.values() - self.best.values()))
-        best, structure, measured = self._on_grid(), self.smoother.structure, self.measured
-        if structure is None or measured is None or not self.smoother.alternatives:
-            spread = deviations(self.factor, best, self.noise, self.grid.interval)
-        else:
-            rest = np.where(self.w > 0, measured - weighted_cubic(measured, self.w), 0.0) / self.noise
+        best, structure, measured = self._without_forces, self.smoother.structure, self.measured
+        changes: list[tuple[slice, Array]] = []
+        if structure is not None and measured is not None and self.smoother.alternatives:
+            rest = measured - self._course.displacement(self.smoother.forces)
+            rest = np.where(self.w > 0, rest - weighted_cubic(rest, self.w), 0.0) / self.noise
             average = SmootherData(rest, self.w, colour=self.smoother.colour), structure, self.smoother.alternatives
             best = best - self.noise * mean_shift(*average)  # of the best structure alone
-            spread = deviations(self.factor, best, self.noise, self.grid.interval)
-            for frames, more in added_variances(*average, self.grid.interval):
-                spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+            changes = [*added_variances(*average, self.grid.interval)]
+        spread = deviations(self.factor, best, self.noise, self.grid.interval)
+        for frames, more in changes:
+            spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+        for error in self.parameter_errors:
+            np.hypot(spread, error, out=spread)
         spread *= self.noise
         return self.grid.to_rows(spread)
+
+    @cached_property
+    def parameter_errors(self) -> list[Array]:
+        """Changes of x, v and a by one standard deviation of frequencies and forces, (3, N), for unit noise."""
+        lines = line_frequency_errors(self.factor, self._without_forces / self.noise, self.grid.interval)
+        return [*lines, *place_force_errors(self.factor, self._course, self.smoother.forces)]
+
+    @cached_property
+    def _course(self) -> Course:
+        return Course(self._on_grid(), self.grid.interval)
+
+    @cached_property
+    def _without_forces(self) -> Array:
+        """Low-passed series (N,) without the displacement by forces that are periodic in place."""
+        return self._course.x - self._course.displacement(self.smoother.forces)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
         """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
@@ -359,7 +376,7 @@ class Derivatives:
         pick = np.zeros((len(rows), len(use)))
         np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
         found = pick @ self.factor.covariance(use)[use] @ pick.T
-        for error in line_frequency_errors(self.factor, self._on_grid(), self.grid.interval):
+        for error in self.parameter_errors:
             found += np.outer(error[order, frames], error[order, frames])
         scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
         out: Array = found * np.outer(scale, scale)
@@ -395,6 +412,34 @@ class Derivatives:
             unit = np.zeros((self.grid.n, len(part)))
             unit[part, np.arange(len(part))] = 1.0
             yield self._apply_method(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
+
+
+def best_smoothing(filtered: Filtered) -> Filtered:
+    """Smooth the same x by the default method; once, however many ask for it.
+
+    Parameters
+    ----------
+    filtered
+        A displacement low-passed by any method.
+
+    Returns
+    -------
+    Filtered
+        The same object if it was smoothed by the default, or if a sensor was fused.
+
+    """
+    if not filtered.asked or filtered.x_measured is None:
+        return filtered
+    if filtered not in _BEST:
+        none, known = np.full(len(filtered), np.nan), filtered.sigma_x < MISSING_SIGMA
+        rows = Displacement(filtered.t, filtered.x_measured, none, none, filtered.sigma_x, none, known)
+        _BEST[filtered] = low_pass(rows)
+    return _BEST[filtered]
+
+
+def _with_y_as_x(filtered: Filtered) -> Filtered:
+    """The same with the coordinate across the course in place of that along it."""
+    return replace(filtered, x=filtered.y, sigma_x=filtered.sigma_y, x_measured=filtered.y_measured)
 
 
 def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:

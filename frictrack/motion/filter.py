@@ -7,30 +7,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from frictrack.errors import FrictrackError
-from frictrack.motion.filter_methods import METHODS, FilterMethod, interpolate_missing
-from frictrack.motion.filter_settings import (
-    KALMAN,
-    METHOD_NAMES,
-    STRUCTURAL,
-    Smoother,
-    describe_given_cutoff,
-    describe_structure,
-)
+from frictrack.errors import FrictrackError, raise_faults
+from frictrack.filters import KALMAN, STRUCTURAL, FilterChoice
+from frictrack.motion.filter_methods import METHODS, interpolate_missing
+from frictrack.motion.filter_settings import Smoother, describe_given_cutoff, describe_structure
 from frictrack.motion.grid import FrameGrid, frame_grid
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.motion.noise import CorrelatedNoise, suspected_noise
 from frictrack.motion.smoother import (
     MAX_WHOLE_FRAMES,
     TREND_ORDER,
-    ChangeGroup,
+    Course,
     Event,
     NoiseColour,
+    PlaceForce,
     SmootherData,
     Structure,
     StructureSearch,
     alternatives,
     cutoff_of,
+    find_place_forces,
     find_structure,
     mean_shift,
     weighted_cubic,
@@ -46,6 +42,7 @@ MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
 MAX_CORRELATED = 0.999  # largest share and correlation of coloured noise
 MAX_COLOUR_TRIALS = 40  # evaluations to fit correlation and share
 MAX_SPECTRUM_FRAMES = 100_000  # in which coloured noise is suspected
+FORCE_FRAMES = (100, MAX_WHOLE_FRAMES)  # of a record in which forces periodic in place are searched
 MIN_FRAMES = 8  # valid frames from which noise can be estimated
 MAX_POSITION_M = 1e5  # beyond it the digits of a position no longer hold the motion to the accuracy of its integration
 MIN_TRAVEL_M = 1e-15  # of a moving target
@@ -55,25 +52,28 @@ def low_pass(
     displacement: Displacement,
     cutoff: float | None = None,
     *,
-    method: str = STRUCTURAL,
+    method: str | FilterChoice = STRUCTURAL,
     acceleration: KnownAcceleration | None = None,
     noise: CorrelatedNoise | None = None,
 ) -> Filtered:
     """Low-pass a displacement from the first to the last measured frame, missing frames included.
 
-    By default x and y are each decomposed into a trend, lines (vibrations) and events by the highest restricted
-    likelihood, and the noise level is estimated with them. Standard deviations of the displacement count relative to
-    each other only.
+    By default x and y are each decomposed into a trend, lines (vibrations), events and, for x, forces that are periodic
+    in place, by the highest restricted likelihood, and the noise level is estimated with them. Standard deviations of
+    the displacement count relative to each other only.
 
     Parameters
     ----------
     displacement
         Positions with standard deviations, n frames.
     cutoff
-        Use a plain low-pass that keeps half of the amplitude at this frequency, Hz.
+        Frequency at which half of the amplitude passes, Hz. With the default method it is that of a plain low-pass,
+        which replaces the decomposition.
     method
         "structural" (default), "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth"
-        (residual analysis), "savitzky-golay" (generalised cross-validation) or "gaussian-process" (maximum likelihood).
+        (cut-off by residual analysis if not given), "savitzky-golay" (degree and window by generalised
+        cross-validation), "gaussian-process" (maximum likelihood) or "papers" (Butterworth at 100 Hz of the
+        displacement as it is, then central differences). A `FilterChoice` also sets order, window and direction.
     acceleration
         Acceleration by a sensor, used for x with "structural" and "kalman".
     noise
@@ -88,8 +88,8 @@ def low_pass(
     Raises
     ------
     FrictrackError
-        For too few valid frames, a position that never changes, uneven time stamps, an unknown method, or a cut-off
-        outside 0 to half the frame rate.
+        For too few valid frames, a position that never changes, uneven time stamps, an unknown method or a setting that
+        it does not take, or a cut-off outside 0 to half the frame rate.
 
     References
     ----------
@@ -112,16 +112,18 @@ def low_pass(
     displacement, known = displacement.rows(span), known[span]
     acceleration = acceleration and acceleration.rows(span)
     grid = frame_grid(displacement.t)
+    choice = method if isinstance(method, FilterChoice) else FilterChoice(method, cutoff)
+    raise_faults(list(choice.faults()), "low_pass")
+    cutoff = choice.cutoff
     _check_cutoff(cutoff, grid)
-    _check_method(method, cutoff)
     rounded = bool(displacement.resolution)
     coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
     coordinate.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
-    x = coordinate.low_passed(cutoff, method, acceleration)
+    x = coordinate.low_passed(choice, acceleration, find_forces=True)
     y = _LowPassed.unmeasured(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
-        y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(cutoff, method, None)
+        y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(choice, None)
     return Filtered(
         t=displacement.t,
         x=x.x,
@@ -131,7 +133,7 @@ def low_pass(
         sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
-        asked=cutoff is not None or method in METHODS,
+        asked=not choice.is_default,
         repaired=displacement.repaired,
         x_measured=x.measured,
         y_measured=y.measured,
@@ -196,40 +198,57 @@ class _Coordinate:
         self.colour: NoiseColour | None = None
         self.rounded = rounded  # whether rounding dominates the noise
 
-    def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _LowPassed:
-        """Low-pass by a method, or at a given cut-off (Hz)."""
-        interval, asked = self.grid.interval, cutoff is not None
+    def low_passed(
+        self, choice: FilterChoice, acceleration: KnownAcceleration | None, *, find_forces: bool = False
+    ) -> _LowPassed:
+        """Low-pass as chosen."""
+        interval, cutoff, method = self.grid.interval, choice.cutoff, choice.method
         search = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
         stiff = search.stiff
         level = float(np.sqrt(stiff.factor_smoother(search.data).restricted_likelihood()[1]))
         best = cutoff_of(float(np.exp(stiff.stiffness[0])), interval)
         if method in METHODS:
-            return self._apply_method(METHODS[method].fit(interpolate_missing(self.y, self.w > 0), level), level)
+            return self._apply_method(choice, level)
         if acceleration is not None:
             search = StructureSearch(self._with_sensor(acceleration, level))
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), describe_given_cutoff(cutoff, best)
         else:
             structure, search.data = self._select_structure(search.data, method)
-            reason = describe_structure(structure, len(self.y), interval, search.data.colour)
-        factor = structure.factor_smoother(search.data)
-        _, variance, unknowns = factor.restricted_likelihood()
-        signal = factor.signal(unknowns)
-        groups: tuple[ChangeGroup, ...] = ()
-        if cutoff is None and method == STRUCTURAL and acceleration is None:
-            groups = alternatives(search.data, structure)
-            signal = signal + mean_shift(search.data, structure, groups)
+        smoother = Smoother(structure, colour=search.data.colour)
+        variance, signal = _smoothed(structure, search.data)
+        if choice.is_default and acceleration is None:
+            smoother, variance, signal = self._with_forces_and_average(smoother, search.data, find_forces=find_forces)
+            structure = smoother.structure or structure
         if cutoff is None:
             level = float(np.sqrt(variance))
             best = self._slide_cutoff(signal, best)
+            reason = describe_structure(smoother, interval)
         return replace(
             self._result(signal, level, cutoff or best),
-            smoother=str(Smoother(structure, None, groups, search.data.colour)),
-            measured=self._measured() if groups or (asked and acceleration is None) else None,
+            smoother=str(smoother),
+            measured=None if acceleration else self._measured(),
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
+
+    def _with_forces_and_average(
+        self, found: Smoother, data: SmootherData, *, find_forces: bool
+    ) -> tuple[Smoother, float, Array]:
+        """Add forces that are periodic in place and average over structures: smoother, noise variance, signal (n,)."""
+        structure, shift = found.structure, np.zeros(len(self.y))
+        forces: tuple[PlaceForce, ...] = ()
+        assert structure is not None
+        if find_forces and FORCE_FRAMES[0] <= len(self.y) <= FORCE_FRAMES[1]:
+            course = Course(_smoothed(structure, data)[1] + self.trend, self.grid.interval)
+            forces, structure = find_place_forces(data, structure, course)
+            shift = course.displacement(forces)
+            data = replace(data, y=np.where(self.w > 0, data.y - shift, 0.0))
+        variance, signal = _smoothed(structure, data)
+        groups = alternatives(data, structure)
+        smoother = Smoother(structure, None, groups, data.colour, forces)
+        return smoother, variance, signal + shift + mean_shift(data, structure, groups)
 
     def _select_structure(self, data: SmootherData, method: str) -> tuple[Structure, SmootherData]:
         """Structure of the highest likelihood with white or coloured noise, and the data with that noise."""
@@ -282,12 +301,13 @@ class _Coordinate:
             self.grid.interval,
         )
 
-    def _apply_method(self, method: FilterMethod, level: float) -> _LowPassed:
+    def _apply_method(self, choice: FilterChoice, level: float) -> _LowPassed:
+        y = interpolate_missing(self.y + self.trend, self.w > 0)
+        method = METHODS[choice.method].fit(y, level, choice, self.grid.interval)
         cutoff = method.cutoff / self.grid.interval
-        passed = self._result(method.derived(interpolate_missing(self.y, self.w > 0), 0), level, cutoff)
-        measured = self._measured()
-        reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
-        return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
+        reason = f"{method.name}, half passes at {cutoff:.3g} Hz" + ", forward only: delayed" * choice.causal
+        passed = self._result(method.derived(y, 0) - self.trend, level, cutoff)
+        return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=self._measured())
 
     def _measured(self) -> Array:
         """Unfiltered rows (n,)."""
@@ -326,6 +346,13 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
         loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
     )
     return colour(found.x)
+
+
+def _smoothed(structure: Structure, data: SmootherData) -> tuple[float, Array]:
+    """Variance of the noise, and the signal (n,)."""
+    factor = structure.factor_smoother(data)
+    _, variance, unknowns = factor.restricted_likelihood()
+    return variance, factor.signal(unknowns)
 
 
 def _longest_measured_span(w: Array) -> slice:
@@ -432,14 +459,4 @@ def _check_cutoff(cutoff: float | None, grid: FrameGrid) -> None:
         raise FrictrackError(
             f"cutoff: expected a frequency between 0 and half the frame rate, {nyquist:g} Hz, but got "
             f"{cutoff:g} Hz; leave it out to have it chosen from the data"
-        )
-
-
-def _check_method(method: str, cutoff: float | None) -> None:
-    """Raise FrictrackError for an unknown method, or a cut-off with a method that chooses its own."""
-    if method not in METHOD_NAMES:
-        raise FrictrackError(f'method: expected one of {", ".join(METHOD_NAMES)} but got "{method}"')
-    if cutoff is not None and method != STRUCTURAL:
-        raise FrictrackError(
-            f"cutoff: expected none with the method {method}, which chooses its own; leave one of them out"
         )

@@ -1,7 +1,7 @@
-"""Other filters for comparison: Butterworth, Savitzky-Golay and Gaussian process, with parameters from the data.
+"""Filters that a user may choose: Butterworth, Savitzky-Golay, Gaussian process, and the chain of the papers.
 
-Each is a linear map of the frames. Missing frames are bridged by straight lines. The signal that a filter removes is
-estimated by filtering once more (twicing; Tukey 1977, Exploratory Data Analysis, ch. 16).
+Each is a linear map of the frames, with settings as given or from the data. Missing frames are bridged by
+straight lines.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import scipy
 from numpy.polynomial import polynomial
 
 from frictrack.errors import FrictrackError
+from frictrack.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, FilterChoice
 from frictrack.motion.stencil import stencil_derivative
 from frictrack.records import Array, Mask
 
 CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried for Butterworth, cycles per frame
-BUTTERWORTH_ORDER = 4
 MAX_RESIDUAL_SIGMAS = 2.0  # standard deviations by which the residual's mean square may exceed the noise
 WINDOW_FRAMES = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried for Savitzky-Golay
 DEGREES = (3, 4, 5)
@@ -41,24 +41,40 @@ class FilterMethod(Protocol):
         """Derivative of order 0 to 2 of the filtered columns (n, ...), per frame."""
 
 
+def butterworth(y: Array, low: float, order: int, *, causal: bool) -> Array:
+    """Filter columns (n, ...) so that half of the amplitude passes at `low`, cycles per frame.
+
+    One pass has the gain 1/sqrt(1 + (f/f_c)^(2 order)) of prewarped frequencies: two passes keep half at f_c, a single
+    one at f_c 3^(1/(2 order)).
+    """
+    lower = 3.0 ** (-0.5 / order) if causal else 1.0
+    sos = scipy.signal.butter(order, 2 / np.pi * np.arctan(lower * np.tan(np.pi * low)), output="sos")
+    if causal:
+        start = scipy.signal.sosfilt_zi(sos).reshape(*sos.shape[:1], 2, *[1] * (y.ndim - 1)) * y[:1]
+        return np.asarray(scipy.signal.sosfilt(sos, y, axis=0, zi=start)[0])
+    reach = min(len(y) - 1, int(np.ceil(1 / low)))
+    return np.asarray(scipy.signal.sosfiltfilt(sos, y, axis=0, padtype="odd", padlen=reach))
+
+
 @dataclass(frozen=True)
 class Butterworth:
-    """Butterworth filter forward and backward, without a cubic, which would ring at the ends.
+    """Butterworth filter without a cubic, which would ring at the ends.
 
     Attributes
     ----------
-    low
-        Frequency at which both passes together keep half of the amplitude, cycles per frame.
+    cutoff
+        Frequency at which half of the amplitude passes, cycles per frame.
+    order
+        Order of one pass.
+    causal
+        Forward only, else forward and backward.
 
     """
 
-    low: float
+    cutoff: float
+    order: int = DEFAULT_ORDER
+    causal: bool = False
     name: ClassVar[str] = "butterworth"
-
-    @property
-    def cutoff(self) -> float:
-        """Frequency at which half of the amplitude passes, cycles per frame."""
-        return self.low
 
     def derived(self, y: Array, order: int) -> Array:
         """Derivative of the filtered columns (n, ...) by central differences, per frame."""
@@ -66,37 +82,48 @@ class Butterworth:
 
     def _smooth(self, y: Array) -> Array:
         trend = _cubic(y)
-        sos = scipy.signal.butter(BUTTERWORTH_ORDER, 2 * self.low, output="sos")
-        reach = min(len(y) - 1, int(np.ceil(1 / self.low)))
-        return np.asarray(trend + scipy.signal.sosfiltfilt(sos, y - trend, axis=0, padtype="odd", padlen=reach))
+        return trend + butterworth(y - trend, self.cutoff, self.order, causal=self.causal)
 
     @classmethod
-    def fit(cls, y: Array, noise: float) -> Butterworth:
-        """Choose the lowest cut-off that removes no more than the noise (residual analysis).
+    def fit(cls, y: Array, noise: float, choice: FilterChoice, interval: float) -> Butterworth:
+        """Take the cut-off given, else the lowest that removes no more than the noise.
 
-        Parameters
-        ----------
-        y
-            Positions, (n,).
-        noise
-            Standard deviation of the noise, in the unit of y.
-
-        Returns
-        -------
-        Butterworth
-            The filter.
-
-        References
-        ----------
-        Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3.
-
+        This is the residual analysis of Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3.
         """
-        for low in CUTOFFS:
-            made = cls(float(low))
+        given = [] if choice.cutoff is None else [choice.cutoff * interval]
+        for low in given or CUTOFFS.tolist():
+            made = cls(low, choice.order or DEFAULT_ORDER, choice.causal)
             rest = y - made._smooth(y)
             if np.mean(rest**2) <= noise**2 * (1 - 2 * low) * (1 + MAX_RESIDUAL_SIGMAS * np.sqrt(2 / len(y))):
-                return made
-        return cls(float(CUTOFFS[-1]))
+                break
+        return made
+
+
+@dataclass(frozen=True)
+class Papers:
+    """The chain of the two papers: a low-pass of the displacement as it is, then central differences, once and twice.
+
+    They name neither cut-off nor order nor direction: by default 100 Hz, a Butterworth filter of order 4, forward and
+    backward. The first and the last period are distorted, because no trend is removed before.
+    """
+
+    cutoff: float
+    order: int = DEFAULT_ORDER
+    causal: bool = False
+    name: ClassVar[str] = PAPERS
+
+    def derived(self, y: Array, order: int) -> Array:
+        """Derivative of the filtered columns (n, ...) by repeated central differences, per frame."""
+        smooth = butterworth(y, self.cutoff, self.order, causal=self.causal)
+        for _ in range(order):
+            smooth = np.gradient(smooth, axis=0)
+        return smooth
+
+    @classmethod
+    def fit(cls, y: Array, noise: float, choice: FilterChoice, interval: float) -> Papers:
+        """Take the settings given; nothing is chosen from the data."""
+        del y, noise
+        return cls((choice.cutoff or PAPERS_CUTOFF) * interval, choice.order or DEFAULT_ORDER, choice.causal)
 
 
 @dataclass(frozen=True)
@@ -118,28 +145,17 @@ class SavitzkyGolay:
         return np.asarray(scipy.signal.savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
 
     @classmethod
-    def fit(cls, y: Array, noise: float) -> SavitzkyGolay:
-        """Choose window and degree by generalised cross-validation.
+    def fit(cls, y: Array, noise: float, choice: FilterChoice, interval: float) -> SavitzkyGolay:
+        """Choose window and degree, where not given, by generalised cross-validation.
 
-        Parameters
-        ----------
-        y
-            Positions, (n,).
-        noise
-            Not used.
-
-        Returns
-        -------
-        SavitzkyGolay
-            The filter.
-
-        References
-        ----------
-        Craven & Wahba 1979, Numer. Math. 31, 377-403.
-
+        See Craven & Wahba 1979, Numer. Math. 31, 377-403.
         """
-        del noise
-        tried = [cls(int(w), d) for d in DEGREES for w in WINDOW_FRAMES if d + 1 < w <= len(y)]
+        del noise, interval
+        windows = [choice.window] if choice.window else [int(w) for w in WINDOW_FRAMES]
+        degrees = [choice.order] if choice.order else DEGREES
+        tried = [cls(w, d) for d in degrees for w in windows if d + 1 < w <= len(y)]
+        if not tried:
+            raise FrictrackError(f"expected window of at most the record's {len(y)} frames but got {choice.window}")
         return min(tried, key=lambda m: m._cross_validation_score(y))
 
     def _cross_validation_score(self, y: Array) -> float:
@@ -183,31 +199,12 @@ class GaussianProcess:
         return np.asarray(self.size**2 * np.exp(-0.5 * apart**2))
 
     @classmethod
-    def fit(cls, y: Array, noise: float) -> GaussianProcess:
-        """Choose length and size by marginal likelihood, on every k-th frame.
+    def fit(cls, y: Array, noise: float, choice: FilterChoice, interval: float) -> GaussianProcess:
+        """Choose length and size by marginal likelihood, on every k-th frame; at most `MAX_FRAMES` frames.
 
-        Parameters
-        ----------
-        y
-            Positions, (n,).
-        noise
-            Standard deviation of the noise, in the unit of y.
-
-        Returns
-        -------
-        GaussianProcess
-            The process.
-
-        Raises
-        ------
-        FrictrackError
-            For more than `MAX_FRAMES` frames.
-
-        References
-        ----------
-        Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, ch. 5.
-
+        See Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, ch. 5.
         """
+        del choice, interval
         if len(y) > MAX_FRAMES:
             raise FrictrackError(
                 f"low_pass: expected at most {MAX_FRAMES} frames for a Gaussian process but got {len(y)}; "
@@ -233,7 +230,7 @@ class GaussianProcess:
         return cls(float(np.exp(found[0])), float(np.exp(found[1])))
 
 
-METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, GaussianProcess)}
+METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, GaussianProcess, Papers)}
 
 
 def interpolate_missing(y: Array, known: Mask) -> Array:

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.filters import STRUCTURAL
 from frictrack.motion.filter_methods import METHODS, FilterMethod
-from frictrack.motion.smoother import TREND_ORDER, ChangeGroup, Event, NoiseColour, Structure, cutoff_of
+from frictrack.motion.smoother import TREND_ORDER, ChangeGroup, Event, NoiseColour, PlaceForce, Structure, cutoff_of
 
-STRUCTURAL, KALMAN = "structural", "kalman"
-METHOD_NAMES = (STRUCTURAL, KALMAN, *METHODS)
 MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it signal is lost
 
 
@@ -30,6 +29,8 @@ class Smoother:
         Changes of the structure over which the signal was averaged.
     colour
         Colour of the noise.
+    forces
+        Forces that are periodic in place.
 
     """
 
@@ -37,6 +38,7 @@ class Smoother:
     method: FilterMethod | None = None
     alternatives: tuple[ChangeGroup, ...] = ()
     colour: NoiseColour | None = None
+    forces: tuple[PlaceForce, ...] = ()
 
     def __str__(self) -> str:
         if self.method:
@@ -48,6 +50,8 @@ class Smoother:
             more["alternatives"] = [asdict(g) for g in self.alternatives]
         if self.colour:
             more["noise"] = asdict(self.colour)
+        if self.forces:
+            more["forces"] = self.forces
         return json.dumps({"method": STRUCTURAL, **asdict(self.structure), **more})
 
     @classmethod
@@ -61,34 +65,34 @@ class Smoother:
         lines = tuple((float(f), float(m)) for f, m in settings["lines"])
         groups = tuple(ChangeGroup.read(g) for g in settings.get("alternatives", ()))
         colour = NoiseColour(**settings["noise"]) if "noise" in settings else None
-        return cls(Structure(tuple(settings["stiffness"]), lines, events), alternatives=groups, colour=colour)
+        forces = tuple(PlaceForce(*f) for f in settings.get("forces", ()))
+        return cls(Structure(tuple(settings["stiffness"]), lines, events), None, groups, colour, forces)
 
 
-def describe_structure(structure: Structure, n: int, interval: float, colour: NoiseColour | None = None) -> str:
+def describe_structure(smoother: Smoother, interval: float) -> str:
     """Describe the components of a record in words.
 
     Parameters
     ----------
-    structure
-        Trend, lines and events.
-    n
-        Number of frames.
+    smoother
+        Trend, lines, events, forces and noise.
     interval
         Frame interval, s.
-    colour
-        Colour of the noise.
 
     Returns
     -------
     str
-        Cut-offs of the trend, lines, events and correlated noise.
+        Cut-offs of the trend, lines, forces, events and correlated noise.
 
     """
+    structure, colour = smoother.structure, smoother.colour
+    assert structure is not None
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
     span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
     parts = [f"a trend cut off at {span}"]
     parts += [f"one sinusoid at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
+    parts += [f"a force periodic in place, every {1e3 * f.period:.4g} mm" for f in smoother.forces]
     centres = [1e3 * interval * 0.5 * (e.first + e.last + TREND_ORDER) for e in structure.events]
     if centres:
         parts.append("abrupt changes at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))

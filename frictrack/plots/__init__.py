@@ -8,7 +8,7 @@ from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
 from frictrack.plots.candidates import candidates
 from frictrack.plots.convergence import convergence
-from frictrack.plots.cutoff import cutoff, cutoffs
+from frictrack.plots.cutoff import cutoff, cutoffs, filters
 from frictrack.plots.drawn_data import plotted_data
 from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.figure_list import study_figures
@@ -46,6 +46,7 @@ __all__ = [
     "failed_model",
     "failing",
     "film",
+    "filters",
     "fit",
     "friction",
     "friction_title",

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frictrack.motion import FilteredMotion, compare_filters
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
-from frictrack.plots.style import axis_label, new_figure, panel_grid, styled
-from frictrack.records import CutoffTradeOff
+from frictrack.plots.inputs import AnyRun, as_run
+from frictrack.plots.measured import SHORT_LABELS, unsmeared
+from frictrack.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
+from frictrack.records import Array, CutoffTradeOff
+from frictrack.results import RunResults
 
 MAX_PANELS = 8  # runs drawn as small multiples
+FILTER_LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": "#999999", "lw": 0.6},
+    {"color": style.VERMILION, "lw": 1.2},
+    {"color": style.MEASURED_COLOUR, "lw": 1.4},
+)
 
 
 @styled
@@ -100,3 +110,56 @@ def _title(name: str, found: CutoffTradeOff, factor: float, unit: str) -> str:
     plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
     written = format_unit(unit)
     return f"{name}: error {format_number(apart, 2)} {written}; plain low-pass {format_number(plain, 2)} {written}"
+
+
+@styled
+def filters(run: AnyRun) -> Figure:
+    """Draw what a filter costs: displacement, velocity, acceleration and force as measured, filtered and smoothed.
+
+    The displacement is drawn less the smoothed one. Bands are two standard deviations; the legend has the rms errors of
+    the acceleration.
+
+    Parameters
+    ----------
+    run : RunResults or Run
+        The run. The filter is the one asked for, or else the plain low-pass of the force domain.
+
+    """
+    run = as_run(run)
+    found = compare_filters(run.displacement, run.filtered, run.motion)
+    t = 1e3 * run.motion.t
+    inside = unsmeared(run.motion)
+    if run.friction is not None and np.any(run.friction.free & inside):
+        inside &= run.friction.free  # a push would hide all else
+    errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]
+    lower = found[1].name if errors[1] < errors[2] else "smoothing"
+    figure = new_figure(7.4, f"{run.name}: lowest error by {lower}, {format_number(min(errors[1:]), 2)} m/s²")
+    quantities = [axis_label("x - smoothed", "µm"), *SHORT_LABELS[1:]]
+    rows = [[(one.values[k], one.sigma[k]) for one in found] for k in range(3)]
+    rows[0] = [(1e6 * (x - found[2].values[0]), 1e6 * sigma) for x, sigma in rows[0]]
+    if (force := _forces(run, found)) is not None:
+        rows, quantities = [*rows, force], [*quantities, axis_label("F", "N")]
+    panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
+    for k, (ax, row, quantity) in enumerate(zip(panels, rows, quantities, strict=True)):
+        for one, error, (values, sigma), look in zip(found, errors, row, FILTER_LOOKS, strict=True):
+            if one is not found[0]:
+                draw_band(ax, t, values, sigma, color=look["color"], alpha=0.25)
+            ax.plot(t, values, label=f"{one.name}, error {format_number(error, 2)} m/s²", **look)
+        shown = row if k == 0 else row[1:]  # differences of what was measured would hide the others
+        style.set_y_limits(ax, [v[inside] + n * s[inside] for v, s in shown for n in (-2.0, 2.0)])
+        ax.set_ylabel(quantity)
+    panels[-1].set_xlabel(axis_label("time t", "ms"))
+    figure.align_ylabels(panels)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left")
+    return figure
+
+
+def _forces(run: RunResults, found: Sequence[FilteredMotion]) -> list[tuple[Array, Array]] | None:
+    """Friction force D - m a by each filter, and its deviation; None if it does not follow from the acceleration."""
+    friction, mass = run.friction, run.mass
+    if mass is None or friction is None or (run.sensors is not None and run.sensors.friction_N is not None):
+        return None
+    rest = np.maximum(friction.sigma_F**2 - (mass * run.motion.sigma_a) ** 2, 0.0)  # of mass and drive
+    away = [one.values[2] - run.motion.a for one in found]
+    sigma = [np.sqrt(rest + (mass * one.sigma[2]) ** 2) for one in found]
+    return [(friction.F - mass * a, s) for a, s in zip(away, sigma, strict=True)]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from frictrack.plots.budget import budgets
 from frictrack.plots.candidates import candidates
 from frictrack.plots.convergence import convergence
-from frictrack.plots.cutoff import cutoff
+from frictrack.plots.cutoff import cutoff, filters
 from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.held_out import history
 from frictrack.plots.law import has_law, law
@@ -52,6 +52,7 @@ def _of_run(run: RunResults) -> Iterator[NamedFigure]:
         yield f"film {run.name}", partial(film, run)
     if run.cutoff is not None:
         yield f"cutoff {run.name}", partial(cutoff, run.name, run.cutoff, run.mass)
+        yield f"filters {run.name}", partial(filters, run)
 
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:

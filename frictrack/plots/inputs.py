@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
+
+import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.friction import find_events, friction
@@ -75,9 +78,13 @@ def as_summary(found: AnySummary) -> Mapping[str, Any]:
 
 
 def _smoothed(run: Run) -> Filtered:
-    """The smoothed displacement that the motion of a run was made from, whatever smoothed it."""
+    """The smoothed displacement that the motion of a run was made from, as if a filter had been asked for."""
     measured, motion = run.displacement, run.motion
-    return Filtered(motion.t, motion.x, measured.y, measured.sigma_x, measured.sigma_y)
+    sigma = np.where(measured.known, measured.sigma_x, np.inf)
+    how = json.loads(motion.filter)["method"] if motion.filter else "smoothed as given"
+    return Filtered(
+        motion.t, motion.x, measured.y, sigma, measured.sigma_y, reason=how, asked=True, x_measured=measured.x
+    )
 
 
 def _friction_of(run: Run) -> Friction | None:

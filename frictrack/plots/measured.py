@@ -139,9 +139,9 @@ def motions_title(runs: Sequence[RunResults]) -> str:
 def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
     """Draw x, v and a of one run in three panels, with its sections and events."""
     m = run.motion
-    unsmeared = _unsmeared(m)
-    moved = unsmeared if run.friction is None else unsmeared | run.friction.free
-    columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, unsmeared))
+    inside = unsmeared(m)
+    moved = inside if run.friction is None else inside | run.friction.free
+    columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, inside))
     for ax, (values, sigma, shown) in zip(panels, columns, strict=True):
         _shade_sections(ax, run)
         draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
@@ -199,7 +199,7 @@ def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
         ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
 
 
-def _unsmeared(m: Motion) -> Mask:
+def unsmeared(m: Motion) -> Mask:
     """Frames away from the smeared ends (n,); all frames of a very short record."""
     out = np.ones(len(m), dtype=bool)
     if len(m) > 2 * m.guard + 2:

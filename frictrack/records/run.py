@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.errors import raise_faults
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.lazy import imported
 from frictrack.records.frame_table import Array, NotebookView, scalar
 from frictrack.records.series import Displacement, Motion
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 GRAVITY = 9.80665  # m/s^2, standard
 EarlierRuns = tuple[tuple[float, float], ...]  # (s since its end, m slid in it) of every run before
@@ -111,6 +112,25 @@ class Run(NotebookView):
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
         raise_faults(faults, f'run "{self.name}"')
+
+    def plot(self, what: str = "motion") -> Figure:
+        """Draw the run.
+
+        Parameters
+        ----------
+        what
+            "motion", or "filters": displacement, velocity, acceleration and force as measured, filtered and smoothed.
+
+        Raises
+        ------
+        FrictrackError
+            For another figure.
+
+        """
+        if what not in ("motion", "filters"):
+            raise FrictrackError(f'plot: expected "motion" or "filters" but got "{what}"')
+        figure: Figure = imported(f"frictrack.plots:{what}")(self)
+        return figure
 
     def _cut_to_motion(self) -> None:
         """Cut off the frames before the first and after the last one of the motion."""

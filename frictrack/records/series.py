@@ -194,6 +194,7 @@ class Motion(FrameTable):
     sigma_a_y: Array = column("m/s^2", nan=True)
     guard: int = 0  # frames at either end and around a jump that the smoother distorts
     cutoff: float = scalar("Hz", default=float("nan"))
+    filter: str = ""  # JSON: a filter that was asked for, which the force domain uses, too; "" for a plain low-pass
     events: tuple[tuple[int, int], ...] = ()  # first and last row of fast events
     lines: tuple[float, ...] = ()  # Hz, vibrations
     shake_a: float = scalar("m/s^2", default=0.0)  # rms part of sigma_a that is due to residual camera shake

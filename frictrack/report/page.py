@@ -168,6 +168,7 @@ def _measurement_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]
     return {
         "films": _first_frames(results),
         "motions": draw(plots.motions(results.runs)),
+        "filters": draw(plots.filters(results.runs[0])) if smoothed else Markup(""),
         "cutoffs": draw(plots.cutoffs(smoothed)) if smoothed else Markup(""),
         "smoothing": measurement_quality.smoothing(results),
         "friction": draw(plots.friction(results.runs)) if _has_force(results) else None,

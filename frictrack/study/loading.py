@@ -22,10 +22,12 @@ from frictrack.study.schema import (
     CostsTable,
     EffectTable,
     Keys,
+    MotionTable,
     RunTable,
     SearchTable,
     StudyTable,
     Value,
+    chosen_filter,
     needs_film,
     suggest,
 )
@@ -33,6 +35,7 @@ from frictrack.study.schema import (
 TABLES: dict[str, type[Keys]] = {
     "study": StudyTable,
     "camera": CameraTable,
+    "motion": MotionTable,
     "run": RunTable,
     "effect": EffectTable,
     "costs": CostsTable,
@@ -256,6 +259,10 @@ class _Reader:
                 self._check_table(name, value)
         head = self._table("study", 0, raw.get("study", {}))
         camera = self._table("camera", 0, raw.get("camera", {}))
+        motion = self._table("motion", 0, raw.get("motion", {}))
+        if motion:
+            where = f"[motion], {self._line('motion', 0, '')}"
+            self.faults += [f"{where}: {fault}" for fault in chosen_filter(motion).faults()]
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         costs = self._table("costs", 0, raw.get("costs", {}))
         search = self._table("search", 0, raw["search"]) if "search" in raw else None
@@ -267,7 +274,7 @@ class _Reader:
             )
         if self.faults:
             return None
-        merged = tuple(self._merged(i, run, head, camera) for i, run in enumerate(runs))
+        merged = tuple(self._merged(i, run, (head, camera, motion)) for i, run in enumerate(runs))
         output = _output(path, head.output)
         if not _is_allowed(output, path.parent):
             self.faults.append(
@@ -330,7 +337,8 @@ class _Reader:
         message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
         return f"{where}: {key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
 
-    def _merged(self, index: int, run: RunTable, head: StudyTable, camera: CameraTable) -> RunTable:
+    def _merged(self, index: int, run: RunTable, tables: tuple[StudyTable, CameraTable, MotionTable]) -> RunTable:
+        head, camera, motion = tables
         where = f"{_title('run', index, run.model_dump())}, {self._line('run', index, '')}"
         if (run.video is None) == (run.table is None):
             came = "neither" if run.video is None else "both"
@@ -342,6 +350,7 @@ class _Reader:
             "fps": camera.fps,
             "scale": camera.scale,
             "lens": camera.lens,
+            **({} if run.filter else motion.model_dump()),  # settings of one filter make no sense for another
         }
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
@@ -451,6 +460,9 @@ def _run_faults(run: RunTable) -> list[str]:
         faults.append("expected no template with a picture of the target: the picture is searched in all frames")
     if run.columns and run.video:
         faults.append("expected columns only with a table")
+    faults += run.filter_choice.faults()
+    if run.fps and run.cutoff and run.cutoff >= run.fps / 2:
+        faults.append(f"expected cutoff below half the frame rate, {run.fps / 2:g} Hz, but got {run.cutoff:g} Hz")
     return faults + _picture_faults(run)
 
 

@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 
 from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
+from frictrack.filters import STRUCTURAL, FilterChoice
 from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.priors import Prior
 from frictrack.remote import RemoteFile, is_address, locate
@@ -636,6 +637,33 @@ class SearchTable(Keys):
         return {"search": self.method, "over": self.over, "settings": settings}
 
 
+class MotionTable(Keys):
+    """The keys of ``[motion]``, for all runs that do not state their own; a run with its own filter takes none of them.
+
+    Attributes
+    ----------
+    filter
+        Filter of the displacement, for the motion and the force domain: "structural" (default: trend, vibrations and
+        events are separated), "kalman", "butterworth", "savitzky-golay", "gaussian-process" or "papers".
+    cutoff
+        Cut-off of a filter; without a filter that of a plain low-pass, instead of the separation into trend, vibrations
+        and events.
+    order
+        Order of a Butterworth filter, or degree of the polynomials of a Savitzky-Golay filter.
+    window
+        Frames of these polynomials, an odd number.
+    causal
+        Filter forward only, which delays the motion; default forward and backward.
+
+    """
+
+    filter: str | None = None
+    cutoff: Frequency | None = None
+    order: int | None = None
+    window: int | None = None
+    causal: bool | None = None
+
+
 class RunTable(Keys):
     """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``.
 
@@ -681,8 +709,8 @@ class RunTable(Keys):
         Length that is added to all positions, so that runs share one course.
     free
         Begin and end of the free section that is fitted, where the automatic choice is wrong.
-    cutoff
-        Cut-off of a plain low-pass, instead of the separation into trend, vibrations and events.
+    filter, cutoff, order, window, causal
+        As in ``[motion]``, where they differ.
     incline
         Angle by which the course rises toward +x; negative where it falls.
     normal_load
@@ -731,7 +759,11 @@ class RunTable(Keys):
     origin_px: Pair | None = None
     x_offset: Place = 0.0
     free: Times | None = None
+    filter: str | None = None
     cutoff: Frequency | None = None
+    order: int | None = None
+    window: int | None = None
+    causal: bool | None = None
     incline: Angle | None = None
     normal_load: Load | None = None
     drive: Drive | None = None
@@ -751,6 +783,16 @@ class RunTable(Keys):
         path = self.video or self.table
         assert path is not None  # checked by `load`
         return path
+
+    @property
+    def filter_choice(self) -> FilterChoice:
+        """The filter of its displacement."""
+        return chosen_filter(self)
+
+
+def chosen_filter(keys: MotionTable | RunTable) -> FilterChoice:
+    """Return the filter that some keys describe."""
+    return FilterChoice(keys.filter or STRUCTURAL, keys.cutoff, keys.order, keys.window, bool(keys.causal))
 
 
 def _fixed(raw: Any) -> Any:

@@ -65,6 +65,8 @@ axis = "track"              +x along the path itself, if the course is not level
 incline = "22 deg"          the course rises toward +x; negative where it falls
 free = ["0.01 s", "0.2 s"]  the free section that is fitted, if the automatic choice is wrong
 cutoff = "120 Hz"           a plain low-pass, instead of separating trend, vibrations and events automatically
+filter = "butterworth"      another filter; or "savitzky-golay", "kalman", "gaussian-process" or "papers" (as in the two
+                            papers); with cutoff, order, window, causal = true; in [motion] for all runs
 drive = "drive.csv"         the drive force with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
                             {table = "p.csv", area = "3.14 cm^2", until = "release"}; then mass = "fit" is possible
 sensor = "acc.csv"          an accelerometer or load cell with its own clock (t_s, a_m_s2 or friction_N)

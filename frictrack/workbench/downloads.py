@@ -166,7 +166,7 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     Parameters
     ----------
     name : str
-        "law", "cutoff:RUN", "scan:EFFECT", "unexplained" or "history".
+        "law", "cutoff:RUN", "filters:RUN", "scan:EFFECT", "unexplained" or "history".
     snapshot : Snapshot
         The study and its results as they were read last.
 
@@ -192,16 +192,19 @@ def _draw(name: str, results: Results) -> Figure | None:
     from frictrack import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    diagnosis = results.diagnosis or {}
+    model, unexplained = results.current, (results.diagnosis or {}).get("unexplained")
     run = next((one for one in results.runs if one.name == which), None)
-    if kind == "law" and results.current is not None and plots.has_law(results.current):
-        return plots.law(results.current, results.runs, title=False, width=4.8)
-    if kind == "cutoff" and run is not None and run.cutoff is not None:
-        return plots.cutoff(run.name, run.cutoff, run.mass)
-    if kind == "scan" and plots.has_scan(results.figures.get(which, {})):
-        return plots.scan(which, results.figures[which], width=5.0)
-    if kind == "unexplained" and diagnosis.get("unexplained"):
-        return plots.unexplained(diagnosis["unexplained"])
-    if kind == "history" and results.models:
-        return plots.history(results.models)
-    return None
+    drawn: Figure | None = None
+    if kind == "law" and model is not None and plots.has_law(model):
+        drawn = plots.law(model, results.runs, title=False, width=4.8)
+    elif kind == "cutoff" and run is not None and run.cutoff is not None:
+        drawn = plots.cutoff(run.name, run.cutoff, run.mass)
+    elif kind == "filters" and run is not None:
+        drawn = plots.filters(run)
+    elif kind == "scan" and plots.has_scan(results.figures.get(which, {})):
+        drawn = plots.scan(which, results.figures[which], width=5.0)
+    elif kind == "unexplained" and unexplained:
+        drawn = plots.unexplained(unexplained)
+    elif kind == "history" and results.models:
+        drawn = plots.history(results.models)
+    return drawn

@@ -7,13 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from frictrack.fit.pieces.cutting import MIN_FRAMES
 from frictrack.fit.pieces.piece import Piece
-from frictrack.motion import STENCIL_FRAMES, frame_grid, frame_weights, stencils
-from frictrack.motion.smoother import FactoredSmoother, SmootherData, Structure
+from frictrack.motion import (
+    STENCIL_FRAMES,
+    FilterMethod,
+    Smoother,
+    frame_grid,
+    frame_weights,
+    interpolate_missing,
+    stencils,
+)
+from frictrack.motion.smoother import SmootherData, Structure
 from frictrack.records import Array, Mask, Run
+
+COLUMNS_AT_ONCE = 256  # responses of a filter computed in one call
 
 
 @dataclass(frozen=True)
@@ -23,48 +34,76 @@ class AccelerationChain:
     The frames within the run's guard of either end are smoothed but not compared.
     """
 
-    rows: NDArray[np.int64]  # place of every frame on the regular grid of N frames
-    weight: Array  # of the smoother, (N,), 0 where a frame is missing
-    factor: FactoredSmoother  # the smoother
-    second: csr_array  # second derivative at the compared frames, (m, N)
+    linear: LinearOperator  # (m, n)
     sigma_a: Array  # noise of the accelerations, (m,)
     kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
     cutoff: float  # Hz
 
     def apply(self, columns: Array) -> Array:
         """Compute accelerations (m, k), m/s^2, of displacements (n, k), m."""
-        full = np.zeros((len(self.weight), columns.shape[1]))
-        full[self.rows] = columns
-        out: Array = self.second @ self.factor.smooth(full)
-        return out
+        return np.asarray(self.linear.matmat(columns))
 
     def transposed(self, columns: Array) -> Array:
         """Apply the transposed map to columns (m, k), shape (n, k)."""
-        out: Array = (self.weight[:, None] * self.factor.posterior_covariance_times(self.second.T @ columns))[self.rows]
-        return out
+        return np.asarray(self.linear.rmatmat(columns))
 
     def only(self, rows: Mask) -> AccelerationChain:
         """Return the same chain, compared only at the marked frames (n,) of the piece."""
         use = rows[self.kept]
-        return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
+        pick = eye_array(len(use), format="csr")[use]
+        return replace(
+            self, linear=aslinearoperator(pick) @ self.linear, sigma_a=self.sigma_a[use], kept=self.kept[use]
+        )
 
 
 def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
-    """Create the chain of one piece at the cut-off frequency of its run."""
-    grid, n = frame_grid(piece.t), len(piece.t)
+    """Create the chain of one piece: the filter that the run's motion was asked for, else a low-pass at its cut-off."""
+    n = len(piece.t)
     guard = min(run.motion.guard, n // 8, max((n - MIN_FRAMES) // 2, 0))
-    inside = np.arange(guard, n - guard)
-    kept = grid.frames[inside]
-    weight = grid.to_frames(frame_weights(piece.sigma, np.ones(n, dtype=bool)))
+    kept = np.arange(guard, n - guard)
+    method = Smoother.read(run.motion.filter).method if run.motion.filter else None
+    linear, sigma_a = _low_pass(run, piece, kept) if method is None else _filter(method, piece, kept)
+    return AccelerationChain(linear, sigma_a, kept, run.motion.cutoff)
+
+
+def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Low-pass at the run's cut-off and second derivative: the map, and the noise at the kept frames."""
+    grid = frame_grid(piece.t)
+    weight = grid.to_frames(frame_weights(piece.sigma, np.ones(len(piece.t), dtype=bool)))
     low_pass = Structure.low_pass(run.motion.cutoff, grid.interval)
     smoother = low_pass.factor_smoother(SmootherData(np.zeros(grid.n), weight))
     start, table = stencils(grid.n, grid.interval)
+    frames = grid.frames[kept]
     noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
     sigma_a = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
     rows = np.repeat(np.arange(len(kept)), STENCIL_FRAMES)
-    columns = (start[kept, None] + np.arange(STENCIL_FRAMES)).ravel()
-    second = csr_array((table[2, kept].ravel(), (rows, columns)), shape=(len(kept), grid.n))
-    return AccelerationChain(grid.frames, weight, smoother, second, sigma_a[kept], inside, run.motion.cutoff)
+    columns = (start[frames, None] + np.arange(STENCIL_FRAMES)).ravel()
+    second = csr_array((table[2, frames].ravel(), (rows, columns)), shape=(len(kept), grid.n))
+
+    def apply(displacements: Array) -> Array:
+        full = np.zeros((grid.n, *displacements.shape[1:]))
+        full[grid.frames] = displacements
+        return np.asarray(second @ smoother.smooth(full))
+
+    def transposed(accelerations: Array) -> Array:
+        back = smoother.posterior_covariance_times(second.T @ accelerations)
+        return np.asarray(weight.reshape(-1, *[1] * (back.ndim - 1)) * back)[grid.frames]
+
+    shape = (len(kept), len(piece.t))
+    made = LinearOperator(shape, matvec=apply, rmatvec=transposed, matmat=apply, rmatmat=transposed, dtype=float)
+    return made, sigma_a[frames]
+
+
+def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Second derivative by another filter, as a matrix of its responses to every frame, and the noise."""
+    grid, n = frame_grid(piece.t), len(piece.t)
+    known = grid.to_frames(np.ones(n)) > 0
+    matrix = np.empty((len(kept), n))
+    for rows in np.array_split(np.arange(n), -(-n // COLUMNS_AT_ONCE)):
+        unit = np.zeros((grid.n, len(rows)))
+        unit[grid.frames[rows], np.arange(len(rows))] = 1.0 / grid.interval**2
+        matrix[:, rows] = method.derived(interpolate_missing(unit, known), 2)[grid.frames[kept]]
+    return aslinearoperator(matrix), np.linalg.norm(matrix * piece.sigma, axis=1)
 
 
 def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:

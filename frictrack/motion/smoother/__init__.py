@@ -1,6 +1,7 @@
 """Smooth positions by a structural model: a trend of varying stiffness, lines, events, and coloured noise."""
 
 from frictrack.motion.smoother.equations import FactoredSmoother, factor_smoother, variances_of
+from frictrack.motion.smoother.place_forces import Course, PlaceForce, find_place_forces, place_force_errors
 from frictrack.motion.smoother.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
 from frictrack.motion.smoother.record_windows import MAX_WHOLE_FRAMES, find_structure, window_data
 from frictrack.motion.smoother.smoother_data import (
@@ -25,10 +26,12 @@ __all__ = [
     "MAX_WHOLE_FRAMES",
     "TREND_ORDER",
     "ChangeGroup",
+    "Course",
     "Event",
     "FactoredSmoother",
     "LineParameters",
     "NoiseColour",
+    "PlaceForce",
     "ScoredStructure",
     "SmootherData",
     "Structure",
@@ -39,10 +42,12 @@ __all__ = [
     "cutoff_of",
     "deviations",
     "factor_smoother",
+    "find_place_forces",
     "find_structure",
     "line_frequency_errors",
     "mean_shift",
     "penalty",
+    "place_force_errors",
     "undetectable_amplitude",
     "variances_of",
     "weighted_cubic",

@@ -59,8 +59,6 @@ def deviations(factor: FactoredSmoother, x: Array, noise: float, interval: float
         return np.asarray(passed + lost)
 
     total = factor.posterior_and_noise_variance(stencil_start(len(x)), weights, with_lost)
-    for errors in line_frequency_errors(factor, x / noise, interval):
-        total += errors**2
     return np.asarray(np.sqrt(total, out=total))
 
 

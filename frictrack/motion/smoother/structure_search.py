@@ -180,7 +180,7 @@ class StructureSearch:
         """Trials with one more line and a trend as stiff as before or stiffer."""
         if len(s.lines) < MAX_LINES:
             for stiffer in STIFFENINGS:
-                trend = self._stiffer(s, stiffer)
+                trend = self.stiffer(s, stiffer)
                 peak = self._peak(trend)
                 for log_mu in START_LINE_STIFFNESSES:
                     yield replace(trend, lines=(*s.lines, (peak, log_mu)))
@@ -191,7 +191,7 @@ class StructureSearch:
             shocks = s.factor_smoother(self.data).shocks() ** 2
             if np.max(shocks) > MIN_EVENT_RATIO * np.mean(shocks):
                 for stiffer in STIFFENINGS:
-                    yield from self._events(self._stiffer(s, stiffer), stiffer)
+                    yield from self._events(self.stiffer(s, stiffer), stiffer)
             most, least = max(s.stiffness), min(s.stiffness)
             if most - least > START_BOOSTS[-1]:  # a soft end may be an event there
                 yield from self._events(replace(s, stiffness=(most,) * len(s.stiffness)), most - least)
@@ -224,7 +224,7 @@ class StructureSearch:
             knots[nearest] = max(knots[nearest] - e.boost, self.lowest)
             yield replace(without, stiffness=tuple(knots.tolist()))
 
-    def _stiffer(self, s: Structure, by: float) -> Structure:
+    def stiffer(self, s: Structure, by: float) -> Structure:
         """The same structure with a stiffer trend, within limits."""
         return replace(s, stiffness=tuple(min(v + by, self.highest) for v in s.stiffness))
 
@@ -274,7 +274,7 @@ class StructureSearch:
         s, limits = g.structure, self._bounds(g.structure)
 
         def loss(numbers: Array) -> float:
-            return self.loss(s.with_numbers(np.clip(numbers, *limits)))
+            return self.loss(self.bounded(numbers, s))
 
         start, scale = self._scaled(loss, s, g.loss)
         bounds = list(zip((limits[0] - start) / scale, (limits[1] - start) / scale, strict=True))
@@ -288,7 +288,7 @@ class StructureSearch:
             return loss(start + step * scale)
 
         found = scipy.optimize.minimize(scaled_loss, np.zeros(len(start)), **options)
-        return ScoredStructure(s.with_numbers(np.clip(start + found.x * scale, *limits)), float(found.fun))
+        return ScoredStructure(self.bounded(start + found.x * scale, s), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:
         """Optimise each parameter by itself, and find its step that costs about one."""
@@ -311,6 +311,10 @@ class StructureSearch:
             elif min(up, down) < now:
                 numbers, now = (numbers + unit, up) if up < down else (numbers - unit, down)
         return numbers, scale
+
+    def bounded(self, numbers: Array, s: Structure) -> Structure:
+        """The same structure with other values of its parameters, within their bounds."""
+        return s.with_numbers(np.clip(numbers, *self._bounds(s)))
 
     def _bounds(self, s: Structure) -> tuple[Array, Array]:
         """Bounds of the continuous parameters."""

@@ -16,10 +16,11 @@ KEY_NAMES = {
     "fps": "frame rate",
     "free": "free section",
     "cutoff": "cut-off",
+    "causal": "forward only",
     "repair": "repairs",
     "fix": "fixed values",
 }
-ALL_RUNS = ("study", "camera")  # tables whose keys hold for all runs
+ALL_RUNS = ("study", "camera", "motion")  # tables whose keys hold for all runs
 MAX_VALUE_TEXT = 60  # characters
 
 

@@ -6,6 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypedDict
 
+from frictrack.filters import FILTER_WORDS, FILTERS, STRUCTURAL
+from frictrack.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.flow import contact_sheet_path
 from frictrack.number_format import format_number
 from frictrack.records import CutoffTradeOff
@@ -208,6 +210,8 @@ def _warnings(run: RunResults) -> list[str]:
 def _motion(run: RunResults) -> dict[str, Any]:
     return {
         "smoothed_by": run.filtered.reason,
+        "filters": {name: {"words": FILTER_WORDS[name], "takes": takes} for name, takes in FILTERS.items()},
+        "filter": {"filter": STRUCTURAL} | {k: run.settings[k] for k in FILTER_SETTINGS if k in run.settings},
         "free": _free(run),
         "cutoff": _cutoff(run, run.cutoff) if run.cutoff else None,
     }

@@ -1,7 +1,7 @@
 """Compare frictrack and other methods that differentiate displacement twice, on signals of known truth.
 
     python pipelines/benchmarks/derivatives [--signals vib,coll] [--noises 2,10,50] [--seeds 8] [--methods WORD,WORD]
-                                            [--json FILE] [--peers-python PATH | --no-peers]
+                                            [--json FILE] [--peers-python PATH | --no-peers] [--calibration]
 
 Peers live in an environment of their own; what is not installed is left out. Most take long and run on one record of
 each kind; `own`: settings by PyNumDiff's `optimize` with a band limit fed by hand, `oracle`: with the true derivative.
@@ -28,7 +28,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from derivatives import SIGNALS, others, run  # noqa: E402 - found only now
+from derivatives import SIGNALS, calibration, others, run  # noqa: E402 - found only now
 from derivatives.plan import Plan  # noqa: E402
 
 
@@ -43,7 +43,10 @@ def main() -> None:
     parser.add_argument("--peer-seeds", type=int, default=1)
     parser.add_argument("--peer-seconds", type=int, default=45, help="CPU seconds of one peer on one record")
     parser.add_argument("--json", type=Path, help="file for all figures")
+    parser.add_argument("--calibration", action="store_true", help="only errors over stated deviations, of all filters")
     args = parser.parse_args()
+    if args.calibration:
+        return calibration.table(args.seeds, lambda text: print(text, flush=True))
     names = args.signals.split(",")
     if unknown := sorted(set(names) - set(SIGNALS)):
         parser.error(f"expected signals out of {', '.join(SIGNALS)} but got {', '.join(unknown)}")

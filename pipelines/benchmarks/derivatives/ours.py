@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-
 import numpy as np
 
 import frictrack as ft
@@ -11,7 +9,7 @@ from frictrack.records import Displacement
 
 from .estimate import Array, Estimate, Method
 
-OTHERS = ("butterworth", "savitzky-golay", "kalman", "gaussian-process")
+OTHERS = ("butterworth", "savitzky-golay", "kalman", "gaussian-process", "papers")
 
 
 def frictrack(noise: float, **options: str) -> Method:
@@ -30,7 +28,4 @@ def frictrack(noise: float, **options: str) -> Method:
 
 def methods(noise: float) -> dict[str, Method]:
     """The default, and every other smoother that low_pass offers by name."""
-    found = {"frictrack": frictrack(noise)}
-    if "method" in inspect.signature(ft.low_pass).parameters:
-        found |= {f"frictrack {name}": frictrack(noise, method=name) for name in OTHERS}
-    return found
+    return {"frictrack": frictrack(noise)} | {f"frictrack {name}": frictrack(noise, method=name) for name in OTHERS}

@@ -114,6 +114,21 @@ def sliding(name: str, **more: float) -> Signal:
     return Signal(name, *cut, events, p, slide)
 
 
+def texture(name: str, amplitude: float = 1.5, period: float = 0.031) -> Signal:
+    """Slide on a course with a texture: a force that is periodic in place, from 190 Hz downward."""
+    t = frames(600)
+
+    def acceleration(x: Array, v: Array) -> Array:
+        return -(friction(v, SLIDE) + amplitude * np.sin(2 * np.pi * x / period)) / MASS
+
+    found = solve_ivp(
+        lambda _, s: [s[1], acceleration(*s)], (0.0, t[-1]), [0.0, SLIDE["v"]], t_eval=t, method="DOP853",
+        rtol=1e-12, atol=1e-14, max_step=5e-4,
+    )  # fmt: skip
+    x, v = found.y
+    return Signal(name, t, x, v, acceleration(x, v))
+
+
 def stop(name: str) -> Signal:
     """Slide from 4 m/s that comes to rest and stays: acceleration jumps by 40 m/s^2 (analytic time of rest)."""
     p, t = SLIDE | {"v": 4.0}, frames(640)
@@ -182,6 +197,7 @@ SIGNALS: dict[str, Callable[[str], Signal]] = {
     "two": partial(sliding, **LINE, F1=1.2, f1=134.0, phase1=1.0),
     "high": partial(sliding, F0=2.0, f0=300.0, phase0=4.0),
     "decay": partial(sliding, F0=6.0, f0=90.0, phase0=4.0, tau0=0.03),
+    "texture": texture,
     "stop": stop,
     "reversal": reversal,
     "push": push,

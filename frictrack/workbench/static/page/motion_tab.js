@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { edit, start } from "./actions.js";
-import { Button, Note, Panel, RunPicker, TextBox } from "./controls.js";
+import { Button, Choice, Note, Panel, RunPicker, TextBox } from "./controls.js";
 import { digits, quantity, spaced } from "./format.js";
 import { Linked } from "./linked.js";
 import { filmOf, foreground, outdatedWords } from "./selectors.js";
@@ -14,30 +14,43 @@ const PREVIEW_MS = 60; // after the last move of the slider
 /** Index of the value that is nearest. */
 const nearest = (values, to) => values.reduce((best, value, k) => (Math.abs(value - to) < Math.abs(values[best] - to) ? k : best), 0);
 
-function Cutoff({ run, preview, onPreview }) {
-  const { cutoff, smoothed_by: how } = run.motion;
+function Smoothing({ run, preview, onPreview }) {
+  const { cutoff, smoothed_by: how, filters, filter } = run.motion;
   const why = useStore(foreground) ? "Wait until the work ends, or cancel it." : null;
   const hertz = cutoff?.options || [];
   const shown = preview ?? cutoff?.asked ?? cutoff?.chosen ?? hertz[0];
   const at = hertz.length ? nearest(hertz, shown) : 0;
-  const cost = cutoff?.noise && `Noise that passes: ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost: ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
-  const separate = () => (onPreview(null), edit("run", "cutoff", null, run.name, `Cut-off of ${run.name}: removed.`));
-  const use = () => edit("run", "cutoff", `${digits(hertz[at], 5)} Hz`, run.name, `Cut-off of ${run.name}: ${digits(hertz[at])} Hz.`);
+  const takes = filters[filter.filter].takes;
+  const set = (key, value, words) => (onPreview(null), edit("run", key, value, run.name, `Filter of ${run.name}: ${words}.`));
+  const whole = (key) => (text) => {
+    if (text && !/^\d+$/.test(text)) return say(`Expected a whole number but got "${text}".`, "warn");
+    return set(key, text ? Number(text) : null, text ? `${key} ${text}` : `${key} chosen automatically`);
+  };
+  const cost = filter.filter === "structural" && cutoff?.noise && `Noise that passes: ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost: ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
+  const separate = () => set("cutoff", null, "cut-off removed");
+  const use = () => set("cutoff", `${digits(hertz[at], 5)} Hz`, `cut-off ${digits(hertz[at])} Hz`);
   return html`
     <${Panel} title="Smoothing">
       <p class="ui-note">${spaced(how)}</p>
-      ${hertz.length > 1 &&
+      <${Choice} label="Filter" value=${filter.filter} options=${Object.entries(filters).map(([key, { words }]) => [key, words])}
+        onChange=${(key) => set("filter", key, filters[key].words)} />
+      ${takes.includes("order") && html`<${TextBox} label="Order" value=${String(filter.order ?? "")} placeholder="automatic" why=${why} onCommit=${whole("order")} />`}
+      ${takes.includes("window") && html`<${TextBox} label="Window" value=${String(filter.window ?? "")} unit="frames" placeholder="automatic" why=${why} onCommit=${whole("window")} />`}
+      ${takes.includes("causal") &&
+      html`<${Choice} label="Direction" value=${String(Boolean(filter.causal))} options=${[["false", "forward and backward"], ["true", "forward only: delayed"]]}
+        onChange=${(value) => set("causal", value === "true" || null, value === "true" ? "forward only" : "forward and backward")} />`}
+      ${takes.includes("cutoff") && hertz.length > 1 &&
       html`
         <div class="ui-slider">
-          <label for="cutoff">Cut-off of a plain low-pass</label><output for="cutoff">${digits(hertz[at])} Hz</output>
+          <label for="cutoff">${filter.filter === "structural" ? "Cut-off of a plain low-pass" : "Cut-off"}</label><output for="cutoff">${digits(hertz[at])} Hz</output>
           <input id="cutoff" type="range" min="0" max=${hertz.length - 1} step="1" value=${at} aria-valuetext=${`${digits(hertz[at])} Hz`}
             onInput=${(e) => onPreview(hertz[e.target.value])} />
         </div>
         ${cost && html`<p class="ui-note">${spaced(cost)}</p>`}
         <div class="ui-row">
           <${Button} kind=${preview === null ? "" : "primary"} label="Use this cut-off" onClick=${use} why=${why} />
-          <${Button} label="Separate automatically" icon="auto" onClick=${separate} why=${why || (cutoff.asked ? null : "Trend, vibrations and events are separated already.")}
-            title="Separate trend, vibrations and events instead of a plain low-pass" />
+          <${Button} label=${filter.filter === "structural" ? "Separate automatically" : "Choose automatically"} icon="auto" onClick=${separate} why=${why || (cutoff.asked ? null : "No cut-off is given.")}
+            title="Without a given cut-off" />
         </div>`}
     <//>`;
 }
@@ -103,13 +116,15 @@ export function MotionTab() {
         <${Linked} path=${path} film=${film} large="Friction force" on=${{ moved }} />
       </div>
       <aside class="ui-side" aria-label="Settings of the motion">
-        <${Cutoff} run=${run} preview=${preview} onPreview=${setPreview} />
+        <${Smoothing} run=${run} preview=${preview} onPreview=${setPreview} />
         <${Free} run=${run} />
         ${stale && html`<${Note} kind="warn">${stale}<//>`}
         <${Button} icon="run" label="Measure again" onClick=${() => start("measure", { stage: "friction" }, "Measure again")}
           why=${job ? "Wait until the work ends, or cancel it." : stale ? null : "Nothing has changed since the last measurement."} />
         ${run.motion.cutoff && html`<${Panel} title="Noise and lost signal"><img class="ui-figure" alt=${`Noise that passes and signal lost over the cut-off frequency, ${run.name}`}
           src=${address("/api/figure", { name: `cutoff:${run.name}`, v: version })} loading="lazy" /><//>`}
+        <${Panel} title="What a filter costs"><img class="ui-figure" alt=${`Displacement, velocity, acceleration and force as measured, filtered and smoothed, ${run.name}`}
+          src=${address("/api/figure", { name: `filters:${run.name}`, v: version })} loading="lazy" /><//>
       </aside>
     </div>`;
 }
