@@ -203,6 +203,9 @@ def test_places_rounded_to_1_cm_show_the_flights_between_bounces_on_a_buffer(deg
     first = fit("coulomb", [replace(run, free=(t[free][0], t[touch - 4]))])
     assert law.parameters["coulomb.F_c"].std < 0.8 * first.parameters["coulomb.F_c"].std
     assert "restitution coefficient of" in impact(run)
+    summary = law.summary()
+    assert summary["errors"]["free_run_rms_um"] is None
+    assert not any("no noise" in remark for remark in summary["remarks"])
 
 
 def test_small_collision_does_not_end_the_section():

@@ -289,6 +289,7 @@ def noise_free_remark(runs: Sequence[Run]) -> Iterator[str]:
         run.name
         for run in runs
         if run.noise is None
+        and not run.displacement.resolution  # rounded positions at rest are equal
         and noise_level(run.displacement.x, run.displacement.valid, t=run.displacement.t)[0] < _least_noise(run)
     ]
     if free:
