@@ -164,20 +164,16 @@ class TestSearch:
         misfit = population_misfit(problem, chains)
         assert misfit(seen.p[None])[0] == pytest.approx(seen.chi2 * misfit.unit, rel=0.01)
 
-    @pytest.mark.parametrize(
-        ("search", "close"),
-        [
-            ("sga", 1.3),
-            *(pytest.param(*row, marks=pytest.mark.slow) for row in (("ga", 15.0), ("mga", 100.0), ("sa", 3.0))),
-        ],
-    )
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("search", "close"), [("sga", 1.3), ("ga", 15.0), ("mga", 100.0), ("sa", 3.0)])
     def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
         # Binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do;
         # the chain of fourth order leaves so little noise that the same distance from the best counts for more.
         best = fit("tustin", [one_slide()], domain="force").found.force
         misfit = population_misfit(best.problem, best.problem.chains)
         at_best = misfit(best.p[None])[0]
-        found = [search_parameters(misfit, search, np.random.default_rng(seed)).costs[0] / at_best for seed in range(5)]
+        rngs = [np.random.default_rng(seed) for seed in range(15)]
+        found = [search_parameters(misfit, search, rng).costs[0] / at_best for rng in rngs]
         assert min(found) > 0.999
         assert np.median(found) < close
 

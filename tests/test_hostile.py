@@ -340,7 +340,7 @@ def numbers(row: int, first: float, second: float, column: str = "B") -> str:
     ("sheet", "said"),
     [
         (MAIN.format("", CELLS + numbers(2, 0, 0) + numbers(10**12, 1, 1)), "more than 5000 rows"),
-        (MAIN.format("", CELLS + numbers(2, 0, 0, "XFD") + numbers(3, 1, 1)), "expected numbers"),
+        (MAIN.format("", CELLS + numbers(2, 0, 0, "XFD") + numbers(3, 1, 1)), "at least two rows"),
         (MAIN.format('<dimension ref="A1:XFD1048576"/>', CELLS + numbers(2, 0, 0)), "at least two rows"),
         (MAIN.format("", ""), "no rows"),
         ("", "expected a table"),

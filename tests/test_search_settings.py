@@ -83,7 +83,7 @@ def test_the_convergence_is_a_figure(runs: list[ft.Run]) -> None:
         FrictrackError, match="expected a fit by a global search to draw its convergence but got varpro"
     ):
         ft.fit(MODEL, runs).plot("convergence")
-    with pytest.raises(FrictrackError, match='expected a figure among force, convergence but got "forces"'):
+    with pytest.raises(FrictrackError, match='expected force or law or convergence but got "forces"'):
         fit.plot("forces")
 
 

@@ -75,7 +75,7 @@ def test_figure_has_one_panel_per_direction_and_an_axis_of_mu(both_directions):
     plots.png(figure)
     low, high = figure.axes[1].get_ylim()
     assert np.allclose(right.get_ylim(), np.array([low, high]) / (MASS * GRAVITY))
-    with pytest.raises(FrictrackError, match='expected force or law but got "laws"'):
+    with pytest.raises(FrictrackError, match='expected force or law or convergence but got "laws"'):
         both_directions.plot("laws")
 
 

@@ -70,8 +70,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     if any(row.passes for row in rows):
         out.print(candidates([row for row in rows if row.passes or row.kind == "rival"]))
     for row in (one for one in rows if one.kind in MAIN_KINDS and one.parameters):
-        alone = f"; alone it explains {row.share} of the misfit" if row.share else ""
-        out.print(escape(f"{row.effect}: {', '.join(row.parameters)}{alone}"))
+        out.print(escape(f"{row.effect}: {', '.join(row.parameters)}"))
     if others := not_passing(rows):
         out.print(others)
 
@@ -88,6 +87,8 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
 
     """
     evidence(out, result.get("evidence") or [])
+    for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
+        out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
         out.print(escape(result["repeats_words"]))

@@ -366,7 +366,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         fine = max(e.fine for e in law.effects)
         cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
         problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
-        found = _outcome_at(problem, (p, starts, tau), fitted, route, searched)
+    found = _outcome_at(problem, (p, starts, tau), fitted, route, searched)
     return _finish(found, runs, reference, route, lengths)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -79,8 +80,12 @@ class Findings:
     def save(self, pipelines: Sequence[RunPipeline]) -> None:
         """Store the findings beside the results, from which report and page read them."""
         path, key = self.study.output / "study.h5", findings_key(pipelines)
-        if stored_findings(path, pipelines) != self.summary:
-            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, Provenance(key))})
+        held = store.provenance(path, FINDINGS)
+        if stored_findings(path, pipelines) == self.summary or (held is None and not self.summary):
+            return
+        inputs = [(f"{p.path.name}:/{stage}", p.key(stage)) for p in pipelines for stage in ("motion", "friction")]
+        made = Provenance(key, digest([found for _, found in inputs]), json.dumps(inputs), "{}")
+        store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, made)})
 
     def check_study_file(self) -> None:
         """Check the numbers in the study file; a number that several runs inherit is reported once.

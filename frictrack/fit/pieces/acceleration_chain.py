@@ -21,7 +21,7 @@ from frictrack.motion import (
     interpolate_missing,
     stencils,
 )
-from frictrack.motion.smoother import SmootherData, Structure
+from frictrack.motion.smoother import FactoredSmoother, SmootherData, Structure
 from frictrack.records import Array, Mask, Run
 
 COLUMNS_AT_ONCE = 256  # responses of a filter computed in one call
@@ -66,6 +66,23 @@ def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
     return AccelerationChain(linear, sigma_a, kept, run.motion.cutoff)
 
 
+class _LowPass(LinearOperator):
+    """Low-pass and second derivative: accelerations (m,) of displacements (n,) that stand in `frames` of a grid."""
+
+    def __init__(self, second: csr_array, smoother: FactoredSmoother, frames: NDArray[np.int64], weight: Array) -> None:
+        super().__init__(float, (second.shape[0], len(frames)))  # type: ignore[call-arg] - the stubs know no subclass
+        self._second, self._smoother, self._frames, self._weight = second, smoother, frames, weight
+
+    def _matmat(self, displacements: Array) -> Array:
+        full = np.zeros((len(self._weight), displacements.shape[1]))
+        full[self._frames] = displacements
+        return np.asarray(self._second @ self._smoother.smooth(full))
+
+    def _rmatmat(self, accelerations: Array) -> Array:
+        back = self._smoother.posterior_covariance_times(self._second.T @ accelerations)
+        return np.asarray(self._weight[:, None] * back)[self._frames]
+
+
 def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
     """Low-pass at the run's cut-off and second derivative: the map, and the noise at the kept frames."""
     grid = frame_grid(piece.t)
@@ -80,18 +97,7 @@ def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOp
     columns = (start[frames, None] + np.arange(STENCIL_FRAMES)).ravel()
     second = csr_array((table[2, frames].ravel(), (rows, columns)), shape=(len(kept), grid.n))
 
-    def apply(displacements: Array) -> Array:
-        full = np.zeros((grid.n, *displacements.shape[1:]))
-        full[grid.frames] = displacements
-        return np.asarray(second @ smoother.smooth(full))
-
-    def transposed(accelerations: Array) -> Array:
-        back = smoother.posterior_covariance_times(second.T @ accelerations)
-        return np.asarray(weight.reshape(-1, *[1] * (back.ndim - 1)) * back)[grid.frames]
-
-    shape = (len(kept), len(piece.t))
-    made = LinearOperator(shape, matvec=apply, rmatvec=transposed, matmat=apply, rmatmat=transposed, dtype=float)
-    return made, sigma_a[frames]
+    return _LowPass(second, smoother, grid.frames, weight), sigma_a[frames]
 
 
 def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
