@@ -80,7 +80,7 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
     page.page.get_by_role("group", name="Curves").get_by_role("button", name=re.compile("Hz")).wait_for()
     page.picture("11_previewed")
     assert bench.study_text == before
-    page.click("Use this cut-off").hears("Cut-off of fast")
+    page.click("Use this cut-off").hears("Filter of fast")
     assert "cutoff = " in bench.study_text
     page.hears(re.compile("outdated"))
     undone(page, bench, before)

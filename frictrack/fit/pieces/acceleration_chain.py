@@ -70,7 +70,7 @@ class _LowPass(LinearOperator):
     """Low-pass and second derivative: accelerations (m,) of displacements (n,) that stand in `frames` of a grid."""
 
     def __init__(self, second: csr_array, smoother: FactoredSmoother, frames: NDArray[np.int64], weight: Array) -> None:
-        super().__init__(float, (second.shape[0], len(frames)))  # type: ignore[call-arg] - the stubs know no subclass
+        super().__init__(float, (second.shape[0], len(frames)))  # type: ignore[call-arg]
         self._second, self._smoother, self._frames, self._weight = second, smoother, frames, weight
 
     def _matmat(self, displacements: Array) -> Array:
