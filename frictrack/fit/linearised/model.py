@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised.measured_motion import linearise_about_measurement
-from frictrack.fit.linearised.pieces import LinearisedPiece, linearised_piece, stack_blocks
+from frictrack.fit.linearised.pieces import LinearisedPiece, linearised_piece
 from frictrack.fit.parameters import JacobianBasis
-from frictrack.fit.separable import BlockStack, DataBlock
+from frictrack.fit.separable import DataBlock
 from frictrack.records import Array, Mask
 
 Float32Array = NDArray[np.float32]
@@ -61,11 +61,6 @@ class LinearisedModel:
     def blocks(self) -> list[DataBlock]:
         """The pieces as data that forces along the measured motion explain."""
         return [s.block() for s in self.pieces]
-
-    @cached_property
-    def stacks(self) -> list[BlockStack]:
-        """The same data, those pieces together that can be evaluated together."""
-        return stack_blocks(self.pieces, self.blocks)
 
     @cached_property
     def level_coordinates(self) -> Array:

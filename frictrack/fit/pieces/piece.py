@@ -241,11 +241,6 @@ def _at_scaled_time(series: Callable[[Array], Array], by: float, t: Array) -> Ar
     return series(t / by)
 
 
-def joined_whitening(pieces: Sequence[Piece]) -> Callable[[Array], Array]:
-    """Return the map that whitens errors (m, ...) at the frames of several pieces end to end."""
-    return Whitening.joined([piece.whitening for piece in pieces]).whitened
-
-
 def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
     """Compute the span of every run: duration, places and speeds."""
     return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))

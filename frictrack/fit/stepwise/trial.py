@@ -259,7 +259,7 @@ class TiedSeparableModel(SeparableModel):
 def _projected_problem(
     linearised: LinearisedModel, layout: ParameterLayout, tau: float | None = None
 ) -> ProjectedProblem:
-    separable = TiedSeparableModel(layout, linearised.blocks, linearised.stacks)
+    separable = TiedSeparableModel(layout, linearised.blocks)
     tau, budget = tau or linearised.solution.tau or 0.03, linearised.solution.problem.budget
     return ProjectedProblem(separable, separable.data, tau, budget)
 
