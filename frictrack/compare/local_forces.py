@@ -230,14 +230,21 @@ def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool
 
 
 def _fit_bumps(found: LocalForces) -> LocalForces:
-    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection)."""
+    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection).
+
+    The width of a bump in a piece of few frames has no range, and stays.
+    """
     law, bumps, k = found.law, found.bumps, len(found.bumps)
-    limits = np.log([width_limits(law, b) for b in bumps])
+    narrowest, widest = np.array([width_limits(law, b) for b in bumps]).T
     first = np.array([b.width for b in bumps])
+    varies = narrowest < widest
+    limits = np.log([narrowest[varies], widest[varies]])
     computed: dict[bytes, tuple[Array, Array]] = {}
 
     def moved(theta: Array) -> list[Bump]:  # centres in first widths, then log widths
-        pairs = zip(bumps, theta[:k] * first, np.exp(theta[k:]), strict=True)
+        widths = first.copy()
+        widths[varies] = np.exp(theta[k:])
+        pairs = zip(bumps, theta[:k] * first, widths, strict=True)
         return [replace(b, centre=b.centre + float(shift), width=float(width)) for b, shift, width in pairs]
 
     def traces(theta: Array) -> tuple[Array, Array]:
@@ -254,12 +261,12 @@ def _fit_bumps(found: LocalForces) -> LocalForces:
     def jacobian(theta: Array) -> Array:
         columns, sizes = traces(theta)
         q, _ = np.linalg.qr(columns[:, :, 0])
-        slopes = np.concatenate([columns[:, :, 1] * sizes * first, columns[:, :, 2] * sizes], axis=1)
+        slopes = np.concatenate([columns[:, :, 1] * sizes * first, (columns[:, :, 2] * sizes)[:, varies]], axis=1)
         return np.asarray(q @ (q.T @ slopes) - slopes)
 
-    start = np.concatenate([np.zeros(k), np.clip(np.log(first), *limits.T)])
+    start = np.concatenate([np.zeros(k), np.clip(np.log(first[varies]), *limits)])
     free = np.full(k, np.inf)
-    bounds = np.concatenate([-free, limits[:, 0]]), np.concatenate([free, limits[:, 1]])
+    bounds = np.concatenate([-free, limits[0]]), np.concatenate([free, limits[1]])
     theta = least_squares(
         residual, start, jacobian, bounds, ftol=MIN_CHI2_FALL / float(law.r @ law.r), xtol=None, gtol=None,
         max_nfev=MAX_STEPS + 1,
