@@ -272,8 +272,7 @@ def _fit_bumps(found: LocalForces) -> LocalForces:
         max_nfev=MAX_STEPS + 1,
     ).x  # fmt: skip
     columns, sizes = traces(theta)
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns[:, :, 0].T @ columns[:, :, 0])), 0.0))
-    z = np.divide(sizes, deviation, out=np.zeros(k), where=deviation > 0)  # 0: the runs do not see it
+    z = joint_significance(law, columns[:, :, 0])
     fitted = [replace(b, size=float(s), z=float(q)) for b, s, q in zip(moved(theta), sizes, z, strict=True)]
     return replace(found, bumps=fitted, residual=law.with_columns(columns[:, :, 0]))
 
@@ -283,6 +282,17 @@ def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
     clean = without_model(law, columns)
     sizes = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-10)[0], dtype=np.float64)
     return sizes, float(np.sum((law.r - clean @ sizes) ** 2))
+
+
+def joint_significance(law: ModelProjection, columns: Array) -> Array:
+    """Significance of each column (N + m, k) with model and other columns free, in standard deviations.
+
+    It is 0 for a column that the runs do not see.
+    """
+    clean = without_model(law, columns)
+    inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
+    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
 
 
 def without_model(law: ModelProjection, columns: Array) -> Array:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised.measured_motion import linearise_about_measurement
 from frictrack.fit.linearised.pieces import LinearisedPiece, linearised_piece
 from frictrack.fit.parameters import JacobianBasis
+from frictrack.fit.pieces import consecutive_slices
 from frictrack.fit.separable import DataBlock
 from frictrack.records import Array, Mask
 
@@ -107,18 +106,14 @@ def linearise(solution: Solution) -> LinearisedModel:
     """
     free = linearise_about_measurement(solution)
     pieces = [linearised_piece(free, r) for r in free.responses]
-    rows = _slices(len(r.r) for r in free.responses)
-    coordinate_slices = _slices(s.basis.shape[1] - s.starts for s in pieces)
+    rows = consecutive_slices(len(r.r) for r in free.responses)
+    coordinate_slices = consecutive_slices(s.basis.shape[1] - s.starts for s in pieces)
     unbounded = free.basis, _coordinates(pieces, rows, free.basis.u)
     if not np.any(solution.held):
         return LinearisedModel(free, pieces, rows, coordinate_slices, *unbounded, unbounded)
     bounded = _without_held(free, solution.held)
     own = bounded.basis, _coordinates(pieces, rows, bounded.basis.u)
     return LinearisedModel(bounded, pieces, rows, coordinate_slices, *own, unbounded)
-
-
-def _slices(lengths: Iterable[int]) -> list[slice]:
-    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]
 
 
 def _coordinates(pieces: list[LinearisedPiece], rows: list[slice], series: Array | Float32Array) -> Array:

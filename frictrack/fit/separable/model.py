@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
+from frictrack.fit.pieces import consecutive_slices
 from frictrack.fit.separable.blocks import DataBlock, repeat_values, tiled_path
 from frictrack.models import Model
 from frictrack.records import Array, Mask
@@ -113,10 +114,9 @@ class SeparableModel:
         self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
         self.loaded = np.array([c.loaded for c in self.coefficients], dtype=bool)
-        edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
-        self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        self.size = int(edges[-1])
+        self.slices = consecutive_slices(len(b.data) for b in self.blocks)
         self.data = np.concatenate([b.data for b in self.blocks])
+        self.size = len(self.data)
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
         self._mine = [
             np.array([i for i, c in enumerate(self.coefficients) if c.effect in group.names], dtype=int)

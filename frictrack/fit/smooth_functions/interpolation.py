@@ -6,16 +6,16 @@ import numpy as np
 
 from frictrack.records import Array
 
+CORRELATION_WINDOW = 5.0  # correlation times; the sum ends at the first lag above (Sokal 1997)
 
-def correlation_time_frames(r: Array, window: float = 5.0) -> float:
+
+def correlation_time_frames(r: Array) -> float:
     """Compute the integrated correlation time of a residual, summed over a growing window.
 
     Parameters
     ----------
     r : array of shape (n,)
         Residual.
-    window : float
-        The sum ends at the first lag above this multiple of the correlation time.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def correlation_time_frames(r: Array, window: float = 5.0) -> float:
     spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
     rho = np.fft.irfft(spectrum)[: n // 2]
     total = 1 + 2 * np.cumsum(rho[1:] / max(float(rho[0]), 1e-300))
-    far = np.flatnonzero(np.arange(1, len(total) + 1) >= window * total)
+    far = np.flatnonzero(np.arange(1, len(total) + 1) >= CORRELATION_WINDOW * total)
     return max(float(total[far[0]] if len(far) else total[-1]), 1.0)
 
 
