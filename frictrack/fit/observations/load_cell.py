@@ -29,6 +29,7 @@ from frictrack.fit.separable import (
     rows_at_compared,
     variable_projection,
 )
+from frictrack.fit.smooth_functions import MIN_CORRELATED_FRAMES, autocorrelation
 from frictrack.friction import free_section, is_moving, white_noise
 from frictrack.models import Model
 from frictrack.records import Array, Mask, Run, stretches
@@ -355,11 +356,9 @@ def correlated_frames(r: Array) -> int:
 
     """
     n = len(r)
-    if n < 8:
+    if n < MIN_CORRELATED_FRAMES:
         return 0
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
-    rho = np.fft.irfft(spectrum)[: n // 2]
-    rho = rho / max(float(rho[0]), 1e-300)
+    rho = autocorrelation(r)
     if rho[1] < 3.0 / np.sqrt(n):
         return 0
     below = np.flatnonzero(rho < np.exp(-1.0))

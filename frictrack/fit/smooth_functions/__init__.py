@@ -6,10 +6,17 @@ from frictrack.fit.smooth_functions.gaussian_process import (
     matern_root,
     most_likely_process,
 )
-from frictrack.fit.smooth_functions.interpolation import correlation_time_frames, linear_interpolation_matrix
+from frictrack.fit.smooth_functions.interpolation import (
+    MIN_CORRELATED_FRAMES,
+    autocorrelation,
+    correlation_time_frames,
+    linear_interpolation_matrix,
+)
 
 __all__ = [
+    "MIN_CORRELATED_FRAMES",
     "SmoothProcess",
+    "autocorrelation",
     "correlation_time_frames",
     "linear_interpolation_matrix",
     "matern_covariance",

@@ -6,7 +6,16 @@ import numpy as np
 
 from frictrack.records import Array
 
+MIN_CORRELATED_FRAMES = 8  # shorter series count as white
 CORRELATION_WINDOW = 5.0  # correlation times; the sum ends at the first lag above (Sokal 1997)
+
+
+def autocorrelation(r: Array) -> Array:
+    """Autocorrelation of a series (n,) at the lags 0 to n/2 - 1."""
+    n = len(r)
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[: n // 2]
+    return np.asarray(rho / max(float(rho[0]), 1e-300))
 
 
 def correlation_time_frames(r: Array) -> float:
@@ -32,12 +41,9 @@ def correlation_time_frames(r: Array) -> float:
     1.0
 
     """
-    n = len(r)
-    if n < 8:
+    if len(r) < MIN_CORRELATED_FRAMES:
         return 1.0
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
-    rho = np.fft.irfft(spectrum)[: n // 2]
-    total = 1 + 2 * np.cumsum(rho[1:] / max(float(rho[0]), 1e-300))
+    total = 1 + 2 * np.cumsum(autocorrelation(r)[1:])
     far = np.flatnonzero(np.arange(1, len(total) + 1) >= CORRELATION_WINDOW * total)
     return max(float(total[far[0]] if len(far) else total[-1]), 1.0)
 
