@@ -318,8 +318,10 @@ def test_a_blow_in_a_piece_too_short_for_another_width_is_found():
     long, when = Spec(3.0, 1, 0.06), 5 / FPS
     plain = lacking("collision", {"J": 0.0, "time": when, "width": 4e-4}, specs=(long,), sigma=1e-6)[0]
     struck = lacking("collision", {"J": 0.05, "time": when, "width": 4e-4}, specs=(Spec(4.0, 1, 11 / FPS),), sigma=1e-6)
-    solution = fit(LAW, [plain, replace(struck[0], name="struck")]).solution
+    runs = [plain, replace(struck[0], name="struck")]
+    solution = fit(LAW, runs).solution
     found = find_local_forces(solution)
+    assert "struck" in {s["run"] for s in failing_spans(solution, runs)}
     (blow,) = (b for b in found.bumps if b.piece is not None)
     assert solution.responses[blow.piece].piece.run == 1
     assert blow.width == pytest.approx(2 / FPS)

@@ -230,10 +230,7 @@ def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool
 
 
 def _fit_bumps(found: LocalForces) -> LocalForces:
-    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection).
-
-    The width of a bump in a piece of few frames has no range, and stays.
-    """
+    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection)."""
     law, bumps, k = found.law, found.bumps, len(found.bumps)
     narrowest, widest = np.array([width_limits(law, b) for b in bumps]).T
     first = np.array([b.width for b in bumps])
@@ -483,9 +480,10 @@ def course_ends(law: ModelProjection) -> tuple[float, float]:
 
 
 def width_limits(law: ModelProjection, bump: Bump) -> tuple[float, float]:
-    """Smallest and largest width to which a bump may be refined."""
+    """Smallest and largest width to which a bump may be refined; the same in a piece of few frames."""
     if bump.piece is None:
         low, high = course_ends(law)
         return MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low)
     t = law.responses[bump.piece].piece.t
-    return MIN_WIDTH_FRAMES * float(np.median(np.diff(t))), 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0])
+    narrowest = MIN_WIDTH_FRAMES * float(np.median(np.diff(t)))
+    return narrowest, max(narrowest, 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0]))

@@ -95,6 +95,8 @@ class SeparableModel:
         For every group and run, the coefficient of each column; K for none.
     at : list of array
         For every group, the coefficient of each of its k columns: (k,) where it is the same in all data, else (k, M).
+    group_coefficients : list of array of int
+        The coefficients of every group.
     free : list of int
         Positions of the searched non-linear parameters: all but levels and the phases of sinusoids.
 
@@ -118,7 +120,7 @@ class SeparableModel:
         self.data = np.concatenate([b.data for b in self.blocks])
         self.size = len(self.data)
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
-        self._mine = [
+        self.group_coefficients = [
             np.array([i for i, c in enumerate(self.coefficients) if c.effect in group.names], dtype=int)
             for group in self.groups
         ]
@@ -221,10 +223,6 @@ class SeparableModel:
             if (s.effect, s.parameter) == (effect, parameter) and (run is None or s.run in (None, run)):
                 return i
         return None
-
-    def coefficients_of(self, g: int) -> Indices:
-        """Return the coefficients of a group."""
-        return self._mine[g]
 
     # --- evaluation
 
