@@ -7,16 +7,14 @@ from frictrack.fit.smooth_functions.gaussian_process import (
     most_likely_process,
 )
 from frictrack.fit.smooth_functions.interpolation import (
-    MIN_CORRELATED_FRAMES,
-    autocorrelation,
+    correlated_frames,
     correlation_time_frames,
     linear_interpolation_matrix,
 )
 
 __all__ = [
-    "MIN_CORRELATED_FRAMES",
     "SmoothProcess",
-    "autocorrelation",
+    "correlated_frames",
     "correlation_time_frames",
     "linear_interpolation_matrix",
     "matern_covariance",

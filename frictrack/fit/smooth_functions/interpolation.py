@@ -10,7 +10,7 @@ MIN_CORRELATED_FRAMES = 8  # shorter series count as white
 CORRELATION_WINDOW = 5.0  # correlation times; the sum ends at the first lag above (Sokal 1997)
 
 
-def autocorrelation(r: Array) -> Array:
+def _autocorrelation(r: Array) -> Array:
     """Autocorrelation of a series (n,) at the lags 0 to n/2 - 1."""
     n = len(r)
     spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
@@ -43,9 +43,28 @@ def correlation_time_frames(r: Array) -> float:
     """
     if len(r) < MIN_CORRELATED_FRAMES:
         return 1.0
-    total = 1 + 2 * np.cumsum(autocorrelation(r)[1:])
+    total = 1 + 2 * np.cumsum(_autocorrelation(r)[1:])
     far = np.flatnonzero(np.arange(1, len(total) + 1) >= CORRELATION_WINDOW * total)
     return max(float(total[far[0]] if len(far) else total[-1]), 1.0)
+
+
+def correlated_frames(r: Array) -> int:
+    """Compute the lag at which the autocorrelation of a residual (n,) falls below 1/e, frames; 0 for white noise.
+
+    Examples
+    --------
+    >>> correlated_frames(np.sin(np.linspace(0, 6, 100))) > 10
+    True
+
+    """
+    n = len(r)
+    if n < MIN_CORRELATED_FRAMES:
+        return 0
+    rho = _autocorrelation(r)
+    if rho[1] < 3.0 / np.sqrt(n):
+        return 0
+    below = np.flatnonzero(rho < np.exp(-1.0))
+    return int(below[0]) if len(below) else n // 2
 
 
 def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:
