@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from frictrack import effects, models
 from frictrack.effects import Path, Span
 from frictrack.fit import ParameterLayout, fit
+from frictrack.fit.linearised import linearise
 from frictrack.fit.separable import (
     PopulationMisfit,
     ProjectedProblem,
@@ -23,7 +24,7 @@ from frictrack.fit.separable.blocks import double_integral
 from frictrack.fit.separable.bounded import bounded_coefficients
 from frictrack.fit.separable.scan import ScanTable
 from frictrack.simulate import Conditions, simulate
-from tests.runs import MASS, measured
+from tests.runs import BASE, MASS, Spec, measured, study
 
 N, FPS = 652, 4000.0
 T = np.arange(N) / FPS
@@ -399,3 +400,32 @@ def _slope(problem, state, i):
     step[i] = 1e-4
     two = [problem.at(state.nonlinear_values + d).rows for d in (step, -step)]
     return state.coefficients @ (two[0] - two[1]) / (2 * step[i])
+
+
+@pytest.fixture(scope="module")
+def linearised():
+    law = {name: BASE[name] for name in ("coulomb", "stribeck", "viscous")}
+    specs = Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.06), Spec(-4.0, 1, 0.06)
+    runs, _ = study(models.of(law), law, specs=specs, sigma=1e-5, scatter=0.02, rng=np.random.default_rng(2))
+    return linearise(fit([*law], runs).solution)
+
+
+@pytest.mark.parametrize("name", ["patch", "texture"])
+def test_normal_equations_are_those_of_differences_of_the_residual(linearised, name):
+    """The gradient of the reduced misfit is exact: half its slope, for several runs with levels away from one."""
+    old = linearised.solution.problem.layout
+    layout = replace(old, model=old.model + effects.get(name))
+    low, high = (np.clip(b, -2.0, 2.0) for b in layout.bounds)
+    p = low + (high - low) * np.random.default_rng(0).uniform(0.3, 0.7, len(low))
+    known = dict(zip(old.names, linearised.solution.p, strict=True))
+    p = np.array([known.get(n, v) for n, v in zip(layout.names, p, strict=True)])
+    p[layout.levels] = 1 + 0.1 * np.arange(len(layout.levels))
+    separable = SeparableModel(layout, linearised.blocks)
+    problem = ProjectedProblem(separable, separable.data)
+    free = [*separable.free, *problem.levels]
+    gradient = problem.tangent(problem.at(p), separable.free).gradient
+    for position, i in enumerate(free):
+        h = 1e-5 * max(abs(p[i]), 1e-3)
+        below, above = (problem.at(p + sign * h * np.eye(len(p))[i]).misfit for sign in (-1, 1))
+        slope = -0.5 * (above - below) / (2 * h)
+        assert gradient[position] == pytest.approx(slope, rel=1e-3, abs=1e-4 * np.abs(gradient).max())

@@ -313,6 +313,22 @@ def test_a_piece_of_a_few_frames_has_one_look():
     assert find_local_forces(solution).bumps == []
 
 
+def test_a_blow_in_a_piece_too_short_for_another_width_is_found():
+    """Twelve frames leave no range between the narrowest and the widest bump: the width stays, the rest is refined."""
+    long, when = Spec(3.0, 1, 0.06), 5 / FPS
+    plain = lacking("collision", {"J": 0.0, "time": when, "width": 4e-4}, specs=(long,), sigma=1e-6)[0]
+    struck = lacking("collision", {"J": 0.05, "time": when, "width": 4e-4}, specs=(Spec(4.0, 1, 11 / FPS),), sigma=1e-6)
+    runs = [plain, replace(struck[0], name="struck")]
+    solution = fit(LAW, runs).solution
+    found = find_local_forces(solution)
+    assert "struck" in {s["run"] for s in failing_spans(solution, runs)}
+    (blow,) = (b for b in found.bumps if b.piece is not None)
+    assert solution.responses[blow.piece].piece.run == 1
+    assert blow.width == pytest.approx(2 / FPS)
+    assert blow.centre == pytest.approx(when, abs=1 / FPS)
+    assert blow.size > 0
+
+
 @pytest.mark.slow
 def test_levels_that_absorb_misfit_do_not_hide_a_common_place():
     """Without the patch the fit gives one run a twentieth of its friction; a place then seems to act in few runs."""

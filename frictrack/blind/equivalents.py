@@ -15,7 +15,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
-from frictrack.fit.stepwise import rebuild_problem, remove_effect, scan_effect, simulate_trial, try_effect
+from frictrack.fit.stepwise import remove_effect, scan_effect, simulate_trial, try_effect
 from frictrack.records import Array
 
 MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
@@ -93,7 +93,7 @@ def solution_at_truth(truth: Truth, base: Solution) -> Solution:
         model = model + effect_named(name)
     absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
     layout = replace(base_layout, model=model, absent=absent)
-    problem = rebuild_problem(base.problem.rebuild(base_layout, pieces), layout)
+    problem = base.problem.rebuild(base_layout, pieces).rebuild(layout, pieces)
     starts = [np.array([s.x[i], s.v[i]]) for s, i in ((trajectories[p.run], p.frames[0]) for p in pieces)]
     return refine(problem, _true_parameters(truth, layout), starts, tau=max(truth.scatter, MIN_SCATTER))
 

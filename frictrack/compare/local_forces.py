@@ -232,12 +232,16 @@ def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool
 def _fit_bumps(found: LocalForces) -> LocalForces:
     """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection)."""
     law, bumps, k = found.law, found.bumps, len(found.bumps)
-    limits = np.log([width_limits(law, b) for b in bumps])
+    narrowest, widest = np.array([width_limits(law, b) for b in bumps]).T
     first = np.array([b.width for b in bumps])
+    varies = narrowest < widest
+    limits = np.log([narrowest[varies], widest[varies]])
     computed: dict[bytes, tuple[Array, Array]] = {}
 
     def moved(theta: Array) -> list[Bump]:  # centres in first widths, then log widths
-        pairs = zip(bumps, theta[:k] * first, np.exp(theta[k:]), strict=True)
+        widths = first.copy()
+        widths[varies] = np.exp(theta[k:])
+        pairs = zip(bumps, theta[:k] * first, widths, strict=True)
         return [replace(b, centre=b.centre + float(shift), width=float(width)) for b, shift, width in pairs]
 
     def traces(theta: Array) -> tuple[Array, Array]:
@@ -254,19 +258,18 @@ def _fit_bumps(found: LocalForces) -> LocalForces:
     def jacobian(theta: Array) -> Array:
         columns, sizes = traces(theta)
         q, _ = np.linalg.qr(columns[:, :, 0])
-        slopes = np.concatenate([columns[:, :, 1] * sizes * first, columns[:, :, 2] * sizes], axis=1)
+        slopes = np.concatenate([columns[:, :, 1] * sizes * first, (columns[:, :, 2] * sizes)[:, varies]], axis=1)
         return np.asarray(q @ (q.T @ slopes) - slopes)
 
-    start = np.concatenate([np.zeros(k), np.clip(np.log(first), *limits.T)])
+    start = np.concatenate([np.zeros(k), np.clip(np.log(first[varies]), *limits)])
     free = np.full(k, np.inf)
-    bounds = np.concatenate([-free, limits[:, 0]]), np.concatenate([free, limits[:, 1]])
+    bounds = np.concatenate([-free, limits[0]]), np.concatenate([free, limits[1]])
     theta = least_squares(
         residual, start, jacobian, bounds, ftol=MIN_CHI2_FALL / float(law.r @ law.r), xtol=None, gtol=None,
         max_nfev=MAX_STEPS + 1,
     ).x  # fmt: skip
     columns, sizes = traces(theta)
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns[:, :, 0].T @ columns[:, :, 0])), 0.0))
-    z = np.divide(sizes, deviation, out=np.zeros(k), where=deviation > 0)  # 0: the runs do not see it
+    z = joint_significance(law, columns[:, :, 0])
     fitted = [replace(b, size=float(s), z=float(q)) for b, s, q in zip(moved(theta), sizes, z, strict=True)]
     return replace(found, bumps=fitted, residual=law.with_columns(columns[:, :, 0]))
 
@@ -276,6 +279,17 @@ def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
     clean = without_model(law, columns)
     sizes = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-10)[0], dtype=np.float64)
     return sizes, float(np.sum((law.r - clean @ sizes) ** 2))
+
+
+def joint_significance(law: ModelProjection, columns: Array) -> Array:
+    """Significance of each column (N + m, k) with model and other columns free, in standard deviations.
+
+    It is 0 for a column that the runs do not see.
+    """
+    clean = without_model(law, columns)
+    inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
+    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
 
 
 def without_model(law: ModelProjection, columns: Array) -> Array:
@@ -466,9 +480,10 @@ def course_ends(law: ModelProjection) -> tuple[float, float]:
 
 
 def width_limits(law: ModelProjection, bump: Bump) -> tuple[float, float]:
-    """Smallest and largest width to which a bump may be refined."""
+    """Smallest and largest width to which a bump may be refined; the same in a piece of few frames."""
     if bump.piece is None:
         low, high = course_ends(law)
         return MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low)
     t = law.responses[bump.piece].piece.t
-    return MIN_WIDTH_FRAMES * float(np.median(np.diff(t))), 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0])
+    narrowest = MIN_WIDTH_FRAMES * float(np.median(np.diff(t)))
+    return narrowest, max(narrowest, 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0]))

@@ -18,6 +18,7 @@ from frictrack.compare.local_forces import (
     bump_grid,
     continue_search,
     find_local_forces,
+    joint_significance,
     solve_sizes,
     start_search,
     width_limits,
@@ -190,7 +191,7 @@ def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> l
     # what the runs share acts in all of them or in none
     group = np.array([solution.responses[i].piece.run if _has_size_per_run(effect) else 0 for i, _ in places])
     names, of = np.unique(group, return_inverse=True)
-    z = _joint_significance(law, np.stack([columns[:, group == g].sum(axis=1) for g in names], axis=1))[of]
+    z = joint_significance(law, np.stack([columns[:, group == g].sum(axis=1) for g in names], axis=1))[of]
     spans = [
         FailingSpan(i, rows, float(column @ law.r) / total, _p_value(search, i, float(size)))
         for (i, rows), column, size in zip(places, columns.T, z, strict=True)
@@ -245,14 +246,6 @@ def _partial_trace(search: LocalForces, i: int, rows: Rows, force: Array) -> Arr
     inside = np.where((t >= at[0]) & (t <= at[-1]), force, 0.0)
     out[search.law.rows[i]] = piece.data_of(inside[None], is_measurement=False)[0]
     return out
-
-
-def _joint_significance(law: ModelProjection, columns: Array) -> Array:
-    """Significance of each column (N + m, k) with model and other columns free, in standard deviations."""
-    clean = without_model(law, columns)
-    inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
-    deviation = np.sqrt(np.diag(inverse))
-    return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
 
 
 def _close_gaps(acts: Mask) -> Mask:

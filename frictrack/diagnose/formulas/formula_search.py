@@ -227,9 +227,7 @@ class FormulaSearch:
         names = [f"{EFFECT_NAME}.{name}" for name in (*term.shape.parameters, *coefficient_names(term))]
         values = dict(zip(old.names, solution.p, strict=True))
         values |= dict(zip(names, (*term.parameters, *term.coefficients), strict=True))
-        problem = solution.problem.rebuild(layout, solution.problem.pieces)
-        if problem.simulates:
-            problem = problem.beginning_at(solution.responses)
+        problem = solution.problem.rebuild(layout, solution.problem.pieces).beginning_at(solution.responses)
         p = np.array([values[name] for name in layout.names])
         with suppress(FrictrackError):
             tau = solution.tau or 0.03

@@ -16,7 +16,6 @@ Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, section 5.2. Johns H
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,6 +33,7 @@ from frictrack.fit.parameters import (
     prior_jacobian,
     prior_residual,
 )
+from frictrack.fit.pieces import consecutive_slices
 from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
@@ -285,8 +285,7 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
     u, s, _ = np.linalg.svd(law / norm, full_matrices=False)
     u = u[:, s > MIN_SINGULAR_VALUE_PROJECTED * s[0]] if len(s) else u
     u = np.concatenate([expanded(u[: len(few)]), u[len(few) :]])
-    ends = np.cumsum([0, *[len(response.r) for response in solution.responses]])
-    rows = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    rows = consecutive_slices(len(response.r) for response in solution.responses)
     return ModelProjection(solution, rows, u, r - u @ (u.T @ r))
 
 

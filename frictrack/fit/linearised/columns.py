@@ -17,8 +17,6 @@ from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.records import Array
 
 QUADRATURES = (0.0, np.pi / 2)
-MIN_STEPS = 8  # columns from which it is worth a look whether they are equal but in few frames
-MIN_LEFT_SHARE = 1e-3  # of the size of columns, outside the basis, from which float32 products of whole columns do
 MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
 
 
@@ -254,30 +252,9 @@ def column_products(
     squares = np.einsum("gkk->gk", gram)
     size = np.sqrt(np.where(squares > MIN_COLUMN_SQUARE, squares, 1.0))  # smaller ones gain nothing
     data, draws = columns @ series.measured[frames], series.residuals[frames, 1:]
-    products = _step_products(piece, whitened, size.ravel(), draws)
-    if products is None:
-        products = (left / size.reshape(-1, 1)).astype(np.float32) @ draws
+    products = (left / size.reshape(-1, 1)).astype(np.float32) @ draws
     shape = *size.shape, -1
     return ColumnProducts(gram, data, coordinates.reshape(shape), size, products.reshape(shape))
-
-
-def _step_products(piece: LinearisedPiece, whitened: Array, size: Array, draws: Float32Array) -> Float32Array | None:
-    """Products (C, D) of remainders, over their size, of columns that are equal but in few frames, such as steps.
-
-    The equal part is multiplied once. None for other columns, or where little of them is outside the basis.
-    """
-    if 2 * np.count_nonzero(whitened[0] != whitened[-1]) > whitened.shape[1] or len(whitened) < MIN_STEPS:
-        return None
-    differing = np.flatnonzero(np.any(whitened != whitened[0], axis=0))
-    window = slice(int(differing[0]), int(differing[-1]) + 1) if len(differing) else slice(0, 0)
-    too_long = 2 * (window.stop - window.start) > whitened.shape[1]
-    if too_long or size.min() < MIN_LEFT_SHARE * np.linalg.norm(whitened[[0, -1]], axis=1).max():
-        return None
-    rows = np.concatenate([whitened[:1], -piece.basis.T]).astype(np.float32) @ draws
-    weights = np.column_stack([np.ones(len(whitened)), whitened @ piece.basis]) / size[:, None]
-    changes = (whitened[:, window] - whitened[0, window]) / size[:, None]
-    products: Float32Array = weights.astype(np.float32) @ rows + changes.astype(np.float32) @ draws[window]
-    return products
 
 
 @dataclass(frozen=True, eq=False)

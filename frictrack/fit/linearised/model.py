@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,9 +11,10 @@ from numpy.typing import NDArray
 
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised.measured_motion import linearise_about_measurement
-from frictrack.fit.linearised.pieces import LinearisedPiece, linearised_piece, stack_blocks
+from frictrack.fit.linearised.pieces import LinearisedPiece, linearised_piece
 from frictrack.fit.parameters import JacobianBasis
-from frictrack.fit.separable import BlockStack, DataBlock
+from frictrack.fit.pieces import consecutive_slices
+from frictrack.fit.separable import DataBlock
 from frictrack.records import Array, Mask
 
 Float32Array = NDArray[np.float32]
@@ -63,11 +62,6 @@ class LinearisedModel:
         return [s.block() for s in self.pieces]
 
     @cached_property
-    def stacks(self) -> list[BlockStack]:
-        """The same data, those pieces together that can be evaluated together."""
-        return stack_blocks(self.pieces, self.blocks)
-
-    @cached_property
     def level_coordinates(self) -> Array:
         """Coordinates (L, R) of the sensitivities to the friction levels in the bases of the pieces."""
         return self.coordinates(self.solution.jac[:, self.solution.problem.layout.levels])
@@ -112,18 +106,14 @@ def linearise(solution: Solution) -> LinearisedModel:
     """
     free = linearise_about_measurement(solution)
     pieces = [linearised_piece(free, r) for r in free.responses]
-    rows = _slices(len(r.r) for r in free.responses)
-    coordinate_slices = _slices(s.basis.shape[1] - s.starts for s in pieces)
+    rows = consecutive_slices(len(r.r) for r in free.responses)
+    coordinate_slices = consecutive_slices(s.basis.shape[1] - s.starts for s in pieces)
     unbounded = free.basis, _coordinates(pieces, rows, free.basis.u)
     if not np.any(solution.held):
         return LinearisedModel(free, pieces, rows, coordinate_slices, *unbounded, unbounded)
     bounded = _without_held(free, solution.held)
     own = bounded.basis, _coordinates(pieces, rows, bounded.basis.u)
     return LinearisedModel(bounded, pieces, rows, coordinate_slices, *own, unbounded)
-
-
-def _slices(lengths: Iterable[int]) -> list[slice]:
-    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]
 
 
 def _coordinates(pieces: list[LinearisedPiece], rows: list[slice], series: Array | Float32Array) -> Array:

@@ -6,10 +6,9 @@ few coordinates in that basis and the remainder. Only the remainder has to be co
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,22 +17,18 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from frictrack.effects import Effect, Path
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement
-from frictrack.fit.pieces import joined_whitening
 from frictrack.fit.separable import (
-    BlockStack,
     DataBlock,
-    are_stackable,
-    joined_path,
     path_at_compared,
+    repeat_values,
     rows_at_compared,
     tiled_path,
 )
 from frictrack.models import Values
 from frictrack.records import Array
-from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, StackedEdgeResponse, linearise_acceleration
+from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
-MIN_FILLED_SHARE = 0.6  # of the samples of a stack that belong to its pieces; the others are computed in vain
 
 
 @dataclass(eq=False)
@@ -75,7 +70,6 @@ class LinearisedPiece:
     starts: int
     moved: EdgeResponse | None
     compared_path: Path | None = None
-    _tiled: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
 
     @property
     def run(self) -> int:
@@ -107,11 +101,9 @@ class LinearisedPiece:
         """
         path = self.path_for(effect)
         n = len(path.t)
-        if (count, n) not in self._tiled:
-            self._tiled[count, n] = path if count == 1 else tiled_path(path, count)
-        spread = {k: _repeat_values(v, n, effect.parameter(k).role == "depth") for k, v in values.items()}
+        spread = {k: repeat_values(v, n, effect.parameter(k).role == "depth") for k, v in values.items()}
         inner = [np.tile(self.modified_columns(effect), (count, 1))] if effect.modifies else []
-        columns = effect.columns(self._tiled[count, n], spread, *inner)
+        columns = effect.columns(tiled_path(path, count), spread, *inner)
         if inner and effect.sized:
             columns = columns - inner[0]
         return np.asarray(columns.T.reshape(columns.shape[1], count, n).transpose(1, 0, 2))
@@ -189,16 +181,6 @@ class LinearisedPiece:
         )
 
 
-def _repeat_values(value: Any, n: int, is_depth: bool) -> Any:
-    """A value for every sample of a population, or one number for a single individual."""
-    if not isinstance(value, np.ndarray):
-        return value
-    if len(value) == 1:
-        return float(value[0])
-    tiled = np.repeat(value, n)
-    return tiled[:, None] if is_depth else tiled
-
-
 def linearised_piece(solution: Solution, response: PieceResponse) -> LinearisedPiece:
     """Linearise one piece of a solution about the motion of its response."""
     problem, piece, motion = solution.problem, response.piece, response.motion
@@ -240,73 +222,3 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
         k: make_interp_spline(piece.panels.t, q, k=1)(t) for k, q in series.items() if q is not None
     }
     return replace(path, t=t, x=x, v=v, s=s, **read)
-
-
-class StackedPieces:
-    """Map forces along several pieces, rows (..., B n) along their joined path, to their data at once."""
-
-    def __init__(self, pieces: Sequence[LinearisedPiece], n: int) -> None:
-        self._shape = len(pieces), n
-        self._response = StackedEdgeResponse([p.moved for p in pieces if p.moved is not None], n)
-        own = [p.response.piece for p in pieces]
-        self._edges = np.concatenate([p.at // p.per_frame + n * i for i, p in enumerate(own)])
-        self._factor = np.concatenate([p.factor for p in pieces])
-        self._whitened = joined_whitening(own)
-        ends = np.cumsum([0, *[len(p.at) for p in own]]).tolist()
-        self._starts = [(slice(*ab), p.basis[:, : p.starts]) for ab, p in zip(pairwise(ends), pieces, strict=True)]
-
-    def forward(self, rows: Array) -> Array:
-        """Compute the data (..., m) that forces (..., B n), N, make."""
-        moved = self._response(rows.reshape(*rows.shape[:-1], *self._shape)).reshape(rows.shape)
-        return self._white(moved[..., self._edges] * self._factor)
-
-    def picture(self, rows: Array) -> Array:
-        """Compute the data (..., m) that measurement shifts (..., B n), m, make."""
-        return self._white(rows[..., self._edges])
-
-    def _white(self, shifts: Array) -> Array:
-        """Whiten shifts (..., m) and project the starts out, in place."""
-        flat = self._whitened(shifts.reshape(-1, shifts.shape[-1]).T).T
-        for cut, q in self._starts:
-            flat[:, cut] -= (flat[:, cut] @ q) @ q.T
-        return np.asarray(flat.reshape(*shifts.shape[:-1], -1))
-
-
-def stack_blocks(pieces: Sequence[LinearisedPiece], blocks: Sequence[DataBlock]) -> list[BlockStack]:
-    """Join consecutive pieces, whose data are the blocks, that can be evaluated together; the others stay alone."""
-    groups: list[list[int]] = []
-    for i in range(len(blocks)):
-        if groups and _can_join(pieces, blocks, [*groups[-1], i]):
-            groups[-1].append(i)
-        else:
-            groups.append([i])
-    return [_stack(pieces, blocks, members) for members in groups]
-
-
-def _can_join(pieces: Sequence[LinearisedPiece], blocks: Sequence[DataBlock], members: list[int]) -> bool:
-    """Whether blocks can be one stack: moved masses, equal constants, equal kind of noise, similar lengths."""
-    first, last = pieces[members[0]], pieces[members[-1]]
-    if any(p.moved is None or p.moved.stiff for p in (first, last)):
-        return False
-    if bool(first.response.piece.correlated) != bool(last.response.piece.correlated):
-        return False
-    samples = [len(blocks[i].path.t) for i in members]
-    filled = sum(samples) >= MIN_FILLED_SHARE * len(samples) * max(samples)
-    return filled and are_stackable(blocks[members[0]].path, blocks[members[-1]].path)
-
-
-def _stack(pieces: Sequence[LinearisedPiece], blocks: Sequence[DataBlock], members: list[int]) -> BlockStack:
-    if len(members) == 1:
-        return BlockStack.of_block(members[0], blocks[members[0]])
-    paths = [blocks[i].path for i in members]
-    n = max(len(p.t) for p in paths)
-    joined = StackedPieces([pieces[i] for i in members], n)
-    return BlockStack(
-        members=tuple(members),
-        runs=tuple(blocks[i].run for i in members),
-        path=joined_path(paths, n),
-        forward=joined.forward,
-        picture=joined.picture,
-        lengths=tuple(len(blocks[i].data) for i in members),
-        loads=tuple(float(p.load) for p in paths),
-    )

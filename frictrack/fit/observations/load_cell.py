@@ -29,6 +29,7 @@ from frictrack.fit.separable import (
     rows_at_compared,
     variable_projection,
 )
+from frictrack.fit.smooth_functions import correlated_frames
 from frictrack.friction import free_section, is_moving, white_noise
 from frictrack.models import Model
 from frictrack.records import Array, Mask, Run, stretches
@@ -343,27 +344,6 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
     out = np.tile(nonlinear_values, (len(points), 1))
     out[:, list(scanned)] = points
     return list(out)
-
-
-def correlated_frames(r: Array) -> int:
-    """Compute the lag at which the autocorrelation of a residual (n,) falls below 1/e, frames; 0 for white noise.
-
-    Examples
-    --------
-    >>> correlated_frames(np.sin(np.linspace(0, 6, 100))) > 10
-    True
-
-    """
-    n = len(r)
-    if n < 8:
-        return 0
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
-    rho = np.fft.irfft(spectrum)[: n // 2]
-    rho = rho / max(float(rho[0]), 1e-300)
-    if rho[1] < 3.0 / np.sqrt(n):
-        return 0
-    below = np.flatnonzero(rho < np.exp(-1.0))
-    return int(below[0]) if len(below) else n // 2
 
 
 def block_starts(responses: Sequence[PieceResponse], n_unknowns: int) -> list[Rows]:

@@ -26,11 +26,11 @@ import numpy as np
 
 from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
 from frictrack.fit.observations.displacement import Observation
-from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts, correlated_frames
+from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.smooth_functions import correlation_time_frames
+from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames
 from frictrack.fit.uncertainty import Estimates, linear_estimates
 from frictrack.records import Array, Curve, Run
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -241,11 +241,6 @@ def _at_scaled_time(series: Callable[[Array], Array], by: float, t: Array) -> Ar
     return series(t / by)
 
 
-def joined_whitening(pieces: Sequence[Piece]) -> Callable[[Array], Array]:
-    """Return the map that whitens errors (m, ...) at the frames of several pieces end to end."""
-    return Whitening.joined([piece.whitening for piece in pieces]).whitened
-
-
 def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
     """Compute the span of every run: duration, places and speeds."""
     return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))
@@ -293,12 +288,12 @@ class JoinedPieces:
     @cached_property
     def nodes(self) -> list[slice]:
         """Nodes of every piece."""
-        return _slices([3 * len(piece.panels.h) for piece in self.pieces])
+        return consecutive_slices([3 * len(piece.panels.h) for piece in self.pieces])
 
     @cached_property
     def edges(self) -> list[slice]:
         """Edges of every piece."""
-        return _slices([len(piece.panels.edges) for piece in self.pieces])
+        return consecutive_slices([len(piece.panels.edges) for piece in self.pieces])
 
     def spread(self, values: Sequence[float]) -> float | Array:
         """One value per piece, for each of its nodes (3 p,); a number where all are the same."""
@@ -345,7 +340,8 @@ class JoinedPieces:
         return np.concatenate([np.zeros(rows.stop - rows.start) if own is None else own for own, rows in pairs])
 
 
-def _slices(counts: Sequence[int]) -> list[slice]:
+def consecutive_slices(counts: Iterable[int]) -> list[slice]:
+    """Return the slices of parts of given sizes that follow one another."""
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(np.cumsum([0, *counts]))]
 
 

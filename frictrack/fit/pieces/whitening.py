@@ -12,7 +12,6 @@ Kalman, R. E. (1960). A new approach to linear filtering and prediction problems
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,17 +59,6 @@ class Whitening:
             if i < len(decay):
                 before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
         return cls(np.sqrt(variance), decay * (1 - share[:-1]), decay * share[:-1])
-
-    @classmethod
-    def joined(cls, parts: Sequence[Whitening]) -> Whitening:
-        """Return the map of several series end to end, each independent of the one before; all white, or none."""
-        size = np.concatenate([w.size for w in parts])
-        if parts[0].gain is None:
-            return cls(size)
-        persistence, gain = (
-            np.concatenate([np.append(getattr(w, name), 0.0) for w in parts])[:-1] for name in ("persistence", "gain")
-        )
-        return cls(size, persistence, gain)
 
     def whitened(self, errors: Array) -> Array:
         """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""

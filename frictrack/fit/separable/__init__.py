@@ -17,14 +17,12 @@ variables separate. SIAM J. Numer. Anal. 10, 413-432.
 """
 
 from frictrack.fit.separable.blocks import (
-    BlockStack,
     DataBlock,
-    are_stackable,
     chain_block,
     displacement_block,
     force_block,
-    joined_path,
     path_at_compared,
+    repeat_values,
     rows_at_compared,
     tiled_path,
 )
@@ -36,7 +34,6 @@ from frictrack.fit.separable.scan import is_scannable
 from frictrack.fit.separable.varpro import VariableProjection
 
 __all__ = [
-    "BlockStack",
     "ConstrainedVariableProjection",
     "DataBlock",
     "PopulationMisfit",
@@ -45,13 +42,12 @@ __all__ = [
     "SeparableModel",
     "SeparableSolution",
     "VariableProjection",
-    "are_stackable",
     "chain_block",
     "displacement_block",
     "force_block",
     "is_scannable",
-    "joined_path",
     "path_at_compared",
+    "repeat_values",
     "rows_at_compared",
     "tiled_path",
     "variable_projection",

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.effects import Effect, Path, Tie, is_library
+from frictrack.effects import Effect, Path, Tie
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
-from frictrack.fit.separable.blocks import BlockStack, DataBlock
+from frictrack.fit.pieces import consecutive_slices
+from frictrack.fit.separable.blocks import DataBlock, repeat_values, tiled_path
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -86,8 +87,6 @@ class SeparableModel:
         The unknowns.
     blocks : sequence of DataBlock
         The data.
-    stacks : sequence of BlockStack
-        The same blocks, those together that can be; default each alone.
     groups : list of EffectGroup
         Effects that are evaluated together.
     coefficients : list of Coefficient
@@ -96,6 +95,8 @@ class SeparableModel:
         For every group and run, the coefficient of each column; K for none.
     at : list of array
         For every group, the coefficient of each of its k columns: (k,) where it is the same in all data, else (k, M).
+    group_coefficients : list of array of int
+        The coefficients of every group.
     free : list of int
         Positions of the searched non-linear parameters: all but levels and the phases of sinusoids.
 
@@ -103,7 +104,6 @@ class SeparableModel:
 
     layout: ParameterLayout
     blocks: Sequence[DataBlock]
-    stacks: Sequence[BlockStack] = ()
 
     def __post_init__(self) -> None:
         self.blocks = list(self.blocks)
@@ -116,17 +116,15 @@ class SeparableModel:
         self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
         self.loaded = np.array([c.loaded for c in self.coefficients], dtype=bool)
-        edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
-        self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        self.size = int(edges[-1])
+        self.slices = consecutive_slices(len(b.data) for b in self.blocks)
         self.data = np.concatenate([b.data for b in self.blocks])
+        self.size = len(self.data)
         self.run_of_datum = np.repeat([b.run for b in self.blocks], [len(b.data) for b in self.blocks])
-        self._mine = [
+        self.group_coefficients = [
             np.array([i for i, c in enumerate(self.coefficients) if c.effect in group.names], dtype=int)
             for group in self.groups
         ]
         self.at = [self._coefficients_of_data(own) for own in self.column_positions]
-        self._single_blocks = [BlockStack.of_block(i, b) for i, b in enumerate(self.blocks)]
         places = [[self._places(g, g.nonlinear_slots), self._places(g, self._inputs(g))] for g in self.groups]
         self.places = [np.array(list(own.values()), dtype=int) for own, _ in places]  # (q, runs) each
         self._sources = [inputs for _, inputs in places]
@@ -226,17 +224,7 @@ class SeparableModel:
                 return i
         return None
 
-    def coefficients_of(self, g: int) -> Indices:
-        """Return the coefficients of a group."""
-        return self._mine[g]
-
     # --- evaluation
-
-    def stacks_of(self, g: int) -> Sequence[BlockStack]:
-        """Return the blocks as a group is evaluated along them: each alone if the motion before it may matter."""
-        effects = self.groups[g].model.effects
-        stackable = all(is_library(e.kind) and not e.memory and not e.counts_from_release for e in effects)
-        return self.stacks if self.stacks and stackable else self._single_blocks
 
     def columns(self, g: int, nonlinear_values: Array, steps: Array) -> Array:
         """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters.
@@ -255,65 +243,53 @@ class SeparableModel:
 
         """
         parts = []
-        for stack in self.stacks_of(g):
-            places = self.places[g].reshape(-1, len(self.layout.run_names))[:, list(stack.runs)]
+        for b, block in enumerate(self.blocks):
+            places = self.places[g].reshape(-1, len(self.layout.run_names))[:, block.run]
             own = np.where(places < 0, 1.0, steps[places])
-            moved = np.tile(nonlinear_values, (1 + len(places), len(stack.runs), 1))
-            j, member = np.nonzero(places >= 0)
-            moved[1 + j, member, places[j, member]] += own[j, member]
-            made = self._stacked_rows(g, stack, moved)
+            moved = np.tile(nonlinear_values, (1 + len(places), 1))
+            j = np.flatnonzero(places >= 0)
+            moved[1 + j, places[j]] += own[j]
+            made = self.rows(g, b, moved)
             made[1:] -= made[0]
-            made[1:] /= (np.repeat(own, stack.lengths, axis=1) if len(stack.runs) > 1 else own)[:, None]
+            made[1:] /= own[:, None, None]
             parts.append(made)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
 
     def rows(self, g: int, b: int, nonlinear_values: Array) -> Array:
-        """Compute the rows (Q, k, m) of a group in one block for parameter vectors (Q, P); Q is 1 if all are equal."""
-        return self._stacked_rows(g, self._single_blocks[b], nonlinear_values[:, None])
+        """Compute the rows (Q, k, m) of a group in one block for parameter vectors (Q, P), of a sinusoid in quadrature.
 
-    def _stacked_rows(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Array:
-        """Rows (Q, k, m) of a group along a stack of B blocks for values (Q, B, P); of a sinusoid both quadratures."""
-        group = self.groups[g]
+        Q is 1 if the group has no non-linear parameters.
+        """
+        group, block = self.groups[g], self.blocks[b]
         p = len(nonlinear_values) if group.nonlinear_slots else 1
-        forward = stack.picture if group.is_measurement else stack.forward
-        path = stack.population_path(group.model.memory, (1 + group.is_sinusoid) * p)
-        if group.is_sinusoid:
-            effect = group.model.effects[0]
-            own = self._values(g, stack, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
-            phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-            own[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
-            rows = forward(effect.columns(path, own).reshape(p, 2, -1))
-        else:
-            columns = group.columns(path, self._values(g, stack, nonlinear_values[:p]))
-            rows = forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
-        if any(load != 1.0 for load in stack.loads):
-            rows *= np.where(self.loaded_columns(g)[:, None], np.repeat(stack.loads, stack.lengths), 1.0)
-        return rows
+        forward = block.picture if group.is_measurement else block.forward
+        path = tiled_path(block.evaluation_path(group.model.memory), (1 + group.is_sinusoid) * p)
+        if not group.is_sinusoid:
+            columns = group.columns(path, self._values(g, block, nonlinear_values[:p]))
+            return forward(columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2))
+        effect = group.model.effects[0]
+        values = self._values(g, block, nonlinear_values[:p].repeat(2, axis=0))[effect.name]
+        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        values[phase] = np.tile(np.repeat(QUADRATURES, len(path.t) // (2 * p)), p)
+        return forward(effect.columns(path, values).reshape(p, 2, -1))
 
     def loaded_columns(self, g: int) -> Mask:
         """Return which columns of a group carry the normal load, hence the friction level, of the run."""
         columns = [p.loaded for e in self.groups[g].model.effects for p in e.linear]
         return np.repeat(np.array(columns, dtype=bool), 1 + self.groups[g].is_sinusoid)
 
-    def _values(self, g: int, stack: BlockStack, nonlinear_values: Array) -> Values:
-        """Non-linear values of a group along a stack: one number, or one per sample where they differ."""
+    def _values(self, g: int, block: DataBlock, nonlinear_values: Array) -> Values:
+        """Non-linear values of a group along a block: one number, or one per sample where they differ."""
         layout, model = self.layout, self.groups[g].model
         values: Values = {effect: dict(own) for effect, own in self._fixed.items()}
-        members = np.arange(nonlinear_values.shape[1])
         for (effect, name), of_run in self._sources[g].items():
-            places = of_run[np.array(stack.runs)]
-            own = nonlinear_values[:, members, places]
-            values[effect][name] = own if places.min() >= 0 else np.where(places < 0, 1.0, own)
+            if of_run[block.run] >= 0:
+                values[effect][name] = nonlinear_values[:, of_run[block.run]]
         if layout.constraints:
             apply_constraints(layout.model, tuple(r for r in layout.constraints if not r.parameter.linear), values)
-        samples = len(stack.evaluation_path(model.memory).t)
+        n = len(block.evaluation_path(model.memory).t)
         return {
-            e.name: {
-                q.name: value
-                if isinstance(value := values[e.name][q.name], float)
-                else stack.repeat_values(value, samples, q.role == "depth")
-                for q in e.nonlinear
-            }
+            e.name: {q.name: repeat_values(values[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
             for e in model.effects
         }
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.fit.parameters import LEVEL, ParameterLayout, prior_misfit
-from frictrack.fit.separable.blocks import BlockStack, DataBlock
+from frictrack.fit.separable.blocks import DataBlock, repeat_values, tiled_path
 from frictrack.fit.separable.bounded import bounded_population
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.records import Array
@@ -126,20 +126,16 @@ class PopulationMisfit(_SearchMisfit):
 
     def _explained(self, points: Array) -> tuple[Array, Array]:
         vectors = self.full_vectors(points)
-        stacks = (BlockStack.of_block(i, b) for i, b in enumerate(self.blocks))
-        dry, other = np.concatenate([self._explained_in(stack, vectors) for stack in stacks], axis=2)
+        dry, other = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
         return dry, other
 
-    def _explained_in(self, stack: BlockStack, vectors: Array) -> Array:
+    def _explained_in(self, block: DataBlock, vectors: Array) -> Array:
         """Both parts of the modelled data of one block, (2, Q, m)."""
         model, count = self.layout.model, len(vectors)
-        path = stack.population_path(model.memory, count)
-        values, n = self.layout.values(vectors, stack.runs[0])[0], len(path.t) // count
+        path = tiled_path(block.evaluation_path(model.memory), count)
+        values, n = self.layout.values(vectors, block.run)[0], len(path.t) // count
         nonlinear = {
-            e.name: {
-                q.name: stack.repeat_values(np.reshape(values[e.name][q.name], (-1, 1)), n, q.role == "depth")
-                for q in e.nonlinear
-            }
+            e.name: {q.name: repeat_values(values[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
             for e in model.effects
         }
         columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
@@ -150,8 +146,8 @@ class PopulationMisfit(_SearchMisfit):
                 follows_level = q.loaded and bool(self.layout.levels)
                 size = np.reshape(values[e.name][q.name], (-1, 1))
                 total[0 if follows_level else 1] += size * column.reshape(count, -1)
-        data = stack.forward(force)
-        return data + stack.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
+        data = block.forward(force)
+        return data + block.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
 
 
 class ReducedPopulationMisfit(_SearchMisfit):

@@ -181,7 +181,7 @@ class ProjectedProblem:
         steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values), self._min_step)
         for g in range(len(self.separable.groups)) if groups is None else groups:
             columns[g] = self.separable.columns(g, nonlinear_values, steps)
-            excluded[self.separable.coefficients_of(g) if taking_part is None else taking_part] = False
+            excluded[self.separable.group_coefficients[g] if taking_part is None else taking_part] = False
         return self._solved(nonlinear_values, columns, excluded)
 
     def _solved(self, nonlinear_values: Array, columns: dict[int, Array], excluded: Mask) -> SeparableSolution:

@@ -6,10 +6,15 @@ from frictrack.fit.smooth_functions.gaussian_process import (
     matern_root,
     most_likely_process,
 )
-from frictrack.fit.smooth_functions.interpolation import correlation_time_frames, linear_interpolation_matrix
+from frictrack.fit.smooth_functions.interpolation import (
+    correlated_frames,
+    correlation_time_frames,
+    linear_interpolation_matrix,
+)
 
 __all__ = [
     "SmoothProcess",
+    "correlated_frames",
     "correlation_time_frames",
     "linear_interpolation_matrix",
     "matern_covariance",

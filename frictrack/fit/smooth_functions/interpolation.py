@@ -6,16 +6,25 @@ import numpy as np
 
 from frictrack.records import Array
 
+MIN_CORRELATED_FRAMES = 8  # shorter series count as white
+CORRELATION_WINDOW = 5.0  # correlation times; the sum ends at the first lag above (Sokal 1997)
 
-def correlation_time_frames(r: Array, window: float = 5.0) -> float:
+
+def _autocorrelation(r: Array) -> Array:
+    """Autocorrelation of a series (n,) at the lags 0 to n/2 - 1."""
+    n = len(r)
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[: n // 2]
+    return np.asarray(rho / max(float(rho[0]), 1e-300))
+
+
+def correlation_time_frames(r: Array) -> float:
     """Compute the integrated correlation time of a residual, summed over a growing window.
 
     Parameters
     ----------
     r : array of shape (n,)
         Residual.
-    window : float
-        The sum ends at the first lag above this multiple of the correlation time.
 
     Returns
     -------
@@ -32,14 +41,30 @@ def correlation_time_frames(r: Array, window: float = 5.0) -> float:
     1.0
 
     """
-    n = len(r)
-    if n < 8:
+    if len(r) < MIN_CORRELATED_FRAMES:
         return 1.0
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
-    rho = np.fft.irfft(spectrum)[: n // 2]
-    total = 1 + 2 * np.cumsum(rho[1:] / max(float(rho[0]), 1e-300))
-    far = np.flatnonzero(np.arange(1, len(total) + 1) >= window * total)
+    total = 1 + 2 * np.cumsum(_autocorrelation(r)[1:])
+    far = np.flatnonzero(np.arange(1, len(total) + 1) >= CORRELATION_WINDOW * total)
     return max(float(total[far[0]] if len(far) else total[-1]), 1.0)
+
+
+def correlated_frames(r: Array) -> int:
+    """Compute the lag at which the autocorrelation of a residual (n,) falls below 1/e, frames; 0 for white noise.
+
+    Examples
+    --------
+    >>> correlated_frames(np.sin(np.linspace(0, 6, 100))) > 10
+    True
+
+    """
+    n = len(r)
+    if n < MIN_CORRELATED_FRAMES:
+        return 0
+    rho = _autocorrelation(r)
+    if rho[1] < 3.0 / np.sqrt(n):
+        return 0
+    below = np.flatnonzero(rho < np.exp(-1.0))
+    return int(below[0]) if len(below) else n // 2
 
 
 def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:

@@ -3,7 +3,6 @@
 from frictrack.fit.stepwise.growth import (
     add_effect,
     guess_coefficients,
-    rebuild_problem,
     refine_to_end,
     remove_effect,
     reorder_effects,
@@ -40,7 +39,6 @@ __all__ = [
     "is_unconstrained",
     "misfit_left_by_other",
     "most_by_smaller_scatter",
-    "rebuild_problem",
     "refine_to_end",
     "remove_effect",
     "reorder_effects",

@@ -16,7 +16,6 @@ from frictrack.fit.least_squares import (
     refit_with_scatter,
 )
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
-from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise.order import (
     EVENT_PARAMETERS,
@@ -140,7 +139,7 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
 
     """
     model = linearised.solution
-    problem, tau = rebuild_problem(model.problem, trial.layout), model.tau or 0.03
+    problem, tau = model.problem.rebuild(trial.layout, model.problem.pieces), model.tau or 0.03
     starts = problem.first_starts()
     if problem.simulates:
         starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
@@ -191,21 +190,13 @@ def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: 
     own = [s.linear and s.effect == trial.effect.name for s in layout.slots]
     slots = zip(layout.names, trial.p, own, strict=True)
     p = np.array([known.get(name, 0.0 if removed else value) for name, value, removed in slots])
-    if problem.simulates:
-        problem = problem.beginning_at(model.responses)
+    problem = problem.beginning_at(model.responses)
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
 
 def refine_to_end(solution: Solution) -> Solution:
     """Refine a model that `add_effect` has tried to convergence."""
     return refit_with_scatter(solution, solution.tau or 0.03)
-
-
-def rebuild_problem(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
-    """Create the problem of the same pieces under another layout, with the panels per frame that its effects need."""
-    fine = max(e.fine for e in layout.model.effects)
-    pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
-    return problem.rebuild(layout, pieces)
 
 
 def reorder_effects(solution: Solution, model: Model) -> Solution:
@@ -219,8 +210,7 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     values = dict(zip(old.names, solution.p, strict=True))
     p = np.array([values[n] for n in layout.names])
     problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    if problem.simulates:  # a motion up to its stop may not be found again from afar
-        problem = problem.beginning_at(solution.responses)
+    problem = problem.beginning_at(solution.responses)  # a motion up to its stop may not be found again from afar
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 

@@ -131,8 +131,6 @@ def try_together(
     effects: Sequence[Effect],
     values: Mapping[tuple[str, str, int | None], float],
     absent: frozenset[tuple[str, int]] = frozenset(),
-    *,
-    below: float = np.inf,
 ) -> CandidateTrial:
     """Fit a model with several more effects along the measured motion, from given values.
 
@@ -146,8 +144,6 @@ def try_together(
         First values of all unknowns by effect, parameter and run (None for all runs).
     absent : frozenset of (str, int)
         Effects that are absent in a run.
-    below : float
-        The fit ends where the misfit is not expected to fall below this value.
 
     Returns
     -------
@@ -162,7 +158,7 @@ def try_together(
     layout = replace(old, model=model, absent=old.absent | absent)
     problem = _projected_problem(linearised, layout)
     p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
-    state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
+    state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL)
     return _trial(effects[-1], problem, state)
 
 
@@ -259,7 +255,7 @@ class TiedSeparableModel(SeparableModel):
 def _projected_problem(
     linearised: LinearisedModel, layout: ParameterLayout, tau: float | None = None
 ) -> ProjectedProblem:
-    separable = TiedSeparableModel(layout, linearised.blocks, linearised.stacks)
+    separable = TiedSeparableModel(layout, linearised.blocks)
     tau, budget = tau or linearised.solution.tau or 0.03, linearised.solution.problem.budget
     return ProjectedProblem(separable, separable.data, tau, budget)
 

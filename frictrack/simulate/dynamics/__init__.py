@@ -9,7 +9,7 @@ The simulator and the fit share this integrator. Three steps use it:
 """
 
 from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.edge_response import EdgeResponse, StackedEdgeResponse
+from frictrack.simulate.dynamics.edge_response import EdgeResponse
 from frictrack.simulate.dynamics.linear_response import LinearResponse
 from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
 from frictrack.simulate.dynamics.solver import linearise_acceleration, solve_motion, solve_simplified_newton
@@ -22,7 +22,6 @@ __all__ = [
     "LinearResponse",
     "MotionResponse",
     "Panels",
-    "StackedEdgeResponse",
     "Start",
     "linearise_acceleration",
     "solve_motion",

@@ -8,8 +8,6 @@ a panel g is the cubic through its values at the nearest four edges.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,13 +61,24 @@ class EdgeResponse:
 
     def __call__(self, g: Array) -> Array:
         """Displacements (k, p + 1) for accelerations (k, p + 1)."""
-        return self._by_chaining(g) if self.stiff else _by_running_sums(g, self.weights)
+        return self._by_chaining(g) if self.stiff else self._by_running_sums(g)
 
     def _by_chaining(self, g: Array) -> Array:
         """The same displacements by the banded system of `LinearResponse.chain_panels`."""
         nearest = g.T[self._first_edge[:, None] + np.arange(N_INTERPOLATION_EDGES)]  # (p, 4, k)
         edges = self._linear.chain_panels(np.zeros((2, len(g))), self._kick @ nearest)
         return np.ascontiguousarray(edges[:, 0].T)
+
+    def _by_running_sums(self, g: Array) -> Array:
+        out = g * self.weights[0]
+        np.cumsum(out, axis=-1, out=out)
+        out *= self.weights[2]
+        other = g * self.weights[1]
+        np.cumsum(other, axis=-1, out=other)
+        other *= self.weights[3]
+        out += other
+        out += np.multiply(g, self.weights[4], out=other)
+        return out
 
     def _running_sums(self, kick: Array) -> tuple[Array, Array]:
         """Weights (2, p + 1) of both running sums, and the correction (p + 1,) to them at each edge.
@@ -92,42 +101,6 @@ class EdgeResponse:
                 np.add.at(early, last[before], kick[before, :, k])
                 np.add.at(early, last[counted], -kick[counted, :, k])
         return sums, np.einsum("mc,mc->m", early, self.fundamental[:, 0])
-
-
-class StackedEdgeResponse:
-    """Map accelerations along several motions at once, laid side by side: (..., B, n) to displacements (..., B, n).
-
-    Parameters
-    ----------
-    responses
-        The B responses, none of them stiff.
-    n
-        Number of edges of the longest motion; the others end earlier.
-
-    """
-
-    def __init__(self, responses: Sequence[EdgeResponse], n: int) -> None:
-        self._weights = np.zeros((5, len(responses), n))
-        for i, response in enumerate(responses):
-            own = response.weights
-            self._weights[:, i, : own.shape[1]] = own
-
-    def __call__(self, g: Array) -> Array:
-        """Displacements (..., B, n) for accelerations (..., B, n)."""
-        return _by_running_sums(g, self._weights)
-
-
-def _by_running_sums(g: Array, weights: Array) -> Array:
-    """Displacements (..., n) for accelerations (..., n), by the weights of the running sums."""
-    out = g * weights[0]
-    np.cumsum(out, axis=-1, out=out)
-    out *= weights[2]
-    other = g * weights[1]
-    np.cumsum(other, axis=-1, out=other)
-    other *= weights[3]
-    out += other
-    out += np.multiply(g, weights[4], out=other)
-    return out
 
 
 def _stencils(panels: Panels) -> tuple[NDArray[np.int_], Array]:

@@ -27,6 +27,7 @@ RELATIVE_STEP = 1e-7  # of a difference, over the range of x or v: the root of t
 FORCE_CHANGE = 1e-4  # by a directional difference, over the largest acceleration: rounding errors are near 1e-13
 MAX_MOTION_CHANGE = 1e-4  # the same, over the motion's own size
 
+TOLERANCE_M = 1e-13  # Newton step at which a motion has converged; relative beyond 1 m
 MEMORY_TOLERANCE_M = 2e-11  # relative beyond 1 m: a law with memory has a kink at every reversal
 SWEEP_PANELS, MIN_SWEEP_PANELS = 64, 4  # panels per window of a sweep: first try, and fewest
 SWEEP_TOLERANCE_M = 1e-12  # at which a window of a sweep has converged
@@ -119,7 +120,6 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     start: tuple[Start, Start],
     guess: Array,
     *,
-    tolerance: float = 1e-13,
     slopes: Slopes | None = None,
     memory: bool = False,
     near: MotionResponse | None = None,
@@ -138,8 +138,6 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         Position (m) and velocity (m/s) at the first edge of every motion.
     guess
         First guess of x'' at the nodes, m/s^2, shape (3 p,).
-    tolerance
-        Newton step at which the motion has converged, m; relative beyond 1 m.
     slopes
         Function of x, v and the steps of differences in each that returns x'' and its derivatives by x and v, for a
         law without memory; by default `acceleration` is called three times.
@@ -178,7 +176,7 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
     law = _Law(acceleration, panels, start, memory, slopes, continued)
     guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a diverging law is reported below
-        tolerance = max(tolerance, MEMORY_TOLERANCE_M) if memory else tolerance
+        tolerance = MEMORY_TOLERANCE_M if memory else TOLERANCE_M
         solved = None if near is None else _newton_with_response(law, guess, near, tolerance)
         if solved is None:
             guess = _sweep_windows(law, guess) if memory else guess
